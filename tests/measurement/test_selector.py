@@ -175,4 +175,3 @@ def test_seen_endpoints_log_m4_beside_the_choice(plate: Capture) -> None:
     assert fruit.selected is not None
     assert fruit.selected.method is Method.M6
     assert fruit.measurements[Method.M4].length_m == pytest.approx(0.19, rel=1e-4)
-    assert "keypoints-logged" in fruit.flags

@@ -102,7 +102,6 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
         assert m4.length_m is not None
         assert m3.length_m is not None
         assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)
-        assert "keypoints-logged" in fruit.flags
 
 
 def test_the_packages_own_networks_come_with_a_card() -> None:

@@ -132,7 +132,7 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     >>> from cucumbervision.dashboard.settings import Units
     >>> from cucumbervision.measurement.result import Length
     >>> from cucumbervision.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, length=Length(0.24), flags="keypoints-logged end-hidden")
+    >>> fruit = DetectionRecord(1, length=Length(0.24), flags="ends-unsure end-hidden")
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """

@@ -21,24 +21,6 @@ _DEPTH_SPREAD_M = 0.08
 _POLYLINE_FROM = 4
 
 
-def endpoints_visible(keypoints: NDArray[np.float64] | None) -> bool:
-    """Return whether both endpoints are seen well enough for M4 (visibility >= 0.50).
-
-    Parameters
-    ----------
-    keypoints : ndarray of float, shape (5, 3), optional
-        u, v in pixels and visibility.
-
-    Examples
-    --------
-    >>> endpoints_visible(np.array([[0, 0, 0.5], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0.4]]))
-    False
-    """
-    if keypoints is None:
-        return False
-    return bool((keypoints[[0, -1], 2] >= MIN_VISIBILITY[[0, -1]]).all())
-
-
 def measure_m4(
     depth_m: NDArray[np.float32],
     mask: NDArray[np.bool_] | None,

@@ -115,7 +115,6 @@ class Flag(StrEnum):
     SAM_MASK_SMALL = "sam-mask-small"
     SAM_MASK_OFF_BOX = "sam-mask-off-box"
     SAM_MASK_OFF_DETECTOR = "sam-mask-off-detector"
-    KEYPOINTS_LOGGED = "keypoints-logged"
     NOT_COVERED = "calibration-not-covered"
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
@@ -130,7 +129,6 @@ _FLAG_WORDS = {
     Flag.BOX_CLIPPED: "cut by the picture's edge",
     Flag.END_HIDDEN: "an end is hidden",
     Flag.ENDS_DISAGREE: "its ends were found at two places",
-    Flag.ENDS_UNSURE: "which end is the stem's is uncertain",
     Flag.END_ON: "seen end on",
     Flag.PART_HIDDEN: "partly hidden",
     Flag.POOR_FIT: "its shape fits badly",
@@ -144,7 +142,7 @@ _FLAG_WORDS = {
 
 
 def flag_remarks(flags: str, at_least: str = "") -> str:
-    """Return a measurement's flags as short sentences; what only we need is left out.
+    """Return a measurement's flags as short sentences; those that no length depends on are left out.
 
     Parameters
     ----------
@@ -155,7 +153,7 @@ def flag_remarks(flags: str, at_least: str = "") -> str:
 
     Examples
     --------
-    >>> flag_remarks("keypoints-logged end-hidden", "at least 24.0 cm")
+    >>> flag_remarks("ends-unsure end-hidden", "at least 24.0 cm")
     'an end is hidden: at least 24.0 cm'
     """
     known = {str(flag): words for flag, words in _FLAG_WORDS.items()}

@@ -11,7 +11,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.intervals import mask_features, with_interval
-from cucumbervision.measurement.m4 import MIN_VISIBILITY, endpoints_visible
+from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
 from cucumbervision.measurement.result import (
@@ -266,8 +266,6 @@ def measure_fruit(
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
     if cut_by_frame(instance.box, mask, capture.width, capture.height):
         flags.append(Flag.CUT_BY_FRAME)
-    if Method.M4 in measurements and endpoints_visible(instance.keypoints):
-        flags.append(Flag.KEYPOINTS_LOGGED)
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)

@@ -60,6 +60,14 @@ def test_scale_and_lens_of_a_drawn_grid(dark: bool) -> None:
     assert np.median(off) * CAMERA.fx_px < 0.3
 
 
+def test_a_picture_whose_lines_are_miscounted_is_left_out() -> None:
+    taken = [grid_capture(tilt) for tilt in (25.0, 30.0, 35.0)]
+    taken[1] = replace(taken[1], depth_m=taken[1].depth_m * np.float32(2**0.5))
+    fit = fit_grid(taken, SPACING_M)
+    assert fit is not None
+    assert fit.ratios == pytest.approx([SCALE, SCALE], abs=0.001)
+
+
 def test_a_calibrated_camera_measures_right(tmp_path: Path) -> None:
     site = calibrate_camera([grid_capture(30.0)], SPACING_M, "cam")
     write_site_calibration(tmp_path / "cam.json", site)

@@ -136,7 +136,7 @@ def test_a_group_too_small_to_have_a_band_takes_that_of_the_next_larger_one() ->
 
 def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
     def telling(source: MaskSource | None, *flags: Flag) -> set[str]:
-        return {name for name, value in mask_features(source, flags).items() if value}
+        return {name for name, value in mask_features(source, flags, 0.0).items() if value}
 
     assert telling(MaskSource.SAM, Flag.END_HIDDEN) == {"perceived", "goes_on"}
     assert telling(MaskSource.SAM, Flag.ENDS_DISAGREE) == {"perceived", "ends_disagree"}
@@ -145,6 +145,12 @@ def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
     assert telling(None) == {"perceived"}
     assert telling(MaskSource.DATASET, Flag.END_HIDDEN, Flag.ENDS_DISAGREE) == set()
     assert telling(MaskSource.DATASET, Flag.CUT_BY_FRAME) == {"cut"}
+
+
+def test_a_sure_detection_has_a_higher_certainty_up_to_99_percent() -> None:
+    found = [mask_features(MaskSource.SAM, (), c)["certainty"] for c in (0.0, 0.9, 0.99, 1.0)]
+    assert found == pytest.approx([0.0, np.log(10), np.log(100), np.log(100)])
+    assert mask_features(MaskSource.DATASET, (), 1.0)["certainty"] == 0.0
 
 
 def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
@@ -163,11 +169,9 @@ def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
     assert Flag.INTERVAL_TOO_WIDE not in fruit.flags
 
 
-def test_a_perceived_masks_interval_is_its_own_groups(seen: tuple[Capture, Instance]) -> None:
+def test_what_networks_draw_has_models_of_its_own(seen: tuple[Capture, Instance]) -> None:
     capture, given = seen
-    bands = {"": Band(0.0, 1.0, 1.0, 100), "1": Band(0.0, 3.0, 3.0, 100)}
-    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands, (("perceived", (0.5,)),))
-    models = IntervalModels(0.9, {"M6": model}, 100)
+    models = IntervalModels(0.9, {k: even(k, p) for k, p in (("M6", 1), ("M6 perceived", 3))}, 100)
     for source, spread in ((MaskSource.DATASET, 0.01), (MaskSource.SAM, 0.03)):
         fruit = (capture, replace(given, mask_source=source))
         length = length_of(fruit, LengthDefinition.CENTRELINE, models=models)
@@ -177,11 +181,12 @@ def test_a_perceived_masks_interval_is_its_own_groups(seen: tuple[Capture, Insta
 def test_the_shipped_models_know_every_method() -> None:
     shipped = shipped_interval_models()
     assert shipped.level == 0.9
-    assert set(shipped.models) == {*(str(m) for m in Method), "M6 thread", "M6 chord"}
+    keys = [*map(str, Method), "M6 thread", "M6 chord"]
+    assert set(shipped.models) == {key + behind for key in keys for behind in ("", " perceived")}
     for key, model in shipped.models.items():
         names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         assert model.features == names
-        assert model.bands[""].count >= 500
+        assert model.bands[""].count >= 250
     # A good fruit at half a metre, both ends seen: a centimetre or so on 25 cm.
     values = dict.fromkeys(TUBE_FEATURES, 0.0) | {
         "log_sd": np.log(0.003), "log_outline": np.log(0.4), "distance_m": 0.5,

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.measurement.m6 import measure_m6, view_tube
+from cucumbervision.measurement.m6 import fits_well, measure_m6, view_tube
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -382,3 +382,13 @@ def test_a_small_nub_at_an_end_is_seen() -> None:
     tube = replace(body, radii_m=np.minimum(body.radii_m, taper)).moved(rotation(), (0, 0, 0.25))
     _, fit = fitted(measure_m6(*seen(tube, camera, 0.3), camera))
     assert fit.ends_seen == (True, True)
+
+
+def test_a_mask_that_fills_a_bends_hollow_does_not_fit(camera: Intrinsics) -> None:
+    depth, mask = seen(arc_tube(0.25, 0.02, 0.08).moved(rotation(), (0, 0, 0.5)), camera)
+    assert fits_well(depth, mask, camera)
+    (outline, *_), _ = cv2.findContours(
+        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    filled = cv2.fillConvexPoly(mask.astype(np.uint8), cv2.convexHull(outline), 1) > 0
+    assert not fits_well(depth, filled, camera)

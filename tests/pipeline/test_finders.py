@@ -26,7 +26,8 @@ def plain(row_a: Capture) -> Capture:
 def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
     row_a: Capture, own_registry: Registry
 ) -> None:
-    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    options = MeasureOptions(instances="models", segmenter="mobile-sam")
+    finder = make_finder(options, own_registry)
     found = finder.find(row_a).instances
     # The half that was found once more is the first fruit.
     assert len(found) == len(row_a.masks)
@@ -41,6 +42,23 @@ def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
     assert finder.models[0]["sha256"] == known["tiny-seg.onnx"]
 
 
+def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
+    plain: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    kept = finder.find(plain).instances
+    assert [one.mask_source for one in kept] == [MaskSource.DETECTOR] * 3
+    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose"]
+    dark = plain.depth_m.copy()
+    left, top, right, bottom = kept[0].box.round().astype(int)
+    dark[top : bottom + 1, left : right + 1] = 0
+    found = finder.find(replace(plain, depth_m=dark)).instances
+    drawn = [one for one in found if one.mask_source is MaskSource.SAM]
+    assert len(found) == 3
+    assert [box_iou(one.box, kept[0].box) for one in drawn] == [1.0]
+    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+
+
 def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
     row_a: Capture, plain: Capture, own_registry: Registry
 ) -> None:
@@ -49,9 +67,9 @@ def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
     assert [one.mask_source for one in given] == [MaskSource.DATASET] * 3
     assert finder.models == []
     assert len(finder.find(plain).instances) == 3
-    assert len(finder.models) == 3
+    assert len(finder.models) == 2
     finder.find(plain)
-    assert len(finder.models) == 3
+    assert len(finder.models) == 2
 
 
 def test_auto_without_any_detector_still_takes_a_data_sets_masks(

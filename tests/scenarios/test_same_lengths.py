@@ -49,7 +49,7 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
         shutil.rmtree(folder / "mask_visib")
     rows = measure_inputs([folder], tmp_path / "out", MeasureOptions()).rows
     assert len(rows) >= 2
-    assert {row["mask_source"] for row in rows} == {"dataset" if with_masks else "sam"}
+    assert {row["mask_source"] for row in rows} == {"dataset" if with_masks else "detector"}
     added, taken = RoundRecord(name="added"), RoundRecord(name="taken")
     capture = next(iter(open_source(folder))).load()
     with open_store(tmp_path / "house.db") as store:

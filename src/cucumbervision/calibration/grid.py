@@ -25,6 +25,7 @@ _STEP_ERROR, _HOMOGRAPHY_ERROR_PX, _LEAST_SEED = 0.12, 3.0, 16
 _SQUARE_ERROR = 0.1  # of the sides' ratio and of the cosine between them, lens unknown
 _MATCH_ERROR = 0.14, 0.14, 0.085, 0.085, 0.085  # round by round, of a cell's diagonal
 _OFF_PLANE, _OUTLIER = 0.02, 3.0
+_MISCOUNTED = 0.1  # of the other pictures' depth scale; diagonals are 41 % off
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +75,26 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     GridFit or None
         None if no capture shows a grid.
     """
-    import cv2
-
     if not captures:
         return None
     camera = captures[0].intrinsics
     seen = [one for capture in captures if (one := _seen_grid(capture)) is not None]
+    fit, seen = _fitted(seen, camera, spacing_m)
+    if fit is None:
+        return None
+    # Where glare breaks the lines, the crossings may be counted along their diagonals.
+    alike = np.abs(fit.ratios / np.median(fit.ratios) - 1) < _MISCOUNTED
+    if alike.all() or not alike.any():
+        return fit
+    return _fitted([one for one, k in zip(seen, alike, strict=True) if k], camera, spacing_m)[0]
+
+
+def _fitted(
+    seen: list[_Seen], camera: Intrinsics, spacing_m: float
+) -> tuple[GridFit | None, list[_Seen]]:
+    # The fit, and the grids that it rests on.
+    import cv2
+
     lens = np.zeros(5)
     flags = (
         cv2.CALIB_USE_INTRINSIC_GUESS
@@ -96,7 +111,7 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
         ]
         kept = [k for k, (at, _) in enumerate(matched) if len(at) >= LEAST_CROSSINGS]
         if not kept:
-            return None
+            return None, []
         seen, matched = [seen[k] for k in kept], [matched[k] for k in kept]
         cells, pixels = [at for at, _ in matched], [at for _, at in matched]
         _, _, found, turns, shifts, *_ = cv2.calibrateCameraExtended(
@@ -116,7 +131,7 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     for one, at, px, pose in zip(seen, cells, pixels, poses, strict=True):
         off.append(np.linalg.norm(_projected(at, pose, camera.matrix, lens) - px, axis=1))
         ratios.append(float(np.nanmedian(_depth_ratios(one.depth_m, at, px, pose))) / spacing_m)
-    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios))
+    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios)), seen
 
 
 def _seen_grid(capture: Capture) -> _Seen | None:

@@ -69,7 +69,7 @@ def measure_options(
         str | None,
         typer.Option(
             help="Network that draws the masks (`models list` names them), or none; also redraws a "
-            "data set's own masks. Default: mobile-sam, for fruit without a mask.",
+            "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
             show_default=False,
         ),
     ] = None,

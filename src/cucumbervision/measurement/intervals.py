@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import Measurement
 
+_LEAST_DOUBT = 0.01  # of a confidence: above 0.99 detectors do not discriminate
+PERCEIVED = " perceived"
+"""Behind the keys of models for the masks that networks draw."""
+
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
 
 
@@ -207,7 +211,9 @@ def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, f
     }
 
 
-def mask_features(source: MaskSource | None, flags: Sequence[Flag]) -> dict[str, float]:
+def mask_features(
+    source: MaskSource | None, flags: Sequence[Flag], confidence: float = 1.0
+) -> dict[str, float]:
     """Return the features that tell who drew the mask that was measured, and what it lacks.
 
     Parameters
@@ -216,19 +222,22 @@ def mask_features(source: MaskSource | None, flags: Sequence[Flag]) -> dict[str,
         Who drew it; None without one.
     flags : sequence of Flag
         What else is known of the fruit.
+    confidence : float
+        The detection's: parts of fruit and merged ones have a low one.
 
     Examples
     --------
     >>> set(mask_features(MaskSource.DATASET, [Flag.ENDS_DISAGREE]).values())
     {0.0}
     >>> [name for name, value in mask_features(MaskSource.SAM, [Flag.END_HIDDEN]).items() if value]
-    ['perceived', 'goes_on']
+    ['perceived', 'certainty', 'goes_on']
     """
     # Given keypoints are the truth's own, as no network's are: they shall tell nothing here.
     given = source is MaskSource.DATASET
     goes_on = not given and not LOWER_BOUND.isdisjoint(flags)
     return {
         "perceived": float(not given),
+        "certainty": 0.0 if given else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
         "cut": float(Flag.CUT_BY_FRAME in flags),
         "goes_on": float(goes_on),
@@ -253,7 +262,8 @@ class IntervalModels:
     level : float
         The level of every interval.
     models : dict of str to IntervalModel
-        Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord'.
+        Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord': on masks that were
+        given. The same with ' perceived' behind them: on what networks draw, which errs otherwise.
     fruit : int
         Simulated fruit behind them.
     """
@@ -278,7 +288,8 @@ class IntervalModels:
         scale_known : bool
             Whether the camera's depth scale was measured with a bar of known length.
         """
-        model = self.models.get(key)
+        perceived = self.models.get(key + PERCEIVED) if features.get("perceived") else None
+        model = perceived or self.models.get(key)
         if model is None:
             return None
         return model.interval(length_m, features, 0.0 if scale_known else SCALE_SD)

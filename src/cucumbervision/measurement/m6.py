@@ -251,6 +251,7 @@ _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
 PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
+_SMOOTH_PX = 1.5  # of the outline; a detector's mask of a bend whose hollow it fills has 5
 
 
 def measure_m6(
@@ -300,6 +301,33 @@ def measure_m6(
         return Measurement(Method.M6, reason=found)
     covered = covered_ends(depth_m, mask, intrinsics, *found.shape.balls())
     return with_hidden_end(judged_fit(view, found, covered), depth_m, intrinsics)
+
+
+def fits_well(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> bool:
+    """Return whether a tube fits a mask so well that no other mask of the fruit is needed.
+
+    Parameters as those of `measure_m6`. A mask whose outline is rough, or that no tube covers,
+    has lost or added something.
+
+    Examples
+    --------
+    A bar with depth, and without:
+
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth, bar = np.full((480, 640), 0.5, np.float32), np.zeros((480, 640), bool)
+    >>> bar[220:260, 200:440] = True
+    >>> fits_well(depth, bar, camera), fits_well(0 * depth, bar, camera)
+    (True, False)
+    """
+    fit = measure_m6(depth_m, mask, intrinsics).fit
+    return (
+        fit is not None
+        and fit.outline_rms_px <= _SMOOTH_PX
+        and {Flag.POOR_FIT, Flag.UNCERTAIN}.isdisjoint(fit.flags)
+    )
 
 
 def fit_view(view: TubeView) -> TubeFitting | Reason:

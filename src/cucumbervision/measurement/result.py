@@ -142,7 +142,7 @@ _FLAG_WORDS = {
 
 
 def flag_remarks(flags: str, at_least: str = "") -> str:
-    """Return a measurement's flags as short sentences; those that no length depends on are left out.
+    """Return a measurement's flags as short sentences, without those that no length depends on.
 
     Parameters
     ----------

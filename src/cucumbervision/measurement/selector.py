@@ -257,7 +257,7 @@ def measure_fruit(
     >>> str(fruit.method), str(fruit.reason), str(fruit.length.kind)
     ('M1', 'no-mask-box-elongated', 'box-chord')
     >>> round(fruit.length.value_m, 3), [str(flag) for flag in fruit.flags]
-    (0.2, ['interval-too-wide'])
+    (0.2, [])
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
@@ -309,7 +309,7 @@ def with_length(
         chosen,
         fruit.distance_m,
         fruit.fill,
-        mask_features(fruit.mask_source, fruit.flags),
+        mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
         scale_known=scale_known,
         models=models,
     )

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.measurement.m6 import fits_well
+from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import box_of_mask, without_flower
@@ -122,6 +124,8 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)
+        if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
+            found = replace(found, instances=_with_fitting_masks(capture, found.instances))
         # Masks that were given are used as they are unless a segmenter was asked for.
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
@@ -135,6 +139,19 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
     return Finder(find, networks.models)
+
+
+def _with_fitting_masks(capture: Capture, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
+    """Return instances with the detector's mask as theirs where a tube fits it well."""
+    kept = []
+    for one in instances:
+        mask = one.detector_mask
+        if one.mask is None and mask is not None and mask.any():
+            mask = without_flower(mask, capture.color)
+            if fits_well(capture.depth_m, mask, capture.intrinsics):
+                one = replace(one, mask=mask, mask_source=MaskSource.DETECTOR)
+        kept.append(one)
+    return tuple(kept)
 
 
 def _placed(
@@ -219,7 +236,7 @@ def _network_finder(
     file: Path | None = None,
     pose: YoloDetector | Path | None = None,
 ) -> Find:
-    if options.segmenter != "none":  # it draws what is found, and loads meanwhile
+    if options.segmenter not in (None, "none"):  # it draws all that is found: it loads meanwhile
         networks.preload_segmenter(options.segmenter)
     detectors = networks.detectors(file, pose, keypoints=options.keypoints)
     labels, posed = detectors.labels, detectors.gives_keypoints

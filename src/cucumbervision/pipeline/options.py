@@ -41,8 +41,8 @@ class MeasureOptions:
         Whether the package's own pose network looks for the keypoints of M4 where the package's own
         detector finds the fruit.
     segmenter : str, optional
-        A segmenter's name or 'none'; None draws with the default wherever the masks are not
-        the data set's own.
+        A segmenter's name, which draws all masks, or 'none'. With None the default one draws what
+        has no mask and what the detector's mask fits badly (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     methods : tuple of Method

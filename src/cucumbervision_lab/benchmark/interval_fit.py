@@ -27,7 +27,7 @@ _SMALLEST_GROUP = 60  # readings: fewer go with the next larger group
 
 _FOLDS = 5
 
-_MASK_FEATURES = ("perceived", "own_mask", "goes_on", "ends_disagree")
+_MASK_FEATURES = ("certainty", "own_mask", "goes_on", "ends_disagree")
 
 TUBE_FEATURES = (
     "log_sd",
@@ -47,10 +47,9 @@ TUBE_FEATURES = (
 
 RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
-# What networks draw errs otherwise than what is given; fruit that go on out of sight are read
-# short, by far; where mask and keypoints disagree, one of them is wrong; the others err the more
-# differently from what the fit says, the less sure it is.
-RAW_EDGES = (("perceived", (0.5,)), ("goes_on", (0.5,)))
+# Fruit that go on out of sight are read short, by far; where mask and keypoints disagree, one of
+# them is wrong; the others err the more differently from what the fit says, the less sure it is.
+RAW_EDGES = (("goes_on", (0.5,)),)
 
 TUBE_EDGES = (
     *RAW_EDGES,
@@ -58,6 +57,10 @@ TUBE_EDGES = (
     ("end_hidden", (0.5,)),
     ("log_sd", (float(np.log(0.01)), float(np.log(0.03)))),
 )
+
+# A network's doubt tells a part of a fruit, of which no end was seen to be hidden: confidences of
+# 0.89 and 0.97.
+PERCEIVED_TUBE_EDGES = (*RAW_EDGES, ("certainty", (2.2, 3.4)))
 
 
 def conformal_quantile(scores: ArrayLike, level: float) -> float:

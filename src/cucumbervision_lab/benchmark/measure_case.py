@@ -241,7 +241,7 @@ def noted(fruit: FruitMeasurement) -> dict[str, Any]:
     found: dict[str, Any] = {
         "m6_reason": str(m6.reason),
         "mask_failure": fruit.instance.mask_failure,
-        "mask_features": mask_features(fruit.mask_source, fruit.flags),
+        "mask_features": mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
     }
     if m6.fit is not None:
         found["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}

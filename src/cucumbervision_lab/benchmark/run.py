@@ -15,6 +15,8 @@ from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.intervals import (
+    PERCEIVED,
+    IntervalModel,
     IntervalModels,
     raw_features,
 )
@@ -22,6 +24,7 @@ from cucumbervision.pipeline.finders import Finder, make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.interval_fit import (
+    PERCEIVED_TUBE_EDGES,
     RAW_EDGES,
     RAW_FEATURES,
     TUBE_EDGES,
@@ -85,18 +88,26 @@ def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> Interval
         If there are too few fruit for the level.
     """
     models = {}
-    for key, truth in TRUTH_OF.items():
-        names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
-        rows = readings[(readings["method"] == key) & readings[truth].notna()]
-        known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
-        rows = rows.loc[[label for label, _ in known]]
-        errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
-        features = {name: np.array([said.get(name, 0.0) for _, said in known]) for name in names}
-        edges = TUBE_EDGES if key.startswith("M6") else RAW_EDGES
-        # Fruit of one picture are no independent samples.
-        fruit = rows["case"].str.partition("#")[0].to_numpy()
-        models[key] = fit_interval_model(key, errors, features, fruit, level, edges)
+    by_networks = readings["masks"] == Masks.PERCEIVED
+    for own, behind in ((readings[~by_networks], ""), (readings[by_networks], PERCEIVED)):
+        for key, truth in TRUTH_OF.items() if len(own) else ():
+            rows = own[(own["method"] == key) & own[truth].notna()]
+            models[key + behind] = _fitted_model(key + behind, rows, truth, level)
     return IntervalModels(level, models, readings["fruit"].nunique())
+
+
+def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> IntervalModel:
+    names, edges = RAW_FEATURES, RAW_EDGES
+    if key.startswith("M6"):
+        names = TUBE_FEATURES
+        edges = PERCEIVED_TUBE_EDGES if key.endswith(PERCEIVED) else TUBE_EDGES
+    known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
+    rows = rows.loc[[label for label, _ in known]]
+    errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
+    features = {name: np.array([said.get(name, 0.0) for _, said in known]) for name in names}
+    # Fruit of one picture are no independent samples.
+    fruit = rows["case"].str.partition("#")[0].to_numpy()
+    return fit_interval_model(key, errors, features, fruit, level, edges)
 
 
 def with_intervals(

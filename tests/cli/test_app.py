@@ -84,12 +84,12 @@ def test_paper_selector_and_chosen_methods(run: Run, tmp_path: Path) -> None:
     assert all(row["m5_cm"] is None and row["m1_cm"] for row in rows)
 
 
-def test_demo_measures_the_bundled_captures_with_mobile_sam(run: Run, tmp_path: Path) -> None:
+def test_demo_measures_the_bundled_captures_on_masks_that_fit(run: Run, tmp_path: Path) -> None:
     done = run("demo", "--out", str(tmp_path / "demo"))
     assert done.returncode == 0, done.stderr
     assert "8 of 8 fruit measured in 3 captures" in done.stdout
     report = json.loads((tmp_path / "demo" / "measurements.json").read_text())
-    assert report["models"][-1]["name"] == "mobile-sam"
+    assert report["models"][0]["task"] == "segment"
 
 
 def test_help_loads_nothing_heavy() -> None:

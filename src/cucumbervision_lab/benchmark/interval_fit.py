@@ -49,9 +49,9 @@ RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
 # Fruit that go on out of sight are read short, by far; where mask and keypoints disagree, one of
 # them is wrong; the others err the more differently from what the fit says, the less sure it is.
-RAW_EDGES = (("goes_on", (0.5,)),)
+RAW_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("goes_on", (0.5,)),)
 
-TUBE_EDGES = (
+TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
     *RAW_EDGES,
     ("ends_disagree", (0.5,)),
     ("end_hidden", (0.5,)),
@@ -60,7 +60,10 @@ TUBE_EDGES = (
 
 # A network's doubt tells a part of a fruit, of which no end was seen to be hidden: confidences of
 # 0.89 and 0.97.
-PERCEIVED_TUBE_EDGES = (*RAW_EDGES, ("certainty", (2.2, 3.4)))
+PERCEIVED_TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
+    *RAW_EDGES,
+    ("certainty", (2.2, 3.4)),
+)
 
 
 def conformal_quantile(scores: ArrayLike, level: float) -> float:

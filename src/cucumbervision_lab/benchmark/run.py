@@ -97,10 +97,10 @@ def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> Interval
 
 
 def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> IntervalModel:
-    names, edges = RAW_FEATURES, RAW_EDGES
-    if key.startswith("M6"):
-        names = TUBE_FEATURES
-        edges = PERCEIVED_TUBE_EDGES if key.endswith(PERCEIVED) else TUBE_EDGES
+    tube, tube_edges = key.startswith("M6"), TUBE_EDGES
+    if key.endswith(PERCEIVED):
+        tube_edges = PERCEIVED_TUBE_EDGES
+    names, edges = (TUBE_FEATURES, tube_edges) if tube else (RAW_FEATURES, RAW_EDGES)
     known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
     rows = rows.loc[[label for label, _ in known]]
     errors = np.log(rows["length_m"] / rows[truth]).to_numpy()

@@ -199,6 +199,13 @@ def field(test: AppTest, kind: str, label: str) -> Any:
     return [one for one in getattr(test, kind) if one.label == label][-1]
 
 
+def test_a_stop_that_the_address_names_is_opened(house: Path) -> None:
+    with open_store(house) as store:
+        stop = store.stops(WALK)[1]
+    test = app("row_map", round=WALK, stop=stop.key)
+    assert field(test, "number_input", "At [m]").value == stop.position_m
+
+
 def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
     with open_store(house) as store:
         first = store.stops(WALK)[0]

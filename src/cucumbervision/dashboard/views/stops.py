@@ -25,8 +25,13 @@ CORRECTING = "correcting_stop"
 
 def list_stops(one: RoundView) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
-    with st.expander("Stops: move, rename, delete", icon=":material/place:"):
-        stops = {stop.key: stop for stop in resources.store().stops(one.key)}
+    stops = {stop.key: stop for stop in resources.store().stops(one.key)}
+    named = st.query_params.get("stop")  # as the capture page's link does
+    if named in stops:
+        st.session_state.setdefault(f"stop_of_{one.key}", named)
+    with st.expander(
+        "Stops: move, rename, delete", expanded=named in stops, icon=":material/place:"
+    ):
         chosen = st.selectbox(
             "Stop",
             list(stops),

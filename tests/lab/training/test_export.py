@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -187,9 +188,13 @@ def compare(found: tuple[Instance, ...], theirs: Any) -> int:
         if theirs.masks is not None:
             mask = theirs.masks.data[i].numpy() > 0
             assert fruit.detector_mask is not None
-            different = (fruit.detector_mask != mask).sum()
-            # Ultralytics crops the padding at whole cells of its prototypes.
-            assert different <= 2 + 0.03 * mask.sum()
+            # Ultralytics crops the padding at whole cells of its prototypes: outlines may shift.
+            least, most = (
+                change(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+                for change in (cv2.erode, cv2.dilate)
+            )
+            different = (least & ~fruit.detector_mask) | (fruit.detector_mask & ~most)
+            assert different.sum() <= 2 + 1e-2 * mask.sum()
         if fruit.keypoints is not None:
             points = theirs.keypoints.data[i].numpy()
             assert np.abs(fruit.keypoints[:, :2] + 0.5 - points[:, :2]).max() < TOLERANCE_PX

@@ -19,10 +19,10 @@ from cucumbervision.dashboard.settings import Units
 from cucumbervision.dashboard.views.accuracy import measured_round
 from cucumbervision.exports.build import round_tables
 from cucumbervision.measurement.result import Length
+from cucumbervision.rounds.forecasting import forecast_today
 from cucumbervision.rounds.from_store import find_round, read_round
 from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.merge_and_link import DAY_S, merge_round
-from cucumbervision.rounds.today import forecast_today
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import Verdict

@@ -15,7 +15,7 @@ from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.shutter import Press, Shutter
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.waiting import WaitingCaptures

@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.result import Length
 from cucumbervision.store.check import changed_lines, check_store, refuse_changed
-from cucumbervision.store.edits import StopPlace
+from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import Position
 from cucumbervision.store.records import (
     ArtifactRecord,

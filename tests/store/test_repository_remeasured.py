@@ -7,7 +7,7 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.result import Length
-from cucumbervision.store.edits import StopPlace
+from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import DetectionRecord, StopRecord, key_of
 from cucumbervision.store.views import Verdict

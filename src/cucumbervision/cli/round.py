@@ -245,7 +245,7 @@ def settle_round(store: Store, key: str) -> None:
     """Merge a round anew, measure it by all views, and link it; print what could not be done."""
     from cucumbervision.cli.console import screen
     from cucumbervision.rounds.from_store import find_round
-    from cucumbervision.rounds.settling import settle
+    from cucumbervision.rounds.merge_and_link import settle
 
     if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
         screen().print(fault, soft_wrap=True, markup=False)
@@ -395,9 +395,9 @@ def pick_list(
     from cucumbervision.agronomy import picking
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.rounds.forecasting import forecast_today
     from cucumbervision.rounds.from_store import read_round
     from cucumbervision.rounds.fruit_table import fruit_table
-    from cucumbervision.rounds.today import forecast_today
 
     with opened_round(store, round_) as (opened, one):
         crop = load_profile(profile or one.record.profile or "long-cucumber")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.dashboard.camera_feed import FAR_S, picture_gone
 from cucumbervision.errors import CameraError, CucumberVisionError
-from cucumbervision.rounds.demonstration import round_for_capture
+from cucumbervision.rounds.adding import round_for_capture
 from cucumbervision.rounds.walking import last_step, unless_taken
 from cucumbervision.store.records import key_of
 

@@ -19,8 +19,8 @@ from cucumbervision.rounds.adding import (
     Placed,
     capture_sha256,
     measured_otherwise,
+    round_for_capture,
 )
-from cucumbervision.rounds.demonstration import round_for_capture
 from cucumbervision.rounds.walking import last_step, refuse_taken
 from cucumbervision.store.records import key_of
 

@@ -20,10 +20,10 @@ from cucumbervision.exports.fruit_pictures import fruit_pictures
 from cucumbervision.exports.tables import RoundTables, Table
 from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import utc
+from cucumbervision.rounds.forecasting import day_0_s, forecast_today
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
-from cucumbervision.rounds.today import day_0_s, forecast_today
 from cucumbervision.store.check import refuse_changed
 
 if TYPE_CHECKING:

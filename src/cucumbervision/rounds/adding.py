@@ -32,7 +32,7 @@ from cucumbervision.rounds.poses import (
 from cucumbervision.rounds.remeasuring import measure_stop_again
 from cucumbervision.rounds.stop_records import holds_still, stop_record
 from cucumbervision.rounds.walking import refuse_taken
-from cucumbervision.store.records import Saved, key_of
+from cucumbervision.store.records import RoundRecord, Saved, key_of
 from cucumbervision.store.views import CameraAt
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import StopRecord
     from cucumbervision.store.repository import Store
+
 
 Report: TypeAlias = Callable[["Added"], None]
 
@@ -353,3 +354,43 @@ class Placed:
         )
         pose = tuple(self.pose.round(9).ravel().tolist())
         return replace(stop, captures=captures, pose=pose)
+
+
+DEMONSTRATION = key_of("demonstration")
+"""Key of the demonstration's round."""
+
+_NAME = "Demonstration (simulated captures)"
+
+
+def is_demonstration(round_key: str) -> bool:
+    """Return whether a round is the demonstration, which has simulated captures only."""
+    return round_key == DEMONSTRATION
+
+
+def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile: str = "") -> str:
+    """Return the round for a capture: the demonstration for simulated ones, else the open round.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are; the demonstration is begun where it is missing, and comes back where
+        it was deleted.
+    round_key : str
+        The round that is open.
+    simulated : bool
+        Whether the capture is simulated.
+    profile : str
+        Crop profile of a demonstration that is begun.
+
+    Raises
+    ------
+    StoreError
+        If the demonstration cannot be begun.
+    """
+    if not simulated:
+        return round_key
+    if any(one.key == DEMONSTRATION for one in store.rounds(deleted=True)):
+        store.restore_round(DEMONSTRATION)
+    elif all(one.key != DEMONSTRATION for one in store.rounds()):
+        store.save_round(RoundRecord(DEMONSTRATION, _NAME, profile=profile))
+    return DEMONSTRATION

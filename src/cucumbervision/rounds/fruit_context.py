@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cucumbervision.rounds.settling import earlier_round, later_rounds
+from cucumbervision.rounds.merge_and_link import earlier_round, later_rounds
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.views import Verdict
 

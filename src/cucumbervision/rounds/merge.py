@@ -212,8 +212,6 @@ class Merged:
         All pairs of views of one fruit.
     probability : ndarray of float64, shape (K,)
         How likely each pair is one fruit, by itself.
-    across_m : float, optional
-        Distance between the cameras of the two aisles, where both were walked.
     mirrored : tuple of int
         Sides whose views fit together far better when turned round: there positions seem to
         count the other way.
@@ -223,7 +221,6 @@ class Merged:
     stops: FittedStops
     pairs: Ints
     probability: Floats
-    across_m: float | None = None
     mirrored: tuple[int, ...] = ()
 
     def place_m(self, views: RowViews) -> Floats:
@@ -279,10 +276,8 @@ def merge_row(
     voted = vote_pairs(stops, views, first[apart], second[apart], crowd)
     mirrored = _mirrored(stops, views, crowd)
     fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
-    across: tuple[float, float] | None = None
     if len(np.unique(stops.side)) > 1:
-        across = _vote_across(fitted, stops, views, crowd, settings)
-        stops = _set_across(stops, across)
+        stops = _set_across(stops, _vote_across(fitted, stops, views, crowd, settings))
         fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     cluster: Ints = np.arange(len(views))
     for _ in range(settings.passes):
@@ -297,14 +292,7 @@ def merge_row(
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
     pairs = np.column_stack(cluster_pairs(numbers))
-    return Merged(
-        numbers,
-        fitted,
-        pairs,
-        _chance(pairs, i, j, ratio, len(views)),
-        across and across[0],
-        mirrored,
-    )
+    return Merged(numbers, fitted, pairs, _chance(pairs, i, j, ratio, len(views)), mirrored)
 
 
 def _views_per_m(stops: RowStops, views: RowViews) -> float:

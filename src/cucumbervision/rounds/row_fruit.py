@@ -264,10 +264,6 @@ class CountEstimate:
         low, high = math.floor(self.expected - reach), math.ceil(self.expected + reach)
         return max(low, 0), high
 
-    def uncertainty(self) -> Floats:
-        """Return by how much an answer to 'is this a fruit?' moves the count, shape (F,)."""
-        return np.asarray(np.sqrt(self.real * (1 - self.real)), np.float64)
-
     def expected_variance(self) -> float:
         """Return the variance of `expected` that the uncertainty of q gives it.
 

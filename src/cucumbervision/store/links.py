@@ -31,20 +31,9 @@ class LinkRecord:
 
 @dataclass(frozen=True)
 class Position:
-    """A position along a row, or a shift, and its standard deviation; metres."""
+    """A position along a row, and its standard deviation; metres."""
 
     at_m: float
-    sd_m: float | None = None
-
-
-@dataclass(frozen=True)
-class ShiftRecord:
-    """How far a row's plants were moved between two rounds."""
-
-    row: str
-    earlier: str
-    later: str
-    shift_m: float
     sd_m: float | None = None
 
 

@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import and_, delete, insert, select, update
+from sqlalchemy import and_, delete, select, update
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.cells import (
     cells_of,
     columns_of,
     decoding,
-    detection_from_json,
     insert_all,
     insert_new,
     round_id_of,
@@ -23,18 +22,19 @@ from cucumbervision.store.check import with_hash
 from cucumbervision.store.corrections import find_detections, lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import LinkKind
-from cucumbervision.store.records import JointRecord, MethodRecord, record_json
-from cucumbervision.store.schema import JointLine, LinkLine, Round, Row, Shift, StopLine
+from cucumbervision.store.records import JointRecord, record_json
+from cucumbervision.store.schema import JointLine, LinkLine, Round, StopLine
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from sqlalchemy import Connection
 
-    from cucumbervision.store.links import LinkRecord, Position, ShiftRecord
+    from cucumbervision.store.links import LinkRecord, Position
 
 
-_LISTED = columns_of(JointLine, ("key", "first", "views", "reason", "record"))
+_LISTED_NAMES = ("key", "first", "views", "reason", "record")
+_LISTED = columns_of(JointLine, _LISTED_NAMES)
 
 
 class Merging(Database):
@@ -71,14 +71,8 @@ class Merging(Database):
                     )
             return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
 
-    def save_growth(
-        self,
-        earlier: str,
-        later: str,
-        links: Sequence[LinkRecord],
-        shifts: Sequence[ShiftRecord] = (),
-    ) -> int:
-        """Replace the links of `LinkKind.GROWTH` between two rounds, and their rows' shifts.
+    def save_growth(self, earlier: str, later: str, links: Sequence[LinkRecord]) -> int:
+        """Replace the links of `LinkKind.GROWTH` between two rounds.
 
         Returns
         -------
@@ -89,23 +83,6 @@ class Merging(Database):
             rounds = round_id_of(connection, earlier), round_id_of(connection, later)
             lock_rounds(connection, rounds)
             _forget_links(connection, LinkKind.GROWTH, rounds)
-            between = (Shift.earlier_id == rounds[0], Shift.later_id == rounds[1])
-            connection.execute(delete(Shift).where(*between))
-            for shift in shifts:
-                row = (
-                    select(Row.id)
-                    .join(StopLine, StopLine.row_id == Row.id)
-                    .where(StopLine.round_id == rounds[1], Row.name == shift.row)
-                    .limit(1)
-                )
-                row_id = connection.execute(row).scalar()
-                if row_id is None:
-                    raise StoreError(
-                        f"round {later} has no row '{shift.row}'", remedy="see stops()"
-                    )
-                cells = {"row_id": row_id, "earlier_id": rounds[0], "later_id": rounds[1]}
-                line = insert(Shift).values(**cells, shift_m=shift.shift_m, sd_m=shift.sd_m)
-                connection.execute(line)
             return _add_links(connection, LinkKind.GROWTH, links, rounds)
 
     def save_joint(
@@ -144,7 +121,7 @@ class Merging(Database):
         with self.reading() as connection:
             rows = cells_of(connection, query)
             with decoding(connection):
-                return {row[0]: _record(*row) for row in rows}
+                return {row[0]: _joint_of(row) for row in rows}
 
     def joint_drawing(self, round_key: str, key: str) -> JointRecord:
         """Return one joint measurement with everything: the tube's path, and the cameras' poses.
@@ -165,24 +142,22 @@ class Merging(Database):
                 raise StoreError(f"joint measurement {key} is not there", remedy="merge again")
             with decoding(connection):
                 *cells, drawing = rows[0]
-                return _with_drawing(_record(*cells), drawing)
+                return _joint_of(cells, drawing)
 
 
-def _record(key: str, first: str, views: int, reason: str, record: Any) -> JointRecord:
-    return JointRecord(key, first, views, reason, record and detection_from_json(record))
-
-
-def _with_drawing(one: JointRecord, drawing: Any) -> JointRecord:
-    poses = {key: tuple(map(float, numbers)) for key, numbers in drawing["poses"].items()}
-    if one.record is None:
-        return replace(one, poses=poses)
-    record = replace(one.record, methods=_reader_of_methods().validate_python(drawing["methods"]))
-    return replace(one, poses=poses, record=record)
+def _joint_of(row: Sequence[Any], drawing: Mapping[str, Any] | None = None) -> JointRecord:
+    """Return a joint measurement from its cells; with its drawing, which lists leave out."""
+    values = dict(zip(_LISTED_NAMES, row, strict=True))
+    if drawing is not None:
+        values["poses"] = drawing["poses"]
+        if values["record"] is not None:
+            values["record"] = {**values["record"], "methods": drawing["methods"]}
+    return _reader().validate_python(values)
 
 
 @lru_cache(maxsize=1)
-def _reader_of_methods() -> TypeAdapter[tuple[MethodRecord, ...]]:
-    return TypeAdapter(tuple[MethodRecord, ...])
+def _reader() -> TypeAdapter[JointRecord]:
+    return TypeAdapter(JointRecord)
 
 
 def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:

@@ -21,11 +21,14 @@ from cucumbervision.store.cells import (
 )
 from cucumbervision.store.check import seal_stops, with_hash
 from cucumbervision.store.corrections import (
+    MEASURE_AGAIN,
     Corrections,
     lock_rounds,
+    log_action,
     mark_added,
+    original_name,
+    stop_line,
 )
-from cucumbervision.store.edits import MEASURE_AGAIN, log_action, original_name, stop_line
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.merging import Merging

@@ -280,18 +280,6 @@ class LinkLine(Base):
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 
 
-class Shift(Base):
-    """How far a row's plants were moved between two rounds, as an algorithm estimated it."""
-
-    __tablename__ = "shifts"
-
-    row_id: Mapped[int] = mapped_column(ForeignKey("rows.id"), primary_key=True)
-    earlier_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), primary_key=True)
-    later_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), primary_key=True)
-    shift_m: Mapped[float]
-    sd_m: Mapped[float | None]
-
-
 class JointLine(Base):
     """What several views of one fruit, fitted together, say of it."""
 

@@ -11,7 +11,7 @@ from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import class_name, day_name, expected_classes, forecast_chart
 from cucumbervision.dashboard.words import hours_span_words, round_day, span_words
-from cucumbervision.rounds.today import Age, age_of, age_words
+from cucumbervision.rounds.forecasting import Age, age_of, age_words
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast

@@ -20,7 +20,7 @@ from cucumbervision.dashboard.words import grade_name, plain, remarks
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
-from cucumbervision.rounds.demonstration import is_demonstration
+from cucumbervision.rounds.adding import is_demonstration
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.words import counted, plain, stop_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.settling import move_stop
+from cucumbervision.rounds.merge_and_link import move_stop
 from cucumbervision.rounds.walking import sides_of
 
 if TYPE_CHECKING:

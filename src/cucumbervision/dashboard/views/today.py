@@ -17,14 +17,14 @@ from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import doubtful
 from cucumbervision.dashboard.words import counted, plain, round_day
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.demonstration import is_demonstration
-from cucumbervision.rounds.today import Age, age_words
+from cucumbervision.rounds.adding import is_demonstration
+from cucumbervision.rounds.forecasting import Age, age_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.agronomy.picking import Pick
-    from cucumbervision.rounds.today import RowPicks, Today
+    from cucumbervision.rounds.forecasting import RowPicks, Today
     from cucumbervision.store.views import RoundView
 
 

@@ -9,9 +9,8 @@ from tests.simulated_rows import SimulatedRow, simulate_row
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.merge_and_link import link_rounds
-from cucumbervision.rounds.settling import delete_round, move_stop, settle, undo
-from cucumbervision.store.edits import StopPlace
+from cucumbervision.rounds.merge_and_link import delete_round, link_rounds, move_stop, settle, undo
+from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import CaptureRecord, StopRecord, key_of
 from cucumbervision.store.waiting import WaitingCaptures

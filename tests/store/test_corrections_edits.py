@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.edits import StopPlace
+from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import LinkKind, LinkRecord, Position
 from cucumbervision.store.records import DetectionRecord, RoundRecord, Saved, key_of
 from cucumbervision.store.repository import Store

@@ -19,9 +19,9 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard import resources
-from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision.rounds.settling import move_stop, settle
-from cucumbervision.store.edits import StopPlace
+from cucumbervision.rounds.adding import DEMONSTRATION, round_for_capture
+from cucumbervision.rounds.merge_and_link import link_rounds, move_stop, settle
+from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
@@ -331,7 +331,16 @@ def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
         assert store.rounds() == []
 
 
-def test_when_a_round_is_deleted_its_neighbours_are_linked(house: Path) -> None:
+def test_when_a_round_is_deleted_its_neighbours_are_linked(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linked: list[tuple[str, str]] = []
+
+    def link(store: Store, earlier: str, later: str, *rest: Any) -> object:
+        linked.append((earlier, later))
+        return link_rounds(store, earlier, later, *rest)
+
+    monkeypatch.setattr("cucumbervision.rounds.merge_and_link.link_rounds", link)
     with open_store(house) as store:
         [walk] = store.rounds()
         keys = [WALK]
@@ -345,10 +354,10 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(house: Path) -> None:
             keys.append(record.key)
         for key in keys:
             assert settle(store, key) == ""
-        assert {one.earlier for one in store.shifts(keys[2])} == {keys[1]}
+        assert {one for one, later in linked if later == keys[2]} == {keys[1]}
         test = app("results", round=keys[1])
         tap(test, "Delete this round")
-        assert keys[0] in {one.earlier for one in store.shifts(keys[2])}
+        assert (keys[0], keys[2]) in linked
     back = test.run().button(key=f"back_{keys[1]}").label
     assert back.startswith(r"Restore: \!\[x\]\(http\://a\)")
 

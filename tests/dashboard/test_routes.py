@@ -26,7 +26,7 @@ from cucumbervision.capture.quality import depth_quality
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview
 from cucumbervision.dashboard.routes import Shown, routes
-from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 

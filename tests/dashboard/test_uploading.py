@@ -19,7 +19,7 @@ from cucumbervision.dashboard.uploads import Sending, SentFile, SentPlace, Uploa
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
 from cucumbervision.store.repository import Store
 

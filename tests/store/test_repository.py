@@ -202,7 +202,6 @@ def test_what_is_not_there_is_said(store: Store) -> None:
         "measurements",
         "stop",
         "detection",
-        "shifts",
         "undo",
     ):
         with pytest.raises(StoreError, match="is not in the store"):

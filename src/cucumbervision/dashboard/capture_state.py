@@ -18,7 +18,7 @@ from cucumbervision.dashboard.words import (
     stop_name,
 )
 from cucumbervision.errors import CucumberVisionError, StoreError
-from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.rounds.walking import next_place, sides_of
 from cucumbervision.store.views import DetectionFilter, Verdict

@@ -41,7 +41,7 @@ from cucumbervision.dashboard.uploading import measure_upload
 from cucumbervision.dashboard.uploads import Uploads
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
-from cucumbervision.rounds.demonstration import (
+from cucumbervision.rounds.adding import (
     DEMONSTRATION,
     is_demonstration,
     round_for_capture,
@@ -50,9 +50,9 @@ from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.fruit_table import RoundFruit, fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
 from cucumbervision.rounds.merge_and_link import RowReport, row_reports
-from cucumbervision.rounds.settling import settle
-from cucumbervision.rounds.settling import undo as undo_in
-from cucumbervision.rounds.today import Today, forecast_today, midnight_s, read_today
+from cucumbervision.rounds.merge_and_link import settle
+from cucumbervision.rounds.merge_and_link import undo as undo_in
+from cucumbervision.rounds.forecasting import Today, forecast_today, midnight_s, read_today
 from cucumbervision.store.records import JointRecord, MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView

@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.words import plain, round_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.settling import delete_round
+from cucumbervision.rounds.merge_and_link import delete_round
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:

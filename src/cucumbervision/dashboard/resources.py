@@ -46,13 +46,12 @@ from cucumbervision.rounds.adding import (
     is_demonstration,
     round_for_capture,
 )
+from cucumbervision.rounds.forecasting import Today, forecast_today, midnight_s, read_today
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.fruit_table import RoundFruit, fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
-from cucumbervision.rounds.merge_and_link import RowReport, row_reports
-from cucumbervision.rounds.merge_and_link import settle
+from cucumbervision.rounds.merge_and_link import RowReport, row_reports, settle
 from cucumbervision.rounds.merge_and_link import undo as undo_in
-from cucumbervision.rounds.forecasting import Today, forecast_today, midnight_s, read_today
 from cucumbervision.store.records import JointRecord, MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView

@@ -48,6 +48,8 @@ _STYLE = """<style>
 .stNumberInput button { min-width: 2.75rem; }
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
 .block-container { padding-top: 0.4rem; padding-bottom: 2rem; }
+[data-testid="stCaptionContainer"], [data-testid="stCaptionContainer"] p {
+  color: #565d68 !important; opacity: 1 !important; }
 @media (max-width: 640px) {
   .block-container { padding-left: 0.6rem; padding-right: 0.6rem; }
   .st-key-nav a { padding: 0 6px; }

@@ -10,7 +10,7 @@ from typing import Any
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.plan import parse_plan
 
-_KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets")
+_KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets", "d435-colors")
 """What a source can be made of; see `Source`."""
 
 ORIGINAL = ("photos", "set", "drawn")
@@ -29,7 +29,8 @@ class Source:
         'photos': the audited photos found below a folder, with masks by SAM; 'set': a labelled
         set, with masks by SAM where it has boxes only; 'drawn': by `synth`, with fruit of
         another source pasted in if `paste` names one; 'montage': fruit of `paste` on the
-        fruitless photos of `of`; 'windows' and 'sheets': cut out of, and shrunk from, `of`.
+        fruitless photos of `of`; 'windows' and 'sheets': cut out of, and shrunk from, `of`;
+        'd435-colors': the pictures of `of`, as a D435 sees them in a greenhouse.
     weight : float
         Share of the pictures seen; 0 for what others are made of only.
     folder : str

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.keypoint_axis import keypoints_between
 from cucumbervision.perception.yolo import BY_PLACE
@@ -22,6 +23,7 @@ from cucumbervision_lab.datasets.polygons import (
 )
 from cucumbervision_lab.datasets.windows import write_sheets, write_windows
 from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.synthesis.d435_colors import d435_colors
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 
 if TYPE_CHECKING:
@@ -85,6 +87,8 @@ def _build(
     (of,) = (read_coco(built[name]) for name in source.of)
     if source.kind == "windows":
         return _windows(source, of, folder)
+    if source.kind == "d435-colors":
+        return _d435_colors(source, of, folder)
     return _sheets(source, of, folder)
 
 
@@ -268,6 +272,17 @@ def _sheets(source: Source, of: DataSet, folder: Path) -> DataSet:
         if count and of.in_split(split)
     ]
     return merge_datasets(sets, folder)
+
+
+def _d435_colors(source: Source, of: DataSet, folder: Path) -> DataSet:
+    rng = np.random.default_rng(source.seed)
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    pictures = []
+    for number, picture in enumerate(of.in_split("train")):
+        file = f"images/{number:05d}.jpg"
+        write_jpeg(folder / file, d435_colors(read_color(of.path(picture)), rng))
+        pictures.append(replace(picture, file=file))
+    return write_coco(replace(of, folder=folder, pictures=tuple(pictures)), folder)
 
 
 def _first(dataset: DataSet, split: str, count: int) -> tuple[LabelledPicture, ...]:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
@@ -61,6 +62,7 @@ RECIPE = Recipe(
             "pasted", "montage", 0.2, of=("photos",), paste=("photos",), count=4, size=(256, 192)
         ),
         Source("drawn", "drawn", 0.0, size=(96, 64), count=1, hard=True, paste=("photos",)),
+        Source("as-d435", "d435-colors", 0.0, of=("photos",), seed=7),
     ),
     {"seg": Schedule("seg.pt", "64x24", per_epoch=12, validate_every=2, judge_every=9)},
 )
@@ -82,6 +84,12 @@ def test_sources_are_built_from_one_another(built: dict[str, Path]) -> None:
     assert splits["far"] == {"train": 4, "val": 1}
     assert splits["pasted"] == {"train": 4}
     assert splits["drawn"] == {"train": 1}
+    assert splits["as-d435"] == {"train": 11}
+    seen, before = (made[name] for name in ("as-d435", "photos"))
+    train = before.in_split("train")
+    assert [p.labels for p in seen.pictures] == [p.labels for p in train]
+    pairs = zip(seen.pictures, train, strict=True)
+    assert all((read_color(seen.path(a)) != read_color(before.path(b))).any() for a, b in pairs)
     points = [x.keypoints for p in made["photos"].pictures for x in p.labels]
     assert len(points) == 9
     for found in points:

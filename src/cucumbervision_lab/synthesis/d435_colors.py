@@ -68,4 +68,5 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     if rng.random() < 0.5:
         seen = cv2.GaussianBlur(seen, (0, 0), rng.uniform(0.4, 1.2) * max(seen.shape) / 900)
     noise = rng.normal(0, rng.uniform(0.004, 0.02), seen.shape)
-    return np.round(np.clip(seen + noise, 0, 1) * 255).astype(np.uint8)
+    result: NDArray[np.uint8] = np.round(np.clip(seen + noise, 0, 1) * 255).astype(np.uint8)
+    return result

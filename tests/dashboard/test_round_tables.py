@@ -68,7 +68,7 @@ def page(name: str, round_key: str, *, fruit: str = "", press: str = "") -> AppT
     test = AppTest.from_string(script, default_timeout=600)
     test.session_state["round"] = round_key
     if fruit:
-        test.session_state["fruit"] = fruit
+        test.query_params["fruit"] = fruit
     test.run()
     if press:
         next(button for button in test.button if button.label == press).click().run()

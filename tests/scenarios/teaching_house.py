@@ -225,7 +225,7 @@ def correct_house(out: Path, marks: Sequence[int]) -> list[Path]:
         waiting = [
             (mark, path)
             for mark, path in zip(marks, sets, strict=True)
-            if not (path / "README.md").is_file()
+            if not (path / "annotations.json").is_file()
         ]
         for at in range(0, len(names), AT_ONCE):
             if not waiting:
@@ -242,7 +242,7 @@ def correct_house(out: Path, marks: Sequence[int]) -> list[Path]:
                         f"corrections by split {said}",
                         flush=True,
                     )
-    return [path for path in sets if (path / "README.md").is_file()]
+    return [path for path in sets if (path / "annotations.json").is_file()]
 
 
 def lines_of(name: str, judged: Sequence[Judged]) -> str:

@@ -98,7 +98,7 @@ def dataset_from_store(
     store : Store
         With its pictures.
     out : Path
-        Gets `images/`, `depth/`, `annotations.json` and the card, `README.md`. Pictures of an
+        Gets `images/`, `depth/` and `annotations.json`. Pictures of an
         earlier set there that are in it no more stay on the disk.
     licence : str
         Of the pictures.

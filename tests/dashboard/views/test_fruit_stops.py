@@ -32,7 +32,7 @@ def lines_of(fruit_key: str) -> list[str]:
         "keep_inputs()\nresults.page()\n"
     )
     test = AppTest.from_string(script, default_timeout=600)
-    test.session_state["round"], test.session_state["fruit"] = WALK, fruit_key
+    test.session_state["round"], test.query_params["fruit"] = WALK, fruit_key
     test.run()
     assert not test.exception
     return [str(one.value).replace("\\", "") for one in (*test.caption, *test.markdown)]

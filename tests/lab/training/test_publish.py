@@ -85,7 +85,7 @@ def test_the_packages_own_registry_keeps_its_text() -> None:
 def test_another_file_than_the_cards_is_refused(tmp_path: Path, package: Path) -> None:
     folder = exported(tmp_path / "a", b"first")
     (folder / "c-seg.onnx").write_bytes(b"forged")
-    with pytest.raises(ModelHashError, match="is not the file that its card tells of"):
+    with pytest.raises(ModelHashError, match="is not the file that its card describes"):
         publish(folder, "c-seg", package)
     assert list((package / "weights").iterdir()) == []
 

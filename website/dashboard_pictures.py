@@ -75,6 +75,7 @@ def take(address: str) -> None:
 
 def shoot(page: Any, name: str) -> None:
     """Save a screenshot of a tablet."""
+    page.get_by_text("Loading the networks").first.wait_for(state="hidden")
     page.wait_for_timeout(8000)  # tables load their pictures last, without a visible sign
     page.screenshot(path=IMAGES / f"dashboard-{name}.png")
 

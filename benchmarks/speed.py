@@ -51,7 +51,7 @@ from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
 
 HERE = Path(__file__).parent
-MODELS = MeasureOptions(instances="models", segmenter="mobile-sam")
+MODELS = MeasureOptions(instances="models")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 PAPER_METHODS = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
@@ -203,8 +203,8 @@ sys.path.insert(0, sys.argv[1])
 from cucumbervision.cli import app
 from cucumbervision.pipeline import run
 take = run._Run._take
-def first(self, outcome):
-    done = take(self, outcome)
+def first(self, *given):
+    done = take(self, *given)
     print('first', time.time(), flush=True)
     return done
 run._Run._take = first

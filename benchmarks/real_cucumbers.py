@@ -308,6 +308,8 @@ def summary(compared: list[Compared], others: int) -> list[str]:
         f"reported errs by {np.median(np.abs(own)):.2f} % (median), bias {np.mean(own):+.2f} "
         f"(median {np.median(own):+.2f}) %"
     )
+    sources = Counter(str(c.fruit.mask_source) for c in compared if c.fruit is not None)
+    lines.append("masks by " + ", ".join(f"{name}: {n}" for name, n in sources.most_common()))
     lines.append(f"{others} other fruit found")
     return lines
 

@@ -334,31 +334,36 @@ def _aliases(data: bytes, random: Random) -> bytes:
 
 def _row(data: bytes, random: Random) -> bytes:
     """Change one value of an SQLite file to another that its column allows or not."""
-    head = bytearray(data)
-    if len(head) > 20:
-        head[18:20] = b"\1\1"  # in memory there is no write-ahead log
-    try:
-        with closing(sqlite3.connect(":memory:")) as connection:
-            connection.deserialize(bytes(head))
-            connection.execute("PRAGMA ignore_check_constraints = ON")
-            tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-            table = random.choice([name for (name,) in tables.fetchall()])
-            columns = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
-            column = random.choice([name for _, name, *_ in columns])
-            if random.random() < 0.05:
-                connection.execute(f'ALTER TABLE "{table}" DROP COLUMN "{column}"')
-            value = random.choice((*_CELLS, *(json.dumps(v) for v in _VALUES if v == v)))
-            if isinstance(value, str):
-                value = _RAW.get(value.strip('"'), value)
-            connection.execute(f'UPDATE "{table}" SET "{column}" = ?', (value,))
-            connection.commit()
-            return bytes(connection.serialize())
-    except (sqlite3.Error, IndexError, OverflowError, MemoryError):  # as SQLite calls damage too
-        return _flip(data, random)
+
+    def change(connection: sqlite3.Connection, table: str, columns: list[tuple[str, str]]) -> None:
+        column, _ = random.choice(columns)
+        if random.random() < 0.05:
+            connection.execute(f'ALTER TABLE "{table}" DROP COLUMN "{column}"')
+        value = random.choice((*_CELLS, *(json.dumps(v) for v in _VALUES if v == v)))
+        if isinstance(value, str):
+            value = _RAW.get(value.strip('"'), value)
+        connection.execute(f'UPDATE "{table}" SET "{column}" = ?', (value,))
+
+    return _in_table(data, random, change)
 
 
 def _no_text(data: bytes, random: Random) -> bytes:
     """Put bytes that are no text into a text column of an SQLite file."""
+
+    def change(connection: sqlite3.Connection, table: str, columns: list[tuple[str, str]]) -> None:
+        texts = [name for name, kind in columns if "CHAR" in kind or "TEXT" in kind]
+        column, put = random.choice(texts), random.choice(_NO_TEXTS)
+        connection.execute(f'UPDATE "{table}" SET "{column}" = CAST(x\'{put}\' AS TEXT)')
+
+    return _in_table(data, random, change)
+
+
+def _in_table(
+    data: bytes,
+    random: Random,
+    change: Callable[[sqlite3.Connection, str, list[tuple[str, str]]], None],
+) -> bytes:
+    """Change a table of an SQLite file, drawn at random; given names and types of its columns."""
     head = bytearray(data)
     if len(head) > 20:
         head[18:20] = b"\1\1"  # in memory there is no write-ahead log
@@ -369,12 +374,10 @@ def _no_text(data: bytes, random: Random) -> bytes:
             tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
             table = random.choice([name for (name,) in tables.fetchall()])
             columns = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
-            texts = [name for _, name, kind, *_ in columns if "CHAR" in kind or "TEXT" in kind]
-            column, put = random.choice(texts), random.choice(_NO_TEXTS)
-            connection.execute(f'UPDATE "{table}" SET "{column}" = CAST(x\'{put}\' AS TEXT)')
+            change(connection, table, [(name, kind) for _, name, kind, *_ in columns])
             connection.commit()
             return bytes(connection.serialize())
-    except (sqlite3.Error, IndexError, OverflowError, MemoryError):
+    except (sqlite3.Error, IndexError, OverflowError, MemoryError):  # as SQLite calls damage too
         return _flip(data, random)
 
 

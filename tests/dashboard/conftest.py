@@ -16,12 +16,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
-from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.measuring import SharedMeasurer
-from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.store.records import RoundRecord, StopRecord, key_of
+from cucumbervision.rounds.adding import Added, RoundCapture, add_all, add_captures
+from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 
 WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
@@ -35,15 +36,24 @@ FLAGS = (
 PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
 
+def add_one(
+    store: Store, round_key: str, capture: Capture, options: MeasureOptions, key: str = ""
+) -> Added:
+    """Measure a capture as the dashboard does what waits, and save it under a key of its own."""
+    measurer = Measurer(options)
+    key = key or new_key()
+    item = RoundCapture.to_add(store, round_key, capture, measurer, key=key, keep=True)
+    [(_, added)] = add_all(store, [item], measurer, in_turn)
+    return added
+
+
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with one round: the bundled captures, measured on their own masks."""
     path = tmp_path_factory.mktemp("made") / "house.db"
-    measurer = SharedMeasurer(load_registry())
     with open_store(path) as store:
         store.save_round(WALK)
-        for ref in open_source(example_captures()):
-            measurer.take_stop(store, WALK.key, ref.load(), MeasureOptions(instances="auto"))
+        add_captures(store, WALK.key, [example_captures()], MeasureOptions(instances="auto"))
     return path
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from demo_captures import SCENES, place
+from tests.dashboard.conftest import add_one
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Stop
@@ -41,15 +42,13 @@ def measurer() -> SharedMeasurer:
     return SharedMeasurer(load_registry())
 
 
-def test_a_stop_is_saved_with_its_fruit_where_they_hang(
-    store: Store, measurer: SharedMeasurer
-) -> None:
+def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store) -> None:
     capture = next(iter(open_source(example_captures()))).load()
     one = RoundRecord(key_of("other"))
     store.save_round(one)
     spots = Stop("4", "left", 2.0, 1), Stop("4", "right", 2.0, 2)
     for spot in spots:
-        taken = measurer.take_stop(store, one.key, replace(capture, stop=spot), OPTIONS)
+        taken = add_one(store, one.key, replace(capture, stop=spot), OPTIONS)
         assert not taken.note
     left, right = (
         [v for v in store.detections(one.key) if v.side == side] for side in ("left", "right")
@@ -60,21 +59,17 @@ def test_a_stop_is_saved_with_its_fruit_where_they_hang(
     assert right[0].along_m == pytest.approx(2.0 + 0.16, abs=0.01)
 
 
-def test_what_cannot_be_measured_is_saved_with_the_reason(
-    store: Store, measurer: SharedMeasurer
-) -> None:
+def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store) -> None:
     capture = replace(next(iter(open_source(example_captures()))).load(), masks=())
     options = replace(OPTIONS, instances="dataset")
-    taken = measurer.take_stop(store, WALK, capture, options)
+    taken = add_one(store, WALK, capture, options)
     assert "no masks" in taken.note
-    stop = store.stop(taken.key)
+    stop = store.stop(taken.stop_key)
     assert stop.captures[0].color is not None
     assert stop.failures[0]["error"] == "InstancesError"
 
 
-def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
-    store: Store, measurer: SharedMeasurer, tmp_path: Path
-) -> None:
+def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(store: Store, tmp_path: Path) -> None:
     capture = next(iter(open_source(example_captures()))).load()
     boxes = ([300.0, 100.0, 200.0, 60.0], [5000.0, 100.0, 200.0, 60.0])
     instances = {
@@ -86,9 +81,9 @@ def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
     }
     path = tmp_path / "boxes.json"
     path.write_text(json.dumps(instances))
-    taken = measurer.take_stop(store, WALK, capture, replace(OPTIONS, instances=str(path)))
+    taken = add_one(store, WALK, capture, replace(OPTIONS, instances=str(path)))
     assert not taken.note
-    stop = store.stop(taken.key)
+    stop = store.stop(taken.stop_key)
     assert len(stop.captures[0].fruit) == 1
     assert len(stop.failures) == 1
 
@@ -138,9 +133,9 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
     one = RoundRecord(key_of("missed"))
     store.save_round(one)
     blind = replace(OPTIONS, instances="models", confidence=0.999)
-    taken = measurer.take_stop(store, one.key, replace(capture, masks=()), blind)
+    taken = add_one(store, one.key, replace(capture, masks=()), blind)
     assert store.detections(one.key) == []
-    stop = store.stop(taken.key)
+    stop = store.stop(taken.stop_key)
     ys, xs = np.nonzero(true)
     box = (xs.min() - 3.0, ys.min() - 3.0, xs.max() + 3.0, ys.max() + 3.0)
     again = stored_capture(store.images, stop.captures[0], stop)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.dashboard.conftest import add_one
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
@@ -13,6 +14,7 @@ from cucumbervision.dashboard.camera_feed import FAR_S, REACH_S, CameraBurst, Ca
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.shutter import Press, Shutter
+from cucumbervision.errors import InstancesError
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import DEMONSTRATION
@@ -168,7 +170,7 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     (one,) = waiting.captures()
     measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
     # Killed after the stop was saved and before it was let go.
-    measurer.take_stop(store, one.round_key, one.load(), options, key=one.key)
+    add_one(store, one.round_key, one.load(), options, key=one.key)
     settled: list[str] = []
 
     def settle(round_key: str) -> str:
@@ -198,3 +200,16 @@ def test_a_damaged_capture_does_not_hold_the_others_up(
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
     assert [one.key for one in waiting.set_aside()] == [first.key]
     assert "color_000000.png" in job.notes[0]
+
+
+def test_what_waits_is_not_tried_while_nothing_can_be_measured(
+    store: Store, waiting: WaitingCaptures, tmp_path: Path
+) -> None:
+    shutter = Shutter(store, waiting, lambda: None)
+    shutter.press(Replay(example_captures()), 1, WALK, Stop("1"), Press("a", time.time()))
+    shutter.close()
+    lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
+    measurer = SharedMeasurer(load_registry())
+    with pytest.raises(InstancesError):
+        measure_waiting(waiting, measurer, store, lost, lambda _: "", Job(1, "measuring"))
+    assert [one.tries for one in waiting.captures()] == [0]

@@ -153,3 +153,19 @@ def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(
     assert (stop.row, stop.position_m) == ("7", 3.0)
     taken = store.stop(stop.key).captures[0].camera
     assert taken["fx"] == pytest.approx(CAMERAS[camera] * 48)
+
+
+def test_files_stay_while_nothing_can_be_measured(
+    store: Store, measurer: SharedMeasurer, tmp_path: Path
+) -> None:
+    store.save_round(ROUND)
+    uploads = Uploads(tmp_path / "uploads")
+    sending = Sending(round=ROUND.key, files=(SentFile(name="row.zip", size=3),), place=PLACE)
+    uploads.begin(sending, 10**9)
+    uploads.append(sending.key, 0, 0, b"PK.")
+    lost = replace(OPTIONS, instances=str(tmp_path / "lost.json"))
+    measure_upload(uploads, sending.key, measurer, store, lost, Job(1, "uploads"))
+    (outcome,) = uploads.all()[0].outcomes
+    assert not outcome.saved
+    assert "lost.json" in outcome.words
+    assert uploads.to_measure() == [sending.key]

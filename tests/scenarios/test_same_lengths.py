@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.dashboard.conftest import add_one
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.settings import Settings
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
@@ -57,7 +56,7 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
         store.save_round(taken)
         add_captures(store, added.key, [folder], MeasureOptions())
         options = Settings().options
-        SharedMeasurer(load_registry()).take_stop(store, taken.key, capture, options)
+        add_one(store, taken.key, capture, options)
         for one in (added, taken):
             records = [view.record for view in store.detections(one.key)]
             found = {record.number: said(record) for record in records}

@@ -73,7 +73,7 @@ def walk(round_key: str, source: str) -> dict[str, Any]:
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."
         if aside
-        else "",
+        else resources.measuring_fault(),
         "last": _last_stop(one, last) if one and last else None,
     }
 

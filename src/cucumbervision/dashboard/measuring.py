@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -17,16 +17,16 @@ from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask, mask_iou
+from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.fields import NumberedFruit
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.rounds.adding import Placed
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.rounds.adding import RoundCapture, add_all
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
 from cucumbervision.rounds.stop_records import fruit_record, stored_capture
-from cucumbervision.store.records import new_key
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -34,25 +34,11 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.registry import Registry
-    from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, Point, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
-    from cucumbervision.store.waiting import WaitingCaptures
-
-
-@dataclass(frozen=True, eq=False)
-class TakenStop:
-    """A stop that is in the store, and what was measured there."""
-
-    key: str
-    result: CaptureResult
-
-    @property
-    def note(self) -> str:
-        """Why nothing was measured, for people; its remedy is for the command line."""
-        return "" if self.result.error is None else self.result.error.message
+    from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
 
 class SharedMeasurer:
@@ -82,45 +68,6 @@ class SharedMeasurer:
         first = next(iter(open_source(example_captures()))).load()
         # Without the masks that come with it, which would be taken in the networks' place.
         self.with_options(options).measure(replace(first, masks=()))
-
-    def take_stop(
-        self,
-        store: Store,
-        round_key: str,
-        capture: Capture,
-        options: MeasureOptions,
-        *,
-        key: str | None = None,
-    ) -> TakenStop:
-        """Measure a capture and save it as a stop of a round; its own `stop` says where it is.
-
-        A capture in which nothing can be measured is saved with the reason, so that no capture
-        is lost.
-
-        Parameters
-        ----------
-        store : Store
-            Where to.
-        round_key : str
-            The round, saved before.
-        capture : Capture
-            The frame.
-        options : MeasureOptions
-            How to measure.
-        key : str, optional
-            The stop's own; a new one by default.
-
-        Raises
-        ------
-        CucumberVisionError
-            If it cannot be saved.
-        """
-        placed, measurer = Placed.of(capture), self.with_options(options)
-        result = measurer.attempt(placed.capture)
-        stop = placed.stop(result, measurer, store.images)
-        stop = replace(stop, key=key or new_key(), round_key=round_key)
-        store.save_stop(stop)
-        return TakenStop(stop.key, result)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point.
@@ -292,20 +239,38 @@ def measure_waiting(
         Given a round's key when none of its captures waits any more; says what went wrong.
     job : Job
         Gets a step a capture, and a note for each that could not be measured.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
     done = 0
-    while left := waiting.captures():
-        one, job.total = left[0], done + len(left)
-        waiting.begin(one)
-        try:
-            if store.stop_is_deleted(one.key) is None:
-                taken = measurer.take_stop(store, one.round_key, one.load(), options, key=one.key)
-                job.step(taken.note)
-            waiting.done(one)
-            done += 1
-        except CucumberVisionError as error:
-            job.step(str(error))
+    left: list[Waiting] = []
+    measures = measurer.with_options(options)
+    measures.load()  # without it none is tried
+
+    def items() -> Iterator[RoundCapture | Failure]:
+        nonlocal left
+        while left := waiting.captures():
+            one, job.total = left[0], done + len(left)
+            waiting.begin(one)
+            try:
+                yield RoundCapture.to_add(
+                    store, one.round_key, one.load(), measures, key=one.key, keep=True
+                )
+            except CucumberVisionError as error:
+                yield Failure.of(error, one.key)
+
+    # In turn: each is let go, or dropped, before the next is looked at.
+    for _, added in add_all(store, items(), measures, in_turn):
+        one = left[0]
+        if added.failure is not None:
+            job.step(added.failure.message)
             continue
+        job.step(added.note)
+        waiting.done(one)
+        done += 1
         last_of_round = all(other.round_key != one.round_key for other in left[1:])
         if last_of_round and (fault := settle(one.round_key)):
             job.notes.append(fault)

@@ -16,7 +16,7 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 from cucumbervision.agronomy.forecast import Forecast
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions, open_source
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
@@ -43,6 +43,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.adding import (
     DEMONSTRATION,
+    add_captures,
     is_demonstration,
     round_for_capture,
 )
@@ -148,6 +149,12 @@ def wake() -> Job | None:
     # With these it is no page's function any more, and may run when no page is open.
     jobs[:] = [worker().submit("Measuring what waits", partial(measure_waiting, *parts))]
     return jobs[0]
+
+
+def measuring_fault() -> str:
+    """Return why what waits cannot be measured: a network or the calibration; empty if it can."""
+    jobs = _measuring()
+    return jobs[0].error if jobs else ""
 
 
 @st.cache_resource(show_spinner=False)
@@ -430,11 +437,12 @@ def prepare() -> Job | None:
 
 
 def _demonstrate(job: Job) -> None:
-    source = open_source(example_captures(), ReadOptions(burst=settings().burst))
-    job.total, key = source.total or 0, DEMONSTRATION
-    for ref in source:
-        job.step(measurer().take_stop(store(), key, ref.load(), settings().options).note)
-    merge(key)
+    options = settings().options
+    places = [example_captures()]
+    job.total = open_source(places[0]).total or 0
+    done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
+    job.notes += (one.failure.message for one in done if one.failure is not None)
+    merge(DEMONSTRATION)
     worker().submit("Loading the networks", _warm_up)
 
 

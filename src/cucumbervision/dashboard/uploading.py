@@ -15,17 +15,12 @@ from cucumbervision.dashboard.uploads import MOST_TRIES, UploadOutcome
 from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadError
 from cucumbervision.intake.limits import Limits
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.rounds.adding import (
-    Placed,
-    capture_sha256,
-    measured_otherwise,
-    round_for_capture,
-)
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision.rounds.adding import Added, RoundCapture, add_all, round_for_capture
 from cucumbervision.rounds.walking import last_step, refuse_taken
-from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
@@ -33,6 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.measuring import SharedMeasurer
     from cucumbervision.dashboard.uploads import Uploads
     from cucumbervision.intake.uploads import AcceptedSource
+    from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.walking import NextPlace
     from cucumbervision.store.repository import Store
@@ -75,36 +71,62 @@ def measure_upload(
         Which one.
     job : Job
         Gets a step a file that is checked, and a step a capture that is measured.
+
+    Notes
+    -----
+    Where a network or the calibration cannot be loaded, that is the outcome of all files, which
+    stay for the next time.
     """
+    files, outcomes = uploads.files(key), list[UploadOutcome]()
+    measures = measurer.with_options(options)
+
+    def note(*new: UploadOutcome, done: bool = False) -> None:
+        outcomes.extend(new)
+        uploads.note(key, outcomes, done=done)
+
+    try:
+        measures.load()
+    except CucumberVisionError as error:
+        note(*(_failed(name, str(error)) for name, _ in files))
+        return
     upload = uploads.try_once(key)
-    sending, outcomes = upload.sending, list[UploadOutcome]()
+    sending = upload.sending
     if upload.tries >= MOST_TRIES:
         words = "ended the program each time it was measured"
-        outcomes = [UploadOutcome(name=one.name, saved=False, words=words) for one in sending.files]
-        uploads.note(key, outcomes, done=True)
+        note(*(_failed(name, words) for name, _ in files), done=True)
         return
-    files, place = uploads.files(key), sending.place.next_place
+    place = sending.place.next_place
     limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
     job.total = len(files)
+
+    def items(sources: Iterable[AcceptedSource]) -> Iterator[RoundCapture]:
+        nonlocal place
+        for source in sources:
+            for read in _captures(source, options.reading, sending.camera):
+                job.total = max(job.total, job.done + 1)
+                if isinstance(read, UploadOutcome):
+                    note(read)
+                    job.step()
+                    continue
+                capture, place = _placed(read, place)
+                try:
+                    yield _to_add(capture, measures, store, sending.round)
+                except CucumberVisionError as error:
+                    note(_failed(capture.source or capture.name, error.message))
+                    job.step()
+
     with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
         try:
             accepted = accept_uploads(files, Path(folder), limits, report=lambda *_: job.step())
         except UploadError as error:
-            outcomes = [_failed(one.name, error.message) for one in sending.files]
-            uploads.note(key, outcomes, done=True)
+            note(*(_failed(name, error.message) for name, _ in files), done=True)
             return
         outcomes += [_failed(str(one.source), one.message) for one in accepted.refused]
-        for source in accepted.sources:
-            for read in _captures(source, options.reading, sending.camera):
-                job.total = max(job.total, job.done + 1)
-                if isinstance(read, UploadOutcome):
-                    outcomes.append(read)
-                else:
-                    read, place = _placed(read, place)
-                    outcomes.append(_saved(read, measurer, store, sending.round, options))
+        for item, added in add_all(store, items(accepted.sources), measures, in_turn):
+            if isinstance(item, RoundCapture):
+                note(_outcome(item, added, sending.round))
                 job.step()
-                uploads.note(key, outcomes)
-    uploads.note(key, outcomes, done=True)
+    note(done=True)
 
 
 def _failed(name: str, words: str) -> UploadOutcome:
@@ -154,36 +176,39 @@ def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:
     return replace(capture, stop=own), place
 
 
-def _saved(
-    capture: Capture,
-    measurer: SharedMeasurer,
-    store: Store,
-    round_key: str,
-    options: MeasureOptions,
-) -> UploadOutcome:
-    """Measure and save a capture; the same one sent again is there already."""
-    name = capture.source or capture.name
-    try:
-        home = round_for_capture(store, round_key, simulated=capture.simulated)
-        stop = capture.stop
-        if stop.step is None:
-            stop = replace(stop, step=last_step(store.stops(home)) + 1)
-        key = key_of(home, capture.name, capture_sha256(capture))
-        deleted = store.stop_is_deleted(key)
-        if deleted:
-            return _failed(name, "was deleted: undo that to have it back")
-        if deleted is not None:
-            fruit = measured_otherwise(store, key, capture, measurer.with_options(options))
-            again = "was there already, and is measured again: its intrinsics or options changed"
-            words = "is in the round already" if fruit is None else again
-            return UploadOutcome(name=name, saved=fruit is not None, words=words)
-        capture = replace(capture, stop=stop)
-        refuse_taken(store, home, *Placed.of(capture).spot_and_camera)
-        taken = measurer.take_stop(store, home, capture, options, key=key)
-    except CucumberVisionError as error:
-        return _failed(name, error.message)
-    many = len(taken.result.fruit)
+def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) -> RoundCapture:
+    """Return a capture on its way into the round, or into the demonstration if it is simulated.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the same camera took another at its place, or the store cannot be read.
+    """
+    home = round_for_capture(store, round_key, simulated=capture.simulated)
+    if capture.stop.step is None:
+        step = last_step(store.stops(home)) + 1
+        capture = replace(capture, stop=replace(capture.stop, step=step))
+    item = RoundCapture.to_add(store, home, capture, measurer, keep=True)
+    if item.place is not None:
+        refuse_taken(store, home, *item.place.spot_and_camera)
+    return item
+
+
+def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
+    """Return what the sender reads of a capture; the same one sent again is there already."""
+    if added.failure is not None:
+        return _failed(item.input, added.failure.message)
+    if added.deleted:
+        return _failed(item.input, "was deleted: undo that to have it back")
+    if added.again:
+        words = "was there already, and is measured again: its intrinsics or options changed"
+        return UploadOutcome(name=item.input, saved=True, words=words)
+    if item.place is None or not added.new:
+        return _failed(item.input, "is in the round already")
+    stop = item.place.capture.stop
     at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
-    moved = "; computer-made, so in the round 'Demonstration'" if home != round_key else ""
-    words = taken.note or f"{many} fruit"
-    return UploadOutcome(name=name, saved=True, words=f"{words} ({at}{moved})")
+    moved = (
+        "; computer-made, so in the round 'Demonstration'" if item.round_key != round_key else ""
+    )
+    words = added.note or f"{added.fruit} fruit"
+    return UploadOutcome(name=item.input, saved=True, words=f"{words} ({at}{moved})")

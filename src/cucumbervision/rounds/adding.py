@@ -13,12 +13,15 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
 from cucumbervision.pipeline.batch import (
+    Engine,
     Item,
     LoopOptions,
     Outcome,
     ReadCapture,
     ResultWorker,
+    in_process,
     measure_all,
+    never,
 )
 from cucumbervision.pipeline.inputs import Listed, read_captures
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
@@ -36,7 +39,7 @@ from cucumbervision.store.records import RoundRecord, Saved, key_of
 from cucumbervision.store.views import CameraAt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -104,6 +107,8 @@ class Added:
         calibration or other options.
     failure : Failure, optional
         Why not.
+    note : str
+        Why nothing was measured in one that was saved all the same.
     """
 
     name: str
@@ -113,19 +118,73 @@ class Added:
     deleted: bool = False
     again: bool = False
     failure: Failure | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
-class _Adding(Listed):
+class RoundCapture(Listed):
     """A capture on its way into a round.
 
-    `there` says whether the round has it: None where it does not, True where somebody deleted it.
+    Parameters
+    ----------
+    input, ref, name
+        As in `Listed`.
+    round_key, key : str
+        The round, saved before, and the stop that it is or will be.
+    place : Placed, optional
+        Where a new one was taken.
+    there : bool, optional
+        Whether the round has it: None where it does not, True where somebody deleted it.
+    same : bool
+        Whether it would be measured as it was.
+    keep : bool
+        Save it though nothing can be measured in it, or another stop is at its place.
     """
 
+    round_key: str = ""
     key: str = ""
     place: Placed | None = None
     there: bool | None = None
     same: bool = False
+    keep: bool = False
+
+    @classmethod
+    def to_add(
+        cls,
+        store: Store,
+        round_key: str,
+        capture: Capture,
+        measurer: Measurer,
+        *,
+        key: str = "",
+        number: int = 0,
+        place: Place | None = None,
+        keep: bool = False,
+    ) -> RoundCapture:
+        """Return a capture with what the round has of it already.
+
+        Parameters
+        ----------
+        store, round_key, key, keep
+            As above; by default the key is one of the capture's content.
+        capture : Capture
+            The frame.
+        measurer : Measurer
+            What is to measure it.
+        number, place
+            As for `Placed.of`.
+
+        Raises
+        ------
+        CucumberVisionError
+            If the store cannot be read, or a pose file has no line for the capture.
+        """
+        key = key or key_of(round_key, capture.name, capture_sha256(capture))
+        there = store.stop_is_deleted(key)
+        same = there is False and holds_still(store.stop(key).artifacts, capture, measurer)
+        placed = Placed.of(capture, number, place) if there is None else None
+        one = Listed.of(capture if placed is None else placed.capture)
+        return cls(one.input, one.ref, one.name, round_key, key, placed, there, same, keep)
 
 
 class _Changed(ResultWorker):
@@ -133,7 +192,7 @@ class _Changed(ResultWorker):
 
     def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
         """Read a capture, unless nothing is to be done with it."""
-        if isinstance(item, _Adding) and (item.there or item.same):
+        if isinstance(item, RoundCapture) and (item.there or item.same):
             return Outcome()
         return super().read(item)
 
@@ -183,41 +242,66 @@ def add_captures(
     """
     measurer, done, loop = Measurer(options), list[Added](), loop or LoopOptions()
 
-    def items() -> Iterator[Item]:
+    def items() -> Iterator[RoundCapture | Failure]:
         for number, read in enumerate(read_captures(inputs, options.reading, loop.opener)):
             if isinstance(read, Failure):
                 yield read
                 continue
             failures: list[Failure] = []
             with Boundary(failures, read.source, read.name):
-                key = key_of(round_key, read.name, capture_sha256(read))
-                there = store.stop_is_deleted(key)
-                same = there is False and holds_still(store.stop(key).artifacts, read, measurer)
-                placed = Placed.of(read, number, place) if there is None else None
-                one = Listed.of(read if placed is None else placed.capture)
-                yield _Adding(one.input, one.ref, one.name, key, placed, there, same)
+                yield RoundCapture.to_add(
+                    store, round_key, read, measurer, number=number, place=place
+                )
             yield from failures
 
-    for item, outcome in measure_all(items(), _Changed(measurer), loop.engine, loop.stop):
-        failures = list(outcome.failures) if outcome.value is None else []
-        added = Added(item.capture or item.input) if isinstance(item, Failure) else None
-        if isinstance(item, _Adding):
-            with Boundary(failures, item.input, item.name):
-                added = _added(store, round_key, item, outcome.value, measurer)
-        if failures:
-            added = Added(failures[0].capture or failures[0].input, failure=failures[0])
-        if added is None:  # stopped before its turn
-            continue
+    for _, added in add_all(store, items(), measurer, loop.engine, loop.stop):
         done.append(added)
         if report is not None:
             report(added)
     return done
 
 
+def add_all(
+    store: Store,
+    items: Iterable[RoundCapture | Failure],
+    measurer: Measurer,
+    engine: Engine = in_process,
+    stop: Callable[[], bool] = never,
+) -> Iterator[tuple[RoundCapture | Failure, Added]]:
+    """Measure captures, save each as a stop, and yield it with its outcome, in order.
+
+    Parameters
+    ----------
+    store : Store
+        Where to.
+    items : iterable of RoundCapture or Failure
+        The captures; a failure among them is passed on in its turn.
+    measurer : Measurer
+        What measures.
+    engine, stop
+        As for `measure_all`; none is yielded for those before which the loop was stopped.
+
+    Raises
+    ------
+    CucumberVisionError
+        As `measure_all`.
+    """
+    for item, outcome in measure_all(items, _Changed(measurer), engine, stop):
+        failures = list(outcome.failures) if outcome.value is None else []
+        added = None
+        if isinstance(item, RoundCapture) and not failures:
+            with Boundary(failures, item.input, item.name):
+                added = _added(store, item, outcome.value, measurer)
+        if failures:
+            added = Added(failures[0].capture or failures[0].input, failure=failures[0])
+        if added is not None:  # None: stopped before its turn
+            yield item, added
+
+
 def _added(
-    store: Store, round_key: str, item: _Adding, result: CaptureResult | None, measurer: Measurer
+    store: Store, item: RoundCapture, result: CaptureResult | None, measurer: Measurer
 ) -> Added | None:
-    """Save what was measured, and say what became of it; None where nothing was yet to be.
+    """Save what was measured, and return the outcome; None where nothing was yet to be.
 
     Raises
     ------
@@ -227,39 +311,19 @@ def _added(
     added = Added(item.name, item.key, deleted=bool(item.there))
     if result is None:
         return added if item.there or item.same else None
-    if result.error is not None:
+    if result.error is not None and not (item.keep and item.there is None):
         raise result.error
     if item.place is None:
         fruit = measure_stop_again(store, item.key, [result], measurer)
         return replace(added, fruit=fruit, again=True)
     if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
         return added
-    refuse_taken(store, round_key, *item.place.spot_and_camera)
+    if not item.keep:
+        refuse_taken(store, item.round_key, *item.place.spot_and_camera)
     stop = item.place.stop(result, measurer, store.images)
-    new = store.save_stop(replace(stop, key=item.key, round_key=round_key)) is Saved.NEW
-    return replace(added, fruit=len(result.fruit) if new else 0, new=new)
-
-
-def measured_otherwise(
-    store: Store, stop_key: str, capture: Capture, measurer: Measurer
-) -> int | None:
-    """Measure a stop again where what it was measured from has changed; its place stays.
-
-    Returns
-    -------
-    int or None
-        How many fruit it shows; None where nothing has changed, and nothing was measured.
-
-    Raises
-    ------
-    CucumberVisionError
-        If it cannot be measured; the stop is then as it was.
-    """
-    stop = store.stop(stop_key)
-    if holds_still(stop.artifacts, capture, measurer):
-        return None
-    result = measurer.attempt(replace(capture, name=stop.captures[0].name))
-    return measure_stop_again(store, stop_key, [result], measurer)
+    new = store.save_stop(replace(stop, key=item.key, round_key=item.round_key)) is Saved.NEW
+    note = "" if result.error is None else result.error.message
+    return replace(added, fruit=len(result.fruit) if new else 0, new=new, note=note)
 
 
 def capture_sha256(capture: Capture) -> str:

@@ -168,6 +168,7 @@ def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Pat
         The data.yaml: `train` and `val` are lists of folders, `weights` belongs to `train`.
     """
     yaml = import_module("yaml")
+    run = run.resolve()  # Ultralytics takes relative folders from the file's own
     values: dict[str, Any] = {"train": [], "weights": [], "val": []}
     cards = ["# Mixture", "", "| source | of the pictures seen |", "|---|--:|"]
     cards += [f"| {one.name} | {one.weight:.0%} |" for one in recipe.sources if one.weight]

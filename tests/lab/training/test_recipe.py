@@ -127,6 +127,17 @@ def test_mixture_names_folders_and_weights(built: dict[str, Path], tmp_path: Pat
     assert "CC0-1.0" in card
 
 
+def test_mixture_in_a_relative_folder_names_folders_that_are_there(
+    built: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    yaml = pytest.importorskip("yaml")
+    monkeypatch.chdir(tmp_path)
+    written = write_mixture(RECIPE, built, "seg", Path("run/seg")).resolve()
+    values = yaml.safe_load(written.read_text())
+    base = written.parent / values["path"]
+    assert all((base / folder).is_dir() for folder in [*values["train"], *values["val"]])
+
+
 @pytest.mark.train
 @pytest.mark.skipif(
     importlib.util.find_spec("ultralytics") is None, reason="needs the extra 'train'"

@@ -4,15 +4,16 @@
 
 FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
-counts as found where the box around the measured mask overlaps its own by half (IoU). The four
-captures called sample show one fruit, so their lengths also tell how well a length repeats.
+counts as found where the box around the measured mask overlaps its own by half (IoU). On eight of
+the marked fruit is a green sticker, which no grower's fruit has and which a detector can learn: it
+is painted over in the colour picture, and the figures with it come second. The four captures called sample show one fruit, so their lengths also tell how well a length repeats.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,16 @@ def judge(result: CaptureResult, marks: dict[str, Any]) -> Judged:
     hits = dict(matches.pairs)
     pairs = [(one, found[hits[k]] if k in hits else None) for k, one in enumerate(marks["fruit"])]
     return Judged(marks["name"], marks["trained"], pairs, [found[k] for k in matches.false])
+
+
+def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[np.uint8]:
+    """Return a capture's colours with the sticker painted over from around it."""
+    covered = np.zeros(color.shape[:2], np.uint8)
+    for one in marks["fruit"]:
+        if "sticker" in one:
+            x, y, radius = one["sticker"]
+            cv2.circle(covered, (x, y), radius, 1, cv2.FILLED)
+    return cv2.inpaint(color, covered, 7, cv2.INPAINT_TELEA)  # type: ignore[return-value]
 
 
 def length_text(fruit: FruitMeasurement | None) -> str:
@@ -146,18 +157,23 @@ def main() -> None:
     measurer = Measurer(options)
     marks = {one["name"]: one for one in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=given.folder / "intrinsics.json")
-    judged, pictures = [], []
+    judged, pictures, with_stickers = [], [], []
     for capture in read_captures([given.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
-        result = measurer.measure(capture)
-        judged.append(judge(result, marks[capture.name.removesuffix("_color")]))
+        own = marks[capture.name.removesuffix("_color")]
+        with_stickers.append(judge(measurer.measure(capture), own))
+        plain = replace(capture, color=without_sticker(capture.color, own))
+        result = measurer.measure(plain)
+        judged.append(judge(result, own))
         if given.sheet is not None:
             pictures.append(draw_overlay(result.capture, result.fruit))
     console = Console(width=120, highlight=False)
     console.print(fruit_table(judged))
-    for line in summary(judged):
-        console.print(line, soft_wrap=True)
+    for title, ones in (("stickers painted over", judged), ("as captured", with_stickers)):
+        console.print(f"\n{title}:")
+        for line in summary(ones):
+            console.print(line, soft_wrap=True)
     if given.sheet is not None:
         draw_sheet(pictures, given.sheet)
 

@@ -6,7 +6,8 @@ FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
 counts as found where the box around the measured mask overlaps its own by half (IoU). On eight of
 the marked fruit is a green sticker, which no grower's fruit has and which a detector can learn: it
-is painted over in the colour picture, and the figures with it come second. The four captures called sample show one fruit, so their lengths also tell how well a length repeats.
+is painted over in the colour picture, and the figures with it come second. The four captures
+called sample show one fruit, so their lengths also tell how well a length repeats.
 """
 
 from __future__ import annotations

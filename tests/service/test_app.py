@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import jsonschema
 import numpy as np
 import pytest
 
@@ -28,7 +29,7 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
 from cucumbervision.service.client import packed
 from cucumbervision.service.server import ServiceSettings, request_limits
-from cucumbervision.service.work import LeftError, Work
+from cucumbervision.service.work import LeftError, MeasureReply, Work
 
 TOKEN = "0123456789abcdef"
 ADMITTED = {"Authorization": f"Bearer {TOKEN}"}
@@ -62,12 +63,15 @@ def test_a_capture_comes_back_as_the_rows_of_the_tables(
     expected = measurer.measure(bench).rows()
     assert len(capture["fruit"]) == len(expected) == 3
     for row, own in zip(capture["fruit"], expected, strict=True):
+        pose = row.pop("pose")
         assert list(row) == [one.name for one in FIELDS]
+        assert pose["blossom_m"][0] == pytest.approx(row["blossom_x_m"], abs=1e-4)
         # Where it was read from is the sender's name here, and a path there.
         assert {k: v for k, v in row.items() if k != "source"} == {
             k: v for k, v in own.items() if k != "source"
         }
     assert told["config_sha256"] == measurer.options.sha256
+    jsonschema.validate(reply.json(), MeasureReply.model_json_schema(mode="serialization"))
 
 
 def test_what_cannot_be_read_costs_the_others_nothing(client: TestClient, bench: Capture) -> None:
@@ -216,7 +220,7 @@ def test_what_was_done_is_counted(client: TestClient, bench: Capture) -> None:
 def test_the_description_names_every_column(client: TestClient) -> None:
     told = client.get("/openapi.json").json()
     columns = told["components"]["schemas"]["FruitRow"]["properties"]
-    assert {name: one["description"] for name, one in columns.items()} == {
+    assert {name: one["description"] for name, one in columns.items() if name != "pose"} == {
         one.name: one.says for one in FIELDS
     }
     assert told["paths"]["/measure"]["post"]["security"] == [{"HTTPBearer": []}]

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -28,6 +29,7 @@ from cucumbervision.streaming.stream import (
     TRACK_FIELDS,
     FruitStream,
     StreamedFrame,
+    line_model,
 )
 
 
@@ -81,13 +83,27 @@ def test_a_line_holds_the_fields_of_the_tables(walk: list[Capture]) -> None:
     line = stream.take(walk[0], received_s=0.0, dropped=7).as_json()
     assert json.loads(json.dumps(line)) == line
     known = {one.name for one in (*FIELDS, *TRACK_FIELDS, *FRAME_FIELDS)}
-    assert set(line) - {"fruit"} <= known
+    assert set(line) - {"fruit", "version"} <= known
     assert (line["capture"], line["timestamp_s"], line["dropped"]) == ("walk_0", 1e9, 7)
     assert line["simulated"] is True
     assert line["latency_s"] > 0
     for fruit in line["fruit"]:
-        assert set(fruit) <= known
+        assert set(fruit) - {"pose"} <= known
+        assert fruit["pose"]["stem_m"][2] == pytest.approx(fruit["stem_z_m"], abs=1e-4)
         assert fruit["track_length_cm"] == pytest.approx(fruit["length_cm"])
+
+
+def test_lines_keep_their_schema(walk: list[Capture]) -> None:
+    schema = line_model().model_json_schema(mode="serialization")
+    stream = by_masks()
+    lines = [stream.take(one, received_s=0.0).as_json() for one in walk[:2]]
+    for line in lines:
+        jsonschema.validate(line, schema)
+        assert set(line) <= set(schema["properties"])
+        assert set(line["fruit"][0]) <= set(schema["$defs"]["StreamedFruit"]["properties"])
+    for wrong in ({"version": 2}, {"latency_s": "late"}, {"fruit": [{"track": 1.5}]}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**lines[0], **wrong}, schema)
 
 
 def test_a_fruit_seen_from_the_same_place_waits_when_one_is_measured_a_frame(

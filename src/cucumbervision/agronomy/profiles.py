@@ -142,6 +142,8 @@ class CropProfile(_Strict):
         Lightest and thinnest fruit that may be sold.
     weights, diameters : tuple
         Further classes; empty if the crop has none.
+    cut_cm : float
+        How far beyond the stem end a fruit is cut, cm.
     density : Density
         For the mass from the fitted volume.
     growth : GrowthFigures
@@ -162,6 +164,7 @@ class CropProfile(_Strict):
     minimum_diameter_mm: Positive | None = None
     weights: tuple[WeightBand, ...] = ()
     diameters: tuple[DiameterBand, ...] = ()
+    cut_cm: Positive = 2.0
     density: Density
     growth: GrowthFigures
     rules: dict[str, str] = {}

@@ -68,6 +68,8 @@ class Capture:
         The file or folder it was read from.
     provenance : mapping
         What else the source says: camera name, serial number, software.
+    gravity : tuple of float, optional
+        Direction of gravity in camera coordinates, where the camera's pose is known.
 
     Raises
     ------
@@ -101,6 +103,7 @@ class Capture:
     simulated: bool = False
     source: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    gravity: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         return f"<Capture {self.name}: {self.width}x{self.height}>"

@@ -25,6 +25,7 @@ from cucumbervision.cli import (
     models,
     record,
     round,
+    schema,
     serve,
     stream,
 )
@@ -48,6 +49,7 @@ app.command("record", epilog=EXIT_CODES)(record.record)
 app.command("cameras")(record.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(serve.serve)
+app.command("schema")(schema.schema)
 app.command("dashboard")(dashboard.dashboard)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)

@@ -120,8 +120,7 @@ def measure_options(
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
-        accepted_m=load_profile(profile).accepted_m,
-    )
+    ).for_crop(load_profile(profile))
 
 
 def loop_options(

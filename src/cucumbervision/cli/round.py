@@ -147,7 +147,7 @@ def add(
 def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
     """Return the options with the lengths that the round's crop can have."""
     profile = chosen_profile(None, one)
-    return options if profile is None else replace(options, accepted_m=profile.accepted_m)
+    return options if profile is None else options.for_crop(profile)
 
 
 def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:

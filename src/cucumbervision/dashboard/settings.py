@@ -170,8 +170,7 @@ class Settings(BaseModel):
             full_precision=self.full_precision,
             reading=ReadOptions(burst=self.burst),
             calibration=Path(self.calibration) if self.calibration else None,
-            accepted_m=load_profile(self.profile).accepted_m,
-        )
+        ).for_crop(load_profile(self.profile))
 
 
 def settings_file(store: str) -> Path:

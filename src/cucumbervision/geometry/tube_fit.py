@@ -31,6 +31,9 @@ _SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
 _MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
 _STILL_M, _STILL_SHARE = 1e-4, 3e-4
 _SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
+END_SHARE = 0.1
+"""Share of the axis over which an end's direction is taken."""
+
 _LEAST_WIDTH = 0.15  # of the middle radius
 _LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
 SCATTER_POINTS, SCATTER_RAYS = (0.7, 3.0), (0.5, 2.0)
@@ -72,6 +75,28 @@ class TubeFitting:
         by_bend = np.diff(bend, axis=0).T @ steps
         slope = np.concatenate([by_bend.ravel(), width[0] + width[-1], np.zeros(SLIPS)])
         return float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
+
+    @property
+    def ends_covariance(self) -> NDArray[np.float64]:
+        """Covariance of the first and the last end, shape (2, 6, 6).
+
+        Of each pole's place (metres) and of the unit vector that leads out of the body there.
+        """
+        centres, radii = self.shape.balls()
+        bend, width = bases(BALLS)
+        within = round(END_SHARE * BALLS)
+        found = []
+        for end, inner in ((0, within), (-1, -1 - within)):
+            run = centres[end] - centres[inner]
+            out = run / max(float(np.linalg.norm(run)), 1e-9)
+            across = (np.eye(3) - np.outer(out, out)) / max(float(np.linalg.norm(run)), 1e-9)
+            by_bend = np.kron(bend[end] - bend[inner], across)
+            place = np.kron(bend[end], np.eye(3)) + radii[end] * by_bend
+            slope = np.zeros((6, len(self.covariance)))
+            slope[:, : by_bend.shape[1]] = np.vstack([place, by_bend])
+            slope[:3, by_bend.shape[1] : SHAPE] = np.outer(out, width[end])
+            found.append(slope @ self.covariance @ slope.T)
+        return np.stack(found)
 
 
 def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:

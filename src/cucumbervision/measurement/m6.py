@@ -474,6 +474,7 @@ def _fit(
         outline_px,
         depth_m,
         (first, last),
+        fitting.ends_covariance,
         tuple(flags),
     )
 

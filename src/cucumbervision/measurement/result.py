@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.measurement.hidden_end import HiddenLength
+    from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
 
@@ -243,6 +244,8 @@ class TubeFit:
         its surface, metres.
     ends_seen : tuple of bool
         Whether the outline shows the first and the last end of `traits.axis_m`.
+    ends_covariance : ndarray of float64, shape (2, 6, 6)
+        Covariance of each end's place (metres) and of the unit vector out of the fruit there.
     flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
@@ -260,6 +263,7 @@ class TubeFit:
     outline_rms_px: float
     depth_rms_m: float
     ends_seen: tuple[bool, bool]
+    ends_covariance: NDArray[np.float64]
     flags: tuple[Flag, ...] = ()
     whole: HiddenLength | None = None
 
@@ -281,7 +285,8 @@ class Measurement:
     fallback : tuple of str
         What was tried before, as 'M3:too-few-points'; empty when the method itself measured.
     path_m : ndarray of float64, shape (K, 3), optional
-        The line that was measured, camera coordinates in metres, end to end.
+        The line that was measured, camera coordinates in metres; of a measured fruit it begins
+        at the stem end.
     measured_by : Method, optional
         The method that stood in, where this one fell back on another.
     fit : TubeFit, optional
@@ -346,6 +351,8 @@ class FruitMeasurement:
         Median depth of the mask, or of the box without one, metres; None without a valid reading.
     fill : float, optional
         Share of these pixels with a valid depth reading, 0 to 1.
+    pose : FruitPose, optional
+        Where it is in space, and where to cut; None where no tube was fitted.
     """
 
     instance: Instance
@@ -361,6 +368,7 @@ class FruitMeasurement:
     calibration: str | None = None
     distance_m: float | None = None
     fill: float | None = None
+    pose: FruitPose | None = None
 
     def __repr__(self) -> str:
         said = f"not measured: {self.reason}"

@@ -14,6 +14,7 @@ from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
+from cucumbervision.measurement.pose import CUT_BEYOND_M, fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     Choice,
     Flag,
@@ -215,6 +216,7 @@ def measure_fruit(
     *,
     scale_known: bool = False,
     models: IntervalModels | None = None,
+    cut_beyond_m: float = CUT_BEYOND_M,
 ) -> FruitMeasurement:
     """Measure one detected fruit, choose among the methods, and compute the length's interval.
 
@@ -235,6 +237,8 @@ def measure_fruit(
         interval holds the scale's own uncertainty.
     models : IntervalModels, optional
         The package's own if not given.
+    cut_beyond_m : float
+        How far beyond the stem end the place to cut is, metres.
 
     Returns
     -------
@@ -261,7 +265,11 @@ def measure_fruit(
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
-    measurements = run_methods(region, methods)
+    turned = {
+        method: stem_first(one, instance, capture)
+        for method, one in run_methods(region, methods).items()
+    }
+    measurements = {method: one for method, (one, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
     if cut_by_frame(instance.box, mask, capture.width, capture.height):
@@ -274,6 +282,16 @@ def measure_fruit(
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
+    pose = None
+    if chosen is not None:
+        pose = fruit_pose(
+            chosen,
+            turned[chosen.method][1],
+            hidden_ends(mask, instance.keypoints),
+            capture,
+            cut_beyond_m=cut_beyond_m,
+            scale_known=scale_known,
+        )
     fruit = FruitMeasurement(
         instance,
         measurements,
@@ -285,6 +303,7 @@ def measure_fruit(
         source,
         distance_m=distance_m,
         fill=fill,
+        pose=pose,
     )
     return with_length(fruit, definition, scale_known=scale_known, models=models)
 

@@ -10,6 +10,7 @@ import numpy as np
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
 from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, view_tube
+from cucumbervision.measurement.pose import fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     LOWER_BOUND,
     Choice,
@@ -176,15 +177,18 @@ def _joint(
         fitted = fit_views(seen, first.fitting.shape)
     except np.linalg.LinAlgError:
         return None
-    one_tube = judged_fit(first.tube, fitted.body)
+    one_tube, sure = stem_first(
+        judged_fit(first.tube, fitted.body), first.view.instance, first.view.capture
+    )
     # What is known of the fruit beside its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
-    return _together(alone, one_tube, kept, fitted.poses), fitted.poses
+    return _together(alone, one_tube, sure, kept, fitted.poses), fitted.poses
 
 
 def _together(
     alone: FruitMeasurement,
     one_tube: Measurement,
+    stem_confidence: float,
     kept: Sequence[_Alone],
     poses: Sequence[NDArray[np.float64]],
 ) -> FruitMeasurement:
@@ -197,7 +201,8 @@ def _together(
         flags += [Flag.PART_HIDDEN] if hidden > PART_HIDDEN else []
         one_tube = replace(one_tube, fit=replace(fit, hidden_share=hidden, flags=tuple(flags)))
     ends = [hidden_ends(one.mask, one.view.instance.keypoints) for one in kept]
-    if any(all(of_end) for of_end in zip(*ends, strict=True)):
+    blossom, stem = (all(of_end) for of_end in zip(*ends, strict=True))
+    if blossom or stem:
         flags.append(Flag.END_HIDDEN)
     if all(_is_cut(one.view) for one in kept):
         flags.append(Flag.CUT_BY_FRAME)
@@ -208,6 +213,7 @@ def _together(
         selected=None if one_tube.length_m is None else one_tube,
         reason=Choice.SEVERAL_VIEWS,
         flags=tuple(dict.fromkeys(flags)),
+        pose=fruit_pose(one_tube, stem_confidence, (blossom, stem), kept[0].view.capture),
     )
 
 

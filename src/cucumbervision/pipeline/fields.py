@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
+from pydantic import BaseModel, create_model
+from pydantic import Field as Described
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -26,7 +28,7 @@ _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 _STORED_DIGITS = 9
 
 
-_PYTHON: dict[str, Callable[[Any], Cell]] = {
+_PYTHON: dict[str, type[str | int | float | bool]] = {
     "text": str,
     "whole": int,
     "number": float,
@@ -98,8 +100,8 @@ class Field(Column):
     name, unit, type, says
         As in `Column`.
     path : str
-        Attributes and keys that lead to the value in SI units, joined by dots; a part that is
-        None leaves the cell empty.
+        Attributes, keys and numbers of elements that lead to the value in SI units, joined by
+        dots; a part that is None leaves the cell empty.
     digits : int, optional
         Digits that are written; those of the unit if not given.
 
@@ -119,7 +121,10 @@ class Field(Column):
         for part in self.path.split("."):
             if value is None:
                 return None
-            value = value.get(part) if isinstance(value, Mapping) else getattr(value, part)
+            if isinstance(value, Mapping):
+                value = value.get(part)
+            else:
+                value = value[int(part)] if part.isdigit() else getattr(value, part)
         return value
 
     def of(self, line: Any) -> Cell:
@@ -136,6 +141,8 @@ class Field(Column):
         value: Cell = self.value(line)
         if isinstance(value, str):
             return str(value)
+        if isinstance(value, float):
+            value = float(value)  # of an array
         digits = _STORED_DIGITS if self._scale[0] else self.digits
         return value if digits is None or value is None else round(value, digits)
 
@@ -208,6 +215,31 @@ def fruit_row(seen: NumberedFruit) -> dict[str, Cell]:
 def si_values(seen: NumberedFruit) -> dict[str, Cell]:
     """Return what is known of a fruit in SI units, by `Column.si_name`."""
     return {one.si_name: one.stored(seen) for one in FIELDS}
+
+
+def row_model(name: str, fields: Iterable[Field], **more: Any) -> type[BaseModel]:
+    """Return the pydantic model of a JSON object with these fields, any of which may be missing.
+
+    Parameters
+    ----------
+    name : str
+        The model's.
+    fields : iterable of Field
+        The cells.
+    **more
+        Further members, as `pydantic.create_model` takes them.
+
+    Examples
+    --------
+    >>> schema = row_model("Row", FIELDS[:3]).model_json_schema()
+    >>> list(schema["properties"]), schema["properties"]["fruit"]["description"]
+    (['capture', 'frame', 'fruit'], 'number of the fruit in the capture, from 1')
+    """
+    cells: dict[str, Any] = {
+        one.name: (_PYTHON[one.type] | None, Described(None, description=one.says))
+        for one in fields
+    }
+    return create_model(name, **cells, **more)
 
 
 def utc(seconds: float) -> str:

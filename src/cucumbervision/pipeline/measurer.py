@@ -354,6 +354,7 @@ class Measurer:
             options.selector,
             options.length,
             scale_known=self.site is not None and self.site.depth_scale is not None,
+            cut_beyond_m=options.cut_beyond_m,
         )
         if self.site is not None:
             fruit = calibrated_fruit(fruit, self.site, options.length)

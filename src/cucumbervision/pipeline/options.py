@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cucumbervision.capture.files import json_value
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.measurement.pose import CUT_BEYOND_M
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.runtime import RUNTIMES
 from cucumbervision.perception.sam import PROMPTS
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from cucumbervision.agronomy.profiles import CropProfile
 
 _Enum = TypeVar("_Enum", bound=StrEnum)
 
@@ -68,6 +74,8 @@ class MeasureOptions:
     accepted_m : tuple of float
         Shortest and longest fruit that can be, metres, as the crop's profile says; by default a
         long cucumber's. What lies outside gets no length.
+    cut_beyond_m : float
+        How far beyond its stem end a fruit is cut, metres, as the crop's profile says.
     """
 
     instances: str = "auto"
@@ -85,6 +93,7 @@ class MeasureOptions:
     reading: ReadOptions = field(default_factory=ReadOptions)
     calibration: Path | None = None
     accepted_m: tuple[float, float] = (0.05, 0.80)
+    cut_beyond_m: float = CUT_BEYOND_M
 
     def __post_init__(self) -> None:
         """Take the names of enumerations, and refuse what is no choice.
@@ -107,6 +116,10 @@ class MeasureOptions:
                 raise _no_choice(name, getattr(self, name), allowed)
         if not 0 <= self.confidence <= 1:
             raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
+
+    def for_crop(self, profile: CropProfile) -> Self:
+        """Return the same choices for a crop: its lengths, and where it is cut."""
+        return replace(self, accepted_m=profile.accepted_m, cut_beyond_m=profile.cut_cm / 100)
 
     def as_json(self) -> dict[str, Any]:
         """Return the choices as JSON values."""

@@ -106,8 +106,9 @@ class StageHashes:
         options = self._options
         site = options.calibration and _path_sha256(options.calibration)
         how = [list(options.methods), str(options.selector), str(options.length)]
+        crop = options.accepted_m, options.cut_beyond_m
         table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
-        return [__version__, how, site, options.reading.depth_unit_m, options.accepted_m, table]
+        return [__version__, how, site, options.reading.depth_unit_m, *crop, table]
 
     def _of_stage(self, stage: Stage) -> Any:
         options = self._options

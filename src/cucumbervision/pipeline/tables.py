@@ -355,7 +355,11 @@ def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> d
         "provenance": json_value(dict(capture.provenance)),
         "fill": round(capture.fill, 4),
         "fruit": [
-            {**row, "methods": {str(m): _method_json(x) for m, x in one.measurements.items()}}
+            {
+                **row,
+                "pose": one.pose and one.pose.as_json(),
+                "methods": {str(m): _method_json(x) for m, x in one.measurements.items()},
+            }
             for row, one in zip(rows, result.fruit, strict=True)
         ],
     }

@@ -10,17 +10,18 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
-from pydantic import BaseModel, Field, create_model
+from pydantic import BaseModel, Field
 
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import clean_name
 from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.pipeline.batch import ResultWorker, measure_all, never
 from cucumbervision.pipeline.detect import DetectedPicture, PictureWorker, read_picture
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.fields import FIELDS, row_model
 from cucumbervision.pipeline.inputs import Listed, list_source
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 
@@ -31,13 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.service.server import ServiceSettings
 
 
-_TYPES = {"text": str, "whole": int, "number": float, "yes/no": bool}
-
-_COLUMNS: dict[str, Any] = {
-    one.name: (_TYPES[one.type] | None, Field(None, description=one.says)) for one in FIELDS
-}
-FruitRow: Any = create_model("FruitRow", **_COLUMNS)
-"""One fruit: the columns of the tables, in their units."""
+FruitRow: Any = row_model("FruitRow", FIELDS, pose=(FruitPose | None, None))
+"""One fruit: the columns of the tables, in their units, and its pose."""
 
 
 class NotRead(BaseModel):
@@ -61,6 +57,7 @@ class MeasuredCapture(BaseModel):
 class MeasureReply(BaseModel):
     """The results of one request."""
 
+    version: Literal[1] = 1
     captures: list[MeasuredCapture]
     failures: list[NotRead]
     ignored: list[str] = Field(description="Files that are not needed.")
@@ -81,6 +78,7 @@ class SeenPicture(BaseModel):
 class DetectReply(BaseModel):
     """The detections in the pictures of one request."""
 
+    version: Literal[1] = 1
     pictures: list[SeenPicture]
     failures: list[NotRead]
 
@@ -110,7 +108,10 @@ def measured_capture(result: CaptureResult) -> MeasuredCapture:
         width=capture.width,
         height=capture.height,
         simulated=capture.simulated,
-        fruit=[FruitRow(**row) for row in result.rows()],
+        fruit=[
+            FruitRow(**row, pose=one.pose)
+            for row, one in zip(result.rows(), result.fruit, strict=True)
+        ],
     )
 
 

@@ -235,6 +235,13 @@ class DetectionRecord:
     mask_px: int | None = None
     fill: float | None = None
     distance_m: float | None = None
+    stem_x_m: float | None = None
+    stem_y_m: float | None = None
+    stem_z_m: float | None = None
+    blossom_x_m: float | None = None
+    blossom_y_m: float | None = None
+    blossom_z_m: float | None = None
+    stem_confidence: float | None = None
     centre_x_m: float | None = None
     centre_y_m: float | None = None
     centre_z_m: float | None = None

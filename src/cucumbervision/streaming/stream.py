@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cucumbervision.capture.motion import moved_px
+from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
-from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit
+from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.track_length import TrackLength, same_place
@@ -22,6 +23,8 @@ from cucumbervision.streaming.tracks import FrameView, Tracker, frame_view
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from pydantic import BaseModel
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement, Length
@@ -132,8 +135,9 @@ class StreamedFrame:
     def as_json(self) -> dict[str, Any]:
         """Return the frame as a JSON object with the fields that have a value."""
         values: dict[str, Any] = {
+            "version": 1,
             **_cells((*_OF_CAPTURE, *FRAME_FIELDS), self),
-            "fruit": [_cells((*TRACK_FIELDS, *_OF_FRUIT), one) for one in self.fruit],
+            "fruit": [_fruit_json(one) for one in self.fruit],
         }
         if self.result.failures:
             values["failures"] = [vars(failure) for failure in self.result.failures]
@@ -145,6 +149,31 @@ FRAME_FIELDS = (
     Field("dropped", "", "whole", "older frames dropped before this one", "dropped"),
 )
 """Fields of a frame in a stream, beside the table of fields."""
+
+
+def line_model() -> type[BaseModel]:
+    """Return the pydantic model of a stream's line, version 1, for its JSON Schema.
+
+    Fields may be added to a version; none changes its meaning or goes.
+
+    Examples
+    --------
+    >>> sorted(line_model().model_json_schema()["required"])
+    ['fruit', 'version']
+    """
+    fruit = row_model("StreamedFruit", (*TRACK_FIELDS, *_OF_FRUIT), pose=(FruitPose | None, None))
+    return row_model(
+        "StreamLine",
+        (*_OF_CAPTURE, *FRAME_FIELDS),
+        version=(Literal[1], ...),
+        fruit=(list[fruit], ...),  # type: ignore[valid-type]
+        failures=(list[Failure], []),
+    )
+
+
+def _fruit_json(seen: TrackedFruit) -> dict[str, Any]:
+    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT), seen)
+    return cells if seen.fruit.pose is None else {**cells, "pose": seen.fruit.pose.as_json()}
 
 
 def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:

@@ -74,6 +74,8 @@ class TrueFruit:
         Distance of its middle along the view, metres; NaN where unknown.
     centreline_m, thread_m, chord_m : float, optional
         True lengths, metres.
+    axis_m : ndarray of float64, shape (K, 3), optional
+        The true axis from blossom end to stem end, camera coordinates, metres.
     """
 
     box: NDArray[np.float64]
@@ -87,6 +89,7 @@ class TrueFruit:
     centreline_m: float | None = None
     thread_m: float | None = None
     chord_m: float | None = None
+    axis_m: NDArray[np.float64] | None = None
 
     @property
     def required(self) -> bool:
@@ -367,6 +370,7 @@ def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:
         centreline_m=extras.get("centreline_m"),
         thread_m=extras.get("thread_m"),
         chord_m=extras.get("chord_m"),
+        axis_m=np.array(extras["axis_m"]) if "axis_m" in extras else None,
     )
 
 

@@ -17,6 +17,7 @@ from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision.pipeline.fields import defused
 from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.benchmark.length_tables import (
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 
 _JUDGED = {Judged.BOXES: "boxes", Judged.MASKS: "masks", Judged.KEYPOINTS: "keypoints"}
 _FALSE_SHOWN = 60
+_NEAR_M = (0.4, 0.7)
 _LENGTH_COLUMNS = (
     *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
     *("missed", "hidden_share", "cut_off", "distance_m", "selected"),
@@ -144,6 +146,8 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
     tables += [end_table(summary.ends)] if summary.ends else []
     masks = _mask_table(summary)
     tables += [masks] if masks.rows else []
+    if "swapped" in summary.readings:
+        tables.append(pose_table(summary.readings))
     return tables + (_length_tables(summary.readings) if len(summary.readings) else [])
 
 
@@ -239,6 +243,46 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
     heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
     heads += ["90th percentile (% of length)", "95 % by scene"]
     return Table.of(title, heads, cells, comment)
+
+
+def pose_table(readings: pd.DataFrame) -> Table:
+    """Return how far the stem ends are off in space, and how often the ends are swapped.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        With the columns of `run.pose_errors`.
+    """
+    posed = readings.drop_duplicates(["case", "masks"]).dropna(subset="swapped")
+    near = posed["distance_m"].between(*_NEAR_M)
+    perceived = posed["masks"] == Masks.PERCEIVED
+    sure = posed["stem_confidence"] >= LEAST_END_CONFIDENCE
+    groups = {
+        "true masks, keypoints": posed[near & ~perceived],
+        "perceived": posed[near & perceived],
+        "perceived, stem in sight": posed[near & perceived & posed["cut_in_90"].notna()],
+        "perceived, ends 90 % sure": posed[near & perceived & sure],
+        "perceived, farther": posed[~near & perceived],
+    }
+    cells: list[tuple[Cell, ...]] = []
+    for name, some in groups.items():
+        right = some.dropna(subset="stem_mm")
+        if len(right):
+            far, turned = (
+                [float(value) for value in right[column].quantile([0.5, 0.9])]
+                for column in ("stem_mm", "stem_deg")
+            )
+            inside = right["cut_in_90"].dropna().astype(float)
+            swapped = 100 * float(some["swapped"].astype(float).mean())
+            cells.append((name, len(some), swapped, *far, *turned, 100 * float(inside.mean())))
+    heads = ["fruit", "n", "swapped (%):.1", "stem end median (mm):.1", "90th percentile:.1"]
+    heads += ["direction median (deg):.1", "90th:.1", "cut in 90 % (%):.0"]
+    comment = (
+        f"At {_NEAR_M[0]:g} to {_NEAR_M[1]:g} m if not said otherwise. Distances of fruit whose "
+        "ends are not swapped, hidden ends included. The last column: how often the true place "
+        "to cut lies in its ellipsoid of 90 %."
+    )
+    return Table.of("Poses", heads, cells, comment)
 
 
 def photo_tables(photos: PhotoResult) -> list[Table]:

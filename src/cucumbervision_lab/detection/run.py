@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.pose import FruitPose
     from cucumbervision_lab.benchmark.records import LengthRecord
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
@@ -300,6 +302,51 @@ def _true_mask(fruit: TrueFruit) -> NDArray[np.bool_]:
     return decode_rle(code["counts"], *code["size"])
 
 
+def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Return how far a fruit's pose is from the true one.
+
+    Parameters
+    ----------
+    pose : FruitPose
+        As measured.
+    axis_m : ndarray of float64, shape (K, 3)
+        The true axis from blossom end to stem end, camera coordinates, metres.
+
+    Returns
+    -------
+    dict
+        `swapped` (the ends fit better the other way round), `stem_confidence`; where they are
+        right `stem_mm`, `stem_deg` and, for a fruit whose stem end is in sight, `cut_in_90`:
+        whether the true place to cut lies within the ellipsoid of 90 %.
+
+    Examples
+    --------
+    >>> from cucumbervision import example_captures, measure
+    >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
+    >>> pose_errors(pose, pose.axis_m)["swapped"]
+    True
+    >>> found = pose_errors(pose, pose.axis_m[::-1])
+    >>> found["stem_mm"], found["cut_in_90"]
+    (0.0, True)
+    """
+    blossom, stem = axis_m[0], axis_m[-1]
+    ends = np.stack([pose.blossom_m, pose.stem_m])
+    straight = np.linalg.norm(ends - [blossom, stem], axis=1).sum()
+    swapped = bool(np.linalg.norm(ends - [stem, blossom], axis=1).sum() < straight)
+    found: dict[str, Any] = {"swapped": swapped, "stem_confidence": pose.stem_confidence}
+    if swapped:
+        return found
+    out = (stem - axis_m[-2]) / np.linalg.norm(stem - axis_m[-2])
+    found["stem_mm"] = 1e3 * float(np.linalg.norm(pose.stem_m - stem))
+    found["stem_deg"] = float(np.degrees(np.arccos(np.clip(pose.direction @ out, -1, 1))))
+    if pose.cut_m is not None and pose.cut_covariance_m2 is not None:
+        beyond_m = float(np.linalg.norm(pose.cut_m - pose.stem_m))
+        off = pose.cut_m - (stem + beyond_m * out)
+        squared = float(off @ np.linalg.solve(pose.cut_covariance_m2, off))
+        found["cut_in_90"] = squared <= chi2.ppf(0.9, 3)
+    return found
+
+
 def _record(
     frame: Frame, number: int, capture: Capture, instance: Instance | None, masks: Masks
 ) -> LengthRecord:
@@ -316,6 +363,8 @@ def _record(
         details["flags"] = list(measured.flags)
         details["mask_iou"] = mask_iou(instance.mask, _true_mask(fruit))
         details |= noted(measured)
+        if measured.pose is not None and fruit.axis_m is not None:
+            details |= pose_errors(measured.pose, fruit.axis_m)
         fill = measured.fill
     return LengthRecord(
         case=f"{frame.name}#{number}",

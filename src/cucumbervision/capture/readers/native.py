@@ -48,6 +48,7 @@ def _inside(name: str) -> str:
 
 
 _Whole = Annotated[int, Field(ge=0, lt=2**63)]
+_Share = Annotated[float, Field(ge=-1, le=1)]
 _File = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
 
 
@@ -84,6 +85,7 @@ class Manifest(StrictModel):
     stop: _Stop = Field(default_factory=_Stop)
     simulated: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
+    gravity: tuple[_Share, _Share, _Share] | None = None
 
 
 def find_native(folder: Folder) -> Opener | None:
@@ -151,6 +153,7 @@ def _load(
         simulated=manifest.simulated,
         source=str(folder),
         provenance=manifest.provenance,
+        gravity=manifest.gravity,
     )
 
 
@@ -259,6 +262,7 @@ def write_native(
         "stop": vars(capture.stop),
         "simulated": capture.simulated,
         "provenance": dict(capture.provenance),
+        **({} if capture.gravity is None else {"gravity": list(capture.gravity)}),
     }
     text = json.dumps(json_value(manifest), indent=2) + "\n"
     parse_model(Manifest, json.loads(text), source=folder)

@@ -32,7 +32,7 @@ def seen(body: Tube, leaf: tuple[slice, slice] | None = None) -> tuple[Capture, 
     depth, mask = drawn.depth_m.astype(np.float32), drawn.mask(0)
     if leaf is not None:
         depth[leaf], mask[leaf] = 0.35, False
-    points = LENS.project(np.linspace(*body.poles_m, 5))
+    points = LENS.project(np.linspace(body.poles_m[0], body.poles_m[1], 5))
     keypoints = np.column_stack([points, np.ones(5)])
     blank = np.zeros((480, 640, 3), np.uint8)
     return Capture(blank, depth, LENS, "drawn"), Instance(

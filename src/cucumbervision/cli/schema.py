@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 
 class Kind(StrEnum):
@@ -26,5 +29,6 @@ def schema(
     from cucumbervision.service.work import DetectReply, MeasureReply
     from cucumbervision.streaming.stream import line_model
 
+    models: dict[Kind, type[BaseModel]]
     models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}
     typer.echo(json.dumps(models[kind].model_json_schema(mode="serialization"), indent=1))

@@ -27,7 +27,7 @@ PAGES = {
     "today": ("", "Pick list"),
     "capture": ("capture", "Depth seen"),
     "map": ("map", "One mark per fruit"),
-    "results": ("results", "tick one to open it"),
+    "results": ("results", "tap one to open it"),
 }
 
 
@@ -67,7 +67,7 @@ def take(address: str) -> None:
             page.goto(f"{address}/{path}")
             page.get_by_text(words).first.wait_for()
             shoot(page, name)
-        page.get_by_test_id("stDataFrame").first.click(position={"x": 18, "y": 72})
+        page.locator(".fruit button").first.click()
         page.locator("svg.view polygon").first.wait_for()
         shoot(page, "fruit")
         browser.close()

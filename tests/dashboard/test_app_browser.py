@@ -89,7 +89,7 @@ def served(
 def dashboard(served: Dashboard) -> Iterator[Dashboard]:
     """The results of the bundled captures; asks that nothing failed, nor left this machine."""
     served.page.goto(f"{served.address}/results")
-    served.page.get_by_text("tick one to open it").wait_for()
+    served.page.get_by_text("tap one to open it").wait_for()
     served.page.get_by_text("Measuring the bundled captures").wait_for(state="hidden")
     served.quiet()
     yield served
@@ -108,9 +108,7 @@ def test_a_fresh_machine_shows_a_round(dashboard: Dashboard) -> None:
 
 def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> None:
     page = dashboard.page
-    table = page.get_by_test_id("stDataFrame").first
-    table.scroll_into_view_if_needed()
-    table.click(position={"x": 18, "y": 40 + 32})
+    page.locator(".fruit button").first.click()
     page.get_by_role("button", name="Accept", exact=True).wait_for()
     picture = page.locator("svg.view")
     picture.wait_for()

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import io
 import json
 import random
 import struct
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -94,6 +96,18 @@ def test_a_press_is_refused_where_its_picture_or_its_round_is_gone(
     assert "no picture of that moment" in old["words"]
     assert lost["words"] == "the round was deleted"
     assert resources.waiting().captures() == []
+
+
+def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
+    answer = asked.get(f"/api/files/{WALK}", params={"formats": ["xlsx", "csv", "html"]})
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''morning.zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        lines = archive.read("fruit.csv").decode("utf-8-sig").splitlines()
+    assert {"round.xlsx", "fruit.csv", "round.html"} < names
+    assert len(lines) == 9  # eight fruit and the head
+    assert asked.get(f"/api/files/{key_of('gone')}?formats=csv").status_code == 404
+    assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
 
 
 @pytest.mark.parametrize(

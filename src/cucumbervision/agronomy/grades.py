@@ -169,6 +169,8 @@ class Grade:
         Further classes; empty if the profile has none or a trait is missing.
     mass_g : float, optional
         Volume times the profile's density.
+    beyond : str
+        'too short' or 'too long' if the length puts it out of grade; else empty.
     """
 
     verdict: GradeStatus
@@ -181,6 +183,7 @@ class Grade:
     weight_class: str = ""
     diameter_class: str = ""
     mass_g: float | None = None
+    beyond: str = ""
 
 
 @dataclass(frozen=True)
@@ -257,10 +260,12 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances:
         missing += (f"interval of the {profile.length} length: no probabilities",)
+    beyond = ""
+    if name == OUT_OF_GRADE and (at in (0, len(by_bin) - 1) or by_bin[at] != OUT_OF_GRADE):
+        beyond = profile.outcomes[-2 if length_cm < 100 * profile.edges_m.mean() else -1]
     best = _best_of(shape, profile)
-    return Grade(
-        verdict, name, rules, chances, missing, best, shape.name, weight.name, width.name, mass
-    )
+    sizes = shape.name, weight.name, width.name
+    return Grade(verdict, name, rules, chances, missing, best, *sizes, mass, beyond)
 
 
 def best_class(fruit: _Gradable, profile: CropProfile) -> str:

@@ -43,9 +43,17 @@ _STYLE = """<style>
 .st-key-nav a { min-height: 40px; padding: 0 9px; align-items: center; }
 .st-key-nav p { font-size: 0.94rem; }
 .st-key-nav a > span:has([data-testid="stIconMaterial"]) { display: none; }
+a[data-testid="stPageLink-NavLink"] { min-height: 44px; align-items: center; }
 .stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
 [data-testid="stButtonGroup"] button { min-height: 2.75rem; }
 .stNumberInput button { min-width: 2.75rem; }
+.stCheckbox label { min-height: 44px; align-items: center; }
+[role="tab"] { min-height: 44px; min-width: 44px; justify-content: center; }
+[data-testid="stTooltipIcon"] button { min-height: 40px; min-width: 40px; margin: -8px 0; }
+[data-testid="stElementToolbar"], [data-testid="stHeaderActionElements"] { display: none; }
+[data-testid="stTable"] { overflow-x: auto; }
+a.load { display: flex; min-height: 3rem; align-items: center; justify-content: center;
+  border-radius: 8px; background: #1B7837; color: #fff !important; text-decoration: none; }
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
 .block-container { padding-top: 0.4rem; padding-bottom: 2rem; }
 [data-testid="stCaptionContainer"], [data-testid="stCaptionContainer"] p {
@@ -53,6 +61,11 @@ _STYLE = """<style>
 @media (max-width: 640px) {
   .block-container { padding-left: 0.6rem; padding-right: 0.6rem; }
   .st-key-nav a { padding: 0 6px; }
+  .stMain:has(.st-key-fruit_head) .st-key-rounds { display: none; }
+  .st-key-fruit_head { gap: 4px; }
+  .st-key-fruit_head button { padding: 0 8px; }
+  .st-key-fruit_head kbd { display: none; }
+  [data-testid="stTable"] :is(td, th) { padding: 6px 8px 6px 0; }
   .st-key-rounds [data-testid="stHorizontalBlock"] { gap: 8px; }
   .st-key-rounds [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
   .st-key-rounds [data-testid="stColumn"]:first-child { min-width: 100%; } }

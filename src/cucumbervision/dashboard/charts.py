@@ -34,10 +34,10 @@ _GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 
 
 _OTHERS = {
-    "out of grade": "#E69F00",
+    "no class": "#E69F00",
     "too short": "#56B4E9",
     "too long": "#D55E00",
-    "not graded": "#999999",
+    "class unsure": "#999999",
 }
 
 
@@ -46,8 +46,8 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
 
     Examples
     --------
-    >>> _class_colors(["out of grade", "class I", "class I"]).to_dict()
-    {'domain': ['class I', 'out of grade'], 'range': ['#1B7837', '#E69F00']}
+    >>> _class_colors(["too long", "class I", "class I"]).to_dict()
+    {'domain': ['class I', 'too long'], 'range': ['#1B7837', '#D55E00']}
     """
     present = set(names)
     classes = sorted(present - set(_OTHERS))  # 'class I' before 'class II'
@@ -56,6 +56,13 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     return alt.Scale(
         domain=[*classes, *others], range=[*greens, *(_OTHERS[name] for name in others)]
     )
+
+
+_BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has room for it
+
+
+def _color_of_class(names: Iterable[str]) -> alt.Color:
+    return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
 
 
 def class_color(name: str) -> str:
@@ -103,7 +110,7 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
             ),
             x2=alt.X2("to:Q"),
             y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
-            color=alt.Color("class:N", scale=_class_colors(x["class"] for x in lines), title=None),
+            color=_color_of_class(x["class"] for x in lines),
             tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
@@ -154,9 +161,10 @@ def map_chart(
             "length:Q",
             title=f"Length [{units.name}]",
             scale=alt.Scale(scheme="viridis", domain=_ends(shown, "length")),
+            legend=_BELOW,
         )
         if by_length
-        else alt.Color("class:N", scale=_class_colors(x["class"] for x in shown), title=None)
+        else _color_of_class(x["class"] for x in shown)
     )
     tooltip = [
         alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
@@ -182,7 +190,7 @@ def map_chart(
             ),
             tooltip=tooltip,
         )
-        .properties(height=220)
+        .properties(height=300)
         .add_params(alt.selection_point(name="fruit", fields=["key"], toggle=False))
     )
     return chart
@@ -233,7 +241,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
         x2=alt.X2("to:Q"),
         y=alt.Y("expected:Q", title="Fruit"),
         y2=alt.Y2("floor:Q"),
-        color=alt.Color("class:N", scale=_class_colors(names), title=None),
+        color=_color_of_class(names),
         tooltip=[
             alt.Tooltip("day:N", title="Day"),
             alt.Tooltip("class:N", title="Class"),

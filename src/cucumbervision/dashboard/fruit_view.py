@@ -87,7 +87,7 @@ def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280) -> bytes:
     return data.tobytes()
 
 
-def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]:
+def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[np.uint8], str]:
     """Return depth in colours (near red, far blue, no reading black), and the range in words.
 
     Returns
@@ -99,7 +99,8 @@ def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]
 
     Examples
     --------
-    >>> depth_picture(np.array([[0.0, 0.5, 1.0]], np.float32))[1]
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> depth_picture(np.array([[0.0, 0.5, 1.0]], np.float32), Units("cm"))[1]
     'red 50 cm, blue 100 cm, black no reading'
     """
     valid = valid_depth(depth_m)
@@ -110,9 +111,9 @@ def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]
     colored = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
     picture = np.ascontiguousarray(colored[..., ::-1])
     picture[~valid] = 0
-    return cast("NDArray[np.uint8]", picture), (
-        f"red {100 * low:.0f} cm, blue {100 * high:.0f} cm, black no reading"
-    )
+    near, far = (f"{units.value(float(x)):.0f} {units.name}" for x in (low, high))
+    words = f"red {near}, blue {far}, black no reading"
+    return cast("NDArray[np.uint8]", picture), words
 
 
 def fruit_layers(

@@ -11,6 +11,7 @@ from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.round_choice import choose_round
+from cucumbervision.dashboard.words import plain, step_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.picking import PickWork
     from cucumbervision.dashboard.jobs import Job, Work
-    from cucumbervision.store.views import RoundView
+    from cucumbervision.store.records import JointRecord
+    from cucumbervision.store.views import DetectionView, RoundView
+
+_PICTURE_PX = 168  # two abreast on a phone
 
 
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
@@ -39,8 +43,54 @@ def button(
 
 
 def table(lines: list[dict[str, Any]]) -> None:
-    """Draw a table whose rows are high enough for a thumb."""
-    st.dataframe(lines, hide_index=True, row_height=40)
+    """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
+    said = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
+    st.table([{name: plain(line[name]) for name in said} for line in lines], hide_index=True)
+
+
+def fruit_list(
+    key: str, label: str, fruit: list[dict[str, Any]], words: str, on_taps: Callable[[], None]
+) -> None:
+    """Draw fruit to be tapped off.
+
+    Parameters
+    ----------
+    key, label : str
+        The element's own, and its name for screen readers.
+    fruit : list of dict
+        'key', 'picture' (a data URL, or None), 'says' (words that are drawn side by side, or under
+        each other on a phone), and 'picked'.
+    words : str
+        Stand over the list, after how many are picked.
+    on_taps : callable
+        Called with every tap, before anything is drawn, so that all totals count it.
+    """
+    data = {"fruit": fruit, "words": words, "label": label, "opens": False}
+    component("fruitlist")(key=key, data=data, on_taps_change=on_taps)
+
+
+def open_fruit(key: str, label: str, fruit: list[dict[str, Any]], words: str) -> str | None:
+    """Draw fruit to be opened, as `fruit_list`; return the key of the one that was tapped."""
+    data = {"fruit": fruit, "words": words, "label": label, "opens": True}
+    drawn = component("fruitlist")(key=key, data=data, on_opened_change=lambda: None)
+    return str(drawn.opened) if drawn.opened else None
+
+
+def pictures(
+    views: Sequence[DetectionView],
+    words: Callable[[DetectionView], str],
+    act: Callable[[DetectionView], None] | None = None,
+    joint: JointRecord | None = None,
+) -> None:
+    """Draw views side by side, each with words, and with what `act` draws below them."""
+    with st.container(horizontal=True):
+        for view in views:
+            with st.container(width=_PICTURE_PX):
+                if (cut := resources.cutout_of(view, joint)) is not None:
+                    st.image(cut, width="stretch", alt=f"Fruit at {step_words(view.step).lower()}")
+                st.caption(words(view))
+                if act is not None:
+                    act(view)
 
 
 def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:

@@ -26,13 +26,14 @@ def choose_round() -> RoundView | None:
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
     with st.container(key="rounds"):
-        chosen, new, change = st.columns([6, 2, 1], vertical_alignment="bottom")
+        chosen, new, change = st.columns([6, 2, 1], vertical_alignment="center")
     key = chosen.selectbox(
         "Round",
         list(rounds),
         format_func=lambda key: round_name(rounds[key]),
         key="round",
         placeholder="No round yet",
+        label_visibility="collapsed",
     )
     one = rounds.get(key) if key else None
     if one is not None and st.query_params.get("round") != one.key:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 import struct
+import tempfile
 from contextlib import suppress
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -26,11 +29,15 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocketDisconnect
 
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import capture_state, resources
 from cucumbervision.dashboard.fruit_view import as_jpeg, depth_picture, scale_bar
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.uploads import Sending
 from cucumbervision.errors import CucumberVisionError, UploadError
+from cucumbervision.exports import ExportFormat
+from cucumbervision.exports.build import round_tables
+from cucumbervision.exports.writers import write_exports
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
@@ -220,6 +227,30 @@ def _picture(request: Request, _: bytes) -> Any:
     return Response(picture, media_type="image/jpeg", headers=kept)
 
 
+@_answer
+def _files(request: Request, _: bytes) -> Response:
+    """Answer with a round's files in a zip, made anew."""
+    one = next((x for x in resources.rounds() if x.key == request.path_params["round"]), None)
+    if one is None:
+        raise HTTPException(404)
+    try:
+        formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
+    except ValueError:
+        raise HTTPException(404) from None
+    profile_name, profile = resources.profile_of(one)
+    rates = resources.settings().rates
+    tables = round_tables(
+        resources.store(), one.key, profile, profile_name=profile_name, rates=rates
+    )
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
+        write_exports(tables, Path(folder) / "files", formats)
+        packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
+        content = packed.read_bytes()
+    name = safe_name(one.record.name or "round")
+    told = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
+    return Response(content, media_type="application/zip", headers=told)
+
+
 def _store_of(request: Request) -> Any:
     return resources.store().signed(request.scope.get("viewer") or "dashboard")
 
@@ -302,8 +333,8 @@ def _encoded(kind: str, number: int, state: str, seen: Preview) -> bytes:  # noq
     if capture is None:
         return _framed(header)
     color = as_jpeg(capture.color, _PREVIEW_PX)
-    depth, words = depth_picture(capture.depth_m[::2, ::2])
     units = resources.settings().units
+    depth, words = depth_picture(capture.depth_m[::2, ::2], units)
     near = None if quality is None else quality.distance_m
     header |= {
         "color_bytes": len(color),
@@ -405,6 +436,7 @@ def routes() -> list[Route | WebSocketRoute]:
         Route("/api/uploads", _begin_upload, methods=post),
         Route("/api/uploads/{upload}/{number}", _receive, methods=post),
         Route("/api/camera", _retry, methods=post),
+        Route("/api/files/{round}", _files),
         Route("/api/picture/{stop}/{capture:path}", _picture),
         WebSocketRoute("/api/preview", _preview),
         WebSocketRoute("/api/news", _news),

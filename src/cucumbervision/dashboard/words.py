@@ -6,6 +6,7 @@ import re
 import time
 from typing import TYPE_CHECKING
 
+from cucumbervision.agronomy.grades import OUT_OF_GRADE
 from cucumbervision.agronomy.grades import GradeStatus as GradeVerdict
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
@@ -37,18 +38,27 @@ def plain(text: object) -> str:
 
 
 def grade_name(grade: Grade) -> str:
-    """Return a grade in a word or two: 'class I', 'out of grade', 'not graded'.
+    """Return the class that a fruit counts in: 'class I', 'too short', 'class unsure'.
 
     Examples
     --------
     >>> from cucumbervision.agronomy.grades import GradingTraits, grade
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> grade_name(grade(GradingTraits(centreline_m=0.26), load_profile("long-cucumber")))
-    'class I'
+    >>> profile = load_profile("long-cucumber")
+    >>> [grade_name(grade(GradingTraits(centreline_m=x), profile)) for x in (0.26, 0.12, None)]
+    ['class I', 'too short', 'class unsure']
     """
     if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
-        return "not graded"
-    return grade.name if grade.name == "out of grade" else f"class {grade.name}"
+        return "class unsure"
+    if grade.name == OUT_OF_GRADE:
+        return grade.beyond or "no class"
+    return f"class {grade.name}"
+
+
+def grade_words(grade: Grade) -> str:
+    """Return a fruit's class with how sure it is: 'probably class I'."""
+    probably = "probably " if grade.verdict is GradeVerdict.BORDERLINE else ""
+    return probably + grade_name(grade)
 
 
 def length_words(record: DetectionRecord, units: Units) -> str:
@@ -77,12 +87,45 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     >>> from cucumbervision.store.records import DetectionRecord
     >>> record = DetectionRecord(1, length=Length(0.24, low_m=0.235, high_m=0.247))
     >>> interval_words(record, Units("cm"))
-    '23.5 cm to 24.7 cm'
+    '23.5 to 24.7 cm'
     """
     length = record.length
     if length is None or not (length.low_m and length.high_m):
         return None
-    return f"{units.text(length.low_m)} to {units.text(length.high_m)}"
+    return f"{units.value(length.low_m):.{units.digits}f} to {units.text(length.high_m)}"
+
+
+def kind_words(kind: str | None) -> str:
+    """Return what a length is of, for people.
+
+    Examples
+    --------
+    >>> kind_words("centreline"), kind_words(None)
+    ('Length along the middle', 'Length')
+    """
+    return "Length" + {
+        "centreline": " along the middle",
+        "thread": " over the outer side",
+        "chord": " straight from end to end",
+    }.get(kind or "", "")
+
+
+def height_words(record: DetectionRecord, units: Units) -> str:
+    """Return how high a fruit hangs, empty where that is not known.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> height_words(DetectionRecord(1, centre_y_m=-0.312), Units("cm"))
+    '31 cm above the camera'
+    """
+    if record.centre_y_m is None:
+        return ""
+    at = units.value(abs(record.centre_y_m)) or 0.0
+    if round(at) == 0:
+        return "as high as the camera"
+    return f"{at:.0f} {units.name} {'below' if record.centre_y_m > 0 else 'above'} the camera"
 
 
 def counted(number: int, one: str, many: str) -> str:
@@ -189,8 +232,7 @@ def count_words(count: CountEstimate) -> str:
         return "no fruit found"
     low, high = count.interval()
     there = f"{low} to {high}" if low < high else f"{low}"
-    found = counted(len(count.seen), "was", "were")
-    return f"{count.expected:.0f} fruit ({there}, 90 %), of which {found} found"
+    return f"{len(count.seen)} seen, about {count.expected:.0f} real (90 %: {there})"
 
 
 def span_words(of: Span) -> str:

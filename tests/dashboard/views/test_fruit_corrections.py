@@ -79,10 +79,8 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     address = start_server(tmp_path, "--login", "--store", str(path), **variables)
     begun_s, page = time.time(), new_page()
     page.goto(f"{address}/results?token={TOKEN}")
-    page.get_by_text("tick one to open it").wait_for()
-    table = page.get_by_test_id("stDataFrame").first
-    table.scroll_into_view_if_needed()
-    table.click(position={"x": 18, "y": 40 + 32})
+    page.get_by_text("tap one to open it").wait_for()
+    page.locator(".fruit button").first.click()
     picture = page.locator("svg.view")
     picture.wait_for()
     named = re.fullmatch(r"Fruit (\d+) of (.+)", picture.get_attribute("aria-label"))
@@ -127,7 +125,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     assert mask_iou(mask_of(added), mask_of(lost)) > 0.7
 
     # A wrong one is deleted.
-    page.get_by_role("button", name="Delete", exact=True).click()
+    page.get_by_role("button", name="Not a fruit", exact=True).click()
     wait_for_action(path, "reject")
     assert opened().view.verdict is Verdict.REJECTED
     with open_store(path) as store:

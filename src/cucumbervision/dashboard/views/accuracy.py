@@ -239,6 +239,8 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
     )
     lines = [_line(view, known.get(view.key, (None, None))) for view in shown]
+    typed: dict[str, Any] = {"min_value": 0.5, "max_value": 100.0, "format": "%.2f"}
+    st.caption(f"Lengths in {units.name}.")
     edited: list[dict[str, Any]] = st.data_editor(
         lines,
         hide_index=True,
@@ -246,14 +248,11 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         placeholder="",
         disabled=["Picture", "Fruit", "Program"],
         column_config={
-            "Picture": st.column_config.ImageColumn("", width="small"),
-            "Program": st.column_config.NumberColumn(f"Program [{units.name}]", format="%.1f"),
-            "First": st.column_config.NumberColumn(
-                f"By hand [{units.name}]", min_value=0.5, max_value=100.0, format="%.2f"
-            ),
-            "Second": st.column_config.NumberColumn(
-                f"Again [{units.name}]", min_value=0.5, max_value=100.0, format="%.2f"
-            ),
+            # Narrow: on a phone too, what is typed stands beside what it is compared with.
+            "Picture": st.column_config.ImageColumn("", width=60),
+            "First": st.column_config.NumberColumn("By hand", width=90, **typed),
+            "Second": st.column_config.NumberColumn("Again", width=90, **typed),
+            "Program": st.column_config.NumberColumn("Program", width=80, format="%.1f"),
         },
         key=f"hand_{path.stem}_{shown[0].key}",
     )
@@ -269,10 +268,10 @@ def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict
     along = "" if view.along_m is None else f", {view.along_m:.2f} m"
     return {
         "Picture": resources.thumbnail_of(view),
-        "Fruit": f"Row {view.row or '?'}{along}, no. {view.record.number} of {view.capture}",
-        "Program": units.value(view.record.length_m),
         "First": units.value(known[0]),
         "Second": units.value(known[1]),
+        "Program": units.value(view.record.length_m),
+        "Fruit": f"Row {view.row or '?'}{along}, no. {view.record.number} of {view.capture}",
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +24,13 @@ from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
     added_words,
-    grade_name,
+    grade_words,
     interval_words,
+    kind_words,
     length_words,
     plain,
     remarks,
+    round_day,
     step_words,
 )
 from cucumbervision.errors import CucumberVisionError
@@ -82,7 +83,7 @@ def _head(graded: GradedRound, key: str) -> None:
         page_elements.name_in_address("fruit", to)
         st.session_state.pop("ruler", None)
 
-    with st.container(horizontal=True, gap="small"):
+    with st.container(horizontal=True, gap="small", key="fruit_head"):
         button(st, "All fruit", "arrow_back", go, None)
         for label, to, side in (("Previous", at - 1, "left"), ("Next", at + 1, "right")):
             there = 0 <= to < len(keys)
@@ -97,16 +98,14 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     found = graded.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
-        f"Length ({record.length.kind if record.length else 'not measured'})",
-        units.text(record.length_m),
+        kind_words(record.length and str(record.length.kind)),
+        length_words(record, units),
         interval and f"Likely between {interval.replace(' to ', ' and ')}",
         delta_color="off",
         delta_arrow="off",
     )
-    name = grade_name(found)
+    name = grade_words(found)
     st.markdown(f"**{plain(name[0].upper() + name[1:])}**")
-    for rule in found.rules:
-        st.caption(plain(rule))
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
@@ -119,7 +118,9 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if words := remarks(record, units):
         st.caption(plain(words[0].upper() + words[1:] + "."))
-    with st.expander("All figures", icon=":material/list:"):
+    with st.expander("Details", icon=":material/list:"):
+        for rule in found.rules:
+            st.caption(plain(rule))
         page_elements.table(figure_lines(record))
 
 
@@ -135,18 +136,18 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     def pick() -> None:
         store.unpick([key]) if is_picked else store.pick([key])
 
-    accept, reject = st.columns(2)
-    for place, verdict, name, icon in (
-        (accept, Verdict.ACCEPTED, "Accept", "check"),
-        (reject, Verdict.REJECTED, "Delete", "delete"),
-    ):
-        if now is verdict:
-            button(place, f"{name.rstrip('e')}ed", icon, judge, None, type="primary")
-        else:
-            button(place, name, icon, judge, verdict)
-    picked, undo = st.columns(2)
-    button(picked, "Not picked" if is_picked else "Picked", "shopping_basket", pick)
-    button(undo, "Undo", "undo", _undo, one)
+    with st.container(horizontal=True):
+        for verdict, name, done, icon in (
+            (Verdict.ACCEPTED, "Accept", "Accepted", "check"),
+            (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
+        ):
+            if now is verdict:
+                button(st, done, icon, judge, None, type="primary")
+            else:
+                button(st, name, icon, judge, verdict)
+    with st.container(horizontal=True):
+        button(st, "Not picked" if is_picked else "Picked", "shopping_basket", pick)
+        button(st, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("undo_fault", None):
         st.info(plain(fault))
 
@@ -196,8 +197,8 @@ def _capture(detail: DetectionDetail) -> Capture:
 
 
 def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
-    depth, words = depth_picture(capture.depth_m)
     record, units = detail.view.record, resources.settings().units
+    depth, words = depth_picture(capture.depth_m, units)
     ruler = st.session_state.get("ruler")
     tube = None if joint is None else joint_tube(joint, detail.view.key)
     drawn = picture(
@@ -212,7 +213,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
         zooms=True,
     )
-    simulated = ", simulated capture" if capture.simulated else ""
+    simulated = ", computer-made example" if capture.simulated else ""
     st.caption(f"{plain(detail.view.capture)}{simulated}. Depth: {words}.")
     if drawn.ruler:
         x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
@@ -344,14 +345,14 @@ def _methods(detail: DetectionDetail) -> None:
         }
         for method in record.methods
     ]
-    with st.expander("All methods", expanded=True, icon=":material/straighten:"):
+    with st.expander("All methods", icon=":material/straighten:"):
         page_elements.table(lines)
         if record.fallback:
             st.caption(f"Methods tried first: {plain(record.fallback)}")
     if detail.log:
         with st.expander("Corrections", icon=":material/history:"):
             for action in detail.log:
-                when = time.strftime("%Y-%m-%d %H:%M", time.localtime(action.at_s))
+                when = round_day(action.at_s)
                 undone = " (undone)" if action.undone else ""
                 st.write(plain(f"{when}, {action.by or 'unnamed'}: {action.kind}{undone}"))
 
@@ -363,9 +364,6 @@ def _remark(method: MethodRecord, record: DetectionRecord) -> str:
         f"measured by {method.measured_by} instead" if method.measured_by else "",
     ]
     return ", ".join(filter(None, remarks))
-
-
-_ABREAST = 4
 
 
 def _show_stops(
@@ -390,14 +388,12 @@ def _show_stops(
         return
     st.markdown(f"**Seen {len(views)} times**")
     chosen = "representative" if line is None else "best view"
-    for first in range(0, len(views), _ABREAST):
-        for column, view in zip(
-            st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
-        ):
-            if (cut := resources.cutout_of(view, joint)) is not None:
-                column.image(cut, width="stretch")
-            best = f" · {chosen}" if view.best else ""
-            column.caption(f"{step_words(view.step)}: {_length(view.record, units)}{best}")
+
+    def words(view: DetectionView) -> str:
+        best = f" · {chosen}" if view.best else ""
+        return f"{step_words(view.step)}: {_length(view.record, units)}{best}"
+
+    page_elements.pictures(views, words, joint=joint)
     if line is not None:
         how = "All that show it whole, together"
         if joint is not None:

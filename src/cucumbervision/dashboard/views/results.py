@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections import Counter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
 
 import streamlit as st
 
-from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import GradedRound
 from cucumbervision.dashboard.views import fruit as fruit_page
-from cucumbervision.dashboard.words import grade_name, plain, remarks
+from cucumbervision.dashboard.words import (
+    grade_name,
+    grade_words,
+    interval_words,
+    length_words,
+    plain,
+    remarks,
+    row_name,
+)
 from cucumbervision.exports import ExportFormat
-from cucumbervision.exports.build import round_tables
-from cucumbervision.exports.writers import write_exports
 from cucumbervision.rounds.adding import is_demonstration
 from cucumbervision.store.views import DetectionFilter, Verdict
 
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import DetectionView, RoundView
 
 _FORMATS = {
@@ -41,8 +43,8 @@ _FORMATS = {
 
 
 def _files(one: RoundView) -> None:
-    """Draw the choice of formats, and the download once it is made."""
-    chosen = st.pills(
+    """Draw the choice of formats, and the link that makes and loads the files."""
+    formats = st.pills(
         "Formats",
         list(_FORMATS),
         format_func=_FORMATS.__getitem__,
@@ -50,50 +52,14 @@ def _files(one: RoundView) -> None:
         default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
         key="formats",
     )
-    make, load = st.columns(2)
-    button(make, "Create the files", "archive", _make, one, disabled=not chosen)
-    job = page_elements.finished_job(f"export_{one.key}")
-    if job is not None and job.error:
-        st.error(plain(job.error), icon=":material/error:")
-    elif job is not None:
-        path: Path = job.result
-        # Read here, for an address that stays: a button whose file is made at the click has another
-        # one whenever the page is drawn, and a tap just then loads nothing.
-        load.download_button(
-            "Download",
-            data=path.read_bytes(),
-            on_click="ignore",
-            file_name=f"{safe_name(one.record.name or 'round')}.zip",
-            mime="application/zip",
-            icon=":material/download:",
-            type="primary",
-            width="stretch",
-        )
-
-
-@st.cache_resource(show_spinner=False)
-def _folder() -> Path:
-    return Path(tempfile.mkdtemp(prefix="cucumbervision-exports-"))
-
-
-def _make(one: RoundView) -> None:
-    # What is chosen now: the page may not have been drawn since.
-    formats = tuple(st.session_state["formats"])
-    store, rates, folder = resources.store(), resources.settings().rates, _folder()
-    name, profile = resources.profile_of(one)
-
-    def work(_: Job) -> Path:
-        tables = round_tables(store, one.key, profile, profile_name=name, rates=rates)
-        with tempfile.TemporaryDirectory(dir=folder) as made:
-            write_exports(tables, Path(made), formats)
-            return Path(shutil.make_archive(str(folder / one.key), "zip", made))
-
-    page_elements.start_job(f"export_{one.key}", "Writing the files", work)
+    if formats:
+        asked = urlencode([("formats", str(chosen)) for chosen in formats])
+        st.html(f'<a class="load" href="/api/files/{one.key}?{asked}" download>Download</a>')
 
 
 _LINES = 20
 
-_VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ deleted"}
+_VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
 
 
 @page_elements.of_round
@@ -113,7 +79,7 @@ def page(one: RoundView) -> None:
     if not fruit:
         st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
         return
-    _table(graded, fruit)
+    _list(graded, fruit)
     _charts(graded, fruit)
     _methods(one, fruit)
     _merge(one)
@@ -137,7 +103,7 @@ def _classes(one: RoundView, graded: GradedRound) -> None:
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words)}**")
     if is_demonstration(one.key):
-        says.caption("All fruit in this round are simulated.")
+        says.caption("A computer-made example.")
     with go:
         page_elements.link("today", "What is ready today")
 
@@ -174,7 +140,9 @@ def _filtered(graded: GradedRound) -> list[DetectionView]:
         chosen_name = choose(named, "Class", map(grade_name, graded.grades.values()))
         chosen_method = choose(method, "Method", (view.record.method for view in graded.fruit))
         chosen_verdict = choose(verdict, "Checked", Verdict)
-        low, high = st.slider(f"Length [{units.name}]", 0.0, highest, (0.0, highest), 0.5)
+        least, most = st.columns(2)
+        low = least.number_input(f"Shortest [{units.name}]", 0.0, highest, 0.0, 1.0, "%.1f")
+        high = most.number_input(f"Longest [{units.name}]", 0.0, highest, highest, 1.0, "%.1f")
         limited = (low, high) != (0.0, highest)
         only = DetectionFilter(
             row=chosen_row,
@@ -210,28 +178,14 @@ def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
         st.altair_chart(charts.method_chart(lines, units))
 
 
-def _table(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
-    units = resources.settings().units
+def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     shown = page_elements.page_of(fruit, "list_page", _LINES)
-    st.markdown(f"**{len(fruit)} fruit**: tick one to open it")
-    chosen = st.dataframe(
-        [_line(graded, view) for view in shown],
-        hide_index=True,
-        row_height=64,
-        height=min(len(shown), 10) * 64 + 40,
-        on_select="rerun",
-        selection_mode="single-row",
-        key=f"table_{st.session_state.get('list_page', 1)}_{len(fruit)}",
-        column_config={
-            "Picture": st.column_config.ImageColumn("", width="small"),
-            "Length": st.column_config.NumberColumn(
-                f"Length [{units.name}]", format=f"%.{units.digits}f"
-            ),
-        },
-    )
+    lines = [_line(graded, view) for view in shown]
+    words = f"{len(fruit)} fruit: tap one to open it"
+    opened = page_elements.open_fruit("fruit_list", "Fruit of this round", lines, words)
     page_elements.choose_page(fruit, "list_page", _LINES)
-    if picked := chosen["selection"]["rows"]:
-        page_elements.name_in_address("fruit", shown[picked[0]].key)
+    if opened:
+        page_elements.name_in_address("fruit", opened)
         st.rerun()
 
 
@@ -243,19 +197,15 @@ def _merge(one: RoundView) -> None:
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
-    length = record.length
-    low, high = (None, None) if length is None else map(units.value, (length.low_m, length.high_m))
-    return {
-        "Picture": resources.thumbnail_of(view),
-        "Length": units.value(record.length_m),
-        "90 %": f"{low:.1f} to {high:.1f}" if low and high else "–",
-        "Class": grade_name(graded.grades[view.key]),
-        "Row": f"{view.row or '?'} {view.side or ''}",
-        "At [m]": None if view.along_m is None else round(view.along_m, 2),
-        "Method": record.method or record.reason,
-        "Kind": "–" if length is None else str(length.kind),
-        "Views": view.views,
-        "Checked": _VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
-        "Simulated": "simulated" if view.simulated else "",
-        "Remarks": remarks(record, units),
-    }
+    interval = None if record.partial else interval_words(record, units)
+    at = "" if view.along_m is None else f", {view.along_m:.2f} m"
+    checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
+    picked = "picked" if view.picked_s else ""
+    says = [
+        length_words(record, units) + (f" ({interval})" if interval else ""),
+        grade_words(graded.grades[view.key]),
+        f"{row_name(view.row)} {view.side or ''}".strip() + at,
+        ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
+        remarks(record, units),
+    ]
+    return {"key": view.key, "picture": resources.thumbnail_of(view), "says": says}

@@ -15,7 +15,7 @@ from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.dashboard.words import (
     count_words,
     counted,
-    grade_name,
+    grade_words,
     length_words,
     plain,
     round_day,
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, RoundView
 
 _ROWS_AT_ONCE = 4
-_ABREAST = 4
 
 
 @page_elements.of_round
@@ -60,7 +59,9 @@ def _map(one: RoundView) -> None:
     st.session_state.setdefault("color_by", "Class")
     colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
     rows = sorted({line["row"] for line in lines})
-    chosen = where.multiselect("Rows and sides", rows, default=rows[:_ROWS_AT_ONCE])
+    chosen = where.pills(
+        "Rows and sides", rows, default=rows[:_ROWS_AT_ONCE], selection_mode="multi"
+    )
     if not chosen:
         st.info("Choose a row.", icon=":material/map:")
         return
@@ -74,8 +75,8 @@ def _map(one: RoundView) -> None:
         event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
         _choose(f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])])
     st.caption(
-        "One mark per fruit: a cross if it was picked, a diamond if it is simulated, hollow if "
-        "only one picture shows it. Tap a mark to see the fruit. Heights are relative to the "
+        "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, hollow if "
+        "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
         "camera."
     )
     _doubtful(graded)
@@ -101,9 +102,9 @@ def _doubtful(graded: GradedRound) -> None:
         at = keys.index(now) + 1 if now in keys else 0
         page_elements.name_in_address("fruit", keys[at % len(keys)])
 
-    words = counted(len(left), "fruit is", "fruit are")
+    words = counted(len(left), "fruit was", "fruit were")
     says, go = st.columns([3, 2], vertical_alignment="center")
-    says.markdown(f"{words} in one picture only: each may be a false detection or a duplicate.")
+    says.markdown(f"{words} seen from one stop only: may be wrong or counted twice.")
     button(go, "Show the least certain", "visibility", look)
 
 
@@ -113,7 +114,7 @@ def _fruit(one: RoundView, graded: GradedRound) -> None:
     if found is None:
         return
     units, fruit = resources.settings().units, found.fruit
-    grade = grade_name(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
+    grade = grade_words(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
     place = f"{row_name(fruit.row)}, {fruit.side or ''}, {fruit.along_m or 0:.2f} m"
     st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
     _judge(one, found)
@@ -130,16 +131,18 @@ def _fruit(one: RoundView, graded: GradedRound) -> None:
 def _judge(one: RoundView, found: FruitContext) -> None:
     store = resources.store()
     keys = [view.key for view in found.views]
-    accept, reject, look, undo = st.columns(4)
-    button(
-        accept, "This is a fruit", "check", _do, partial(store.set_verdict, keys, Verdict.ACCEPTED)
-    )
-    button(reject, "Not a fruit", "delete", _do, partial(store.set_verdict, keys, Verdict.REJECTED))
-    with look:
+    with st.container(horizontal=True):
+        accept, reject = (
+            partial(store.set_verdict, keys, x) for x in (Verdict.ACCEPTED, Verdict.REJECTED)
+        )
+        button(st, "This is a fruit", "check", _do, accept)
+        button(st, "Not a fruit", "delete", _do, reject)
+    with st.container(horizontal=True):
         page_elements.link("results", "Open", fruit=found.fruit.key)
-    button(undo, "Undo", "undo", _undo, one)
+        button(st, "Undo", "undo", _undo, one)
     if found.fruit.verdict is not None:
-        st.caption(f"Checked: {found.fruit.verdict}.")
+        accepted = found.fruit.verdict is Verdict.ACCEPTED
+        st.caption("Marked: a fruit." if accepted else "Marked: not a fruit.")
     if fault := st.session_state.pop("map_fault", None):
         st.warning(plain(fault), icon=":material/error:")
 
@@ -173,21 +176,17 @@ def _pictures(
         return
     units = resources.settings().units
     st.markdown(f"**{title}**")
-    for first in range(0, len(views), _ABREAST):
-        for column, view in zip(
-            st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
-        ):
-            cut = resources.cutout_of(view)
-            if cut is not None:
-                column.image(cut, width="stretch")
-            column.caption(
-                f"{length_words(view.record, units)} · {step_words(view.step).lower()} · "
-                f"{view.along_m or 0:.2f} m"
-            )
-            if act is not None:
-                label, icon, do = act
-                key = f"{label}_{view.key}"
-                button(column, label, icon, _do, partial(do, view.key), key=key)
+
+    def words(view: DetectionView) -> str:
+        place = f"{step_words(view.step).lower()} · {view.along_m or 0:.2f} m"
+        return f"{length_words(view.record, units)} · {place}"
+
+    def draw(view: DetectionView) -> None:
+        if act is not None:
+            label, icon, do = act
+            button(st, label, icon, _do, partial(do, view.key), key=f"{label}_{view.key}")
+
+    page_elements.pictures(views, words, draw)
 
 
 def _do(act: Callable[[], int]) -> None:

@@ -8,16 +8,16 @@ import streamlit as st
 
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
-from cucumbervision.dashboard import resources
+from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
 from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 
 _FINDERS = {
-    "auto": "The masks that come with a capture, else the networks",
-    "models": "The networks",
-    "dataset": "The masks that come with a capture",
+    "auto": "A capture's own masks, else networks",
+    "models": "Networks",
+    "dataset": "A capture's own masks",
 }
 
 
@@ -67,7 +67,7 @@ def _crop() -> None:
             }
             for c in profile.classes
         ]
-        st.dataframe(lines, hide_index=True)
+        page_elements.table(lines)
         for rule in profile.rules.values():
             st.caption(plain(rule))
     for entry in entries.values():
@@ -151,17 +151,17 @@ def _camera() -> None:
 def _how() -> None:
     now = resources.settings()
     resources.change_settings(
-        burst=st.slider("Frames per photo", 1, 15, now.burst),
-        confidence=st.slider("Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05),
+        burst=st.number_input("Frames per photo", 1, 15, now.burst),
+        confidence=st.number_input(
+            "Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05
+        ),
         input_sizes=tuple(
-            st.multiselect(
-                "Network input size, pixels (long side)",
+            st.pills(
+                "Network input size, pixels (long side); none: its own, two: both are merged",
                 sorted({*_INPUT_SIZES_PX, *now.input_sizes}),
-                now.input_sizes,
-                placeholder="Default",
-                max_selections=2,
-                help="Larger sizes find smaller fruit but are slower. Two sizes are merged.",
-            )
+                selection_mode="multi",
+                default=now.input_sizes,
+            )[-2:]
         ),
         selector=st.segmented_control(
             "Choice of method",
@@ -190,11 +190,10 @@ def _models() -> None:
             "Here": registry.state(model.name),
             "Size": f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
             "Licence": model.licence,
-            "From": model.title,
         }
         for model in registry.models
     ]
-    st.dataframe(lines, hide_index=True)
+    page_elements.table(lines)
     if registry.default("segment") is None:
         st.info(
             "This version comes without a detector of its own: fruit are found only in captures "

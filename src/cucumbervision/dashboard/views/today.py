@@ -12,10 +12,9 @@ from cucumbervision.agronomy.picking import plan_work, work_of
 from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import name_of_class
-from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import doubtful
-from cucumbervision.dashboard.words import counted, plain, round_day
+from cucumbervision.dashboard.words import counted, height_words, plain, round_day
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.adding import is_demonstration
 from cucumbervision.rounds.forecasting import Age, age_words
@@ -57,7 +56,7 @@ def _age(one: RoundView, today: Today) -> None:
         words += " Lengths include the growth expected since then."
     (st.warning if today.age is Age.OLD else st.markdown)(words)
     if is_demonstration(one.key):
-        st.info("All fruit in this round are simulated.", icon=":material/draw:")
+        st.info("A computer-made example.", icon=":material/draw:")
 
 
 def _next(one: RoundView, today: Today) -> None:
@@ -109,9 +108,11 @@ def _ready(one: RoundView, today: Today) -> None:
         page_elements.table(lines)
     if today.forecast is not None:
         span = plan_work(resources.forecast_of(one))[0].fruit
+        low, high = f"{span.low:.0f}", f"{span.high:.0f}"
+        said = low if low == high else f"{low} to {high}"
         st.caption(
-            f"{ready} fruit are left in the list below. Allowing for missed fruit and false "
-            f"detections, {span.low:.0f} to {span.high:.0f} are ready (80 %)."
+            f"{ready} fruit are left in the list below. Probably {said} ready, counting fruit we "
+            "may have missed or mistaken."
         )
 
 
@@ -140,8 +141,9 @@ def _picks(one: RoundView, today: Today) -> None:
                 continue
             if kind == TOO_LONG:
                 st.markdown("**Too long**: longer than every class; they slow the growth of others")
-            lines = _lines(picks, picked, today.simulated)
-            _list(f"picks_{kind}_{one.key}_{row.row}", lines, words)
+            lines = _lines(one, picks, picked, today.simulated)
+            key = f"picks_{kind}_{one.key}_{row.row}"
+            page_elements.fruit_list(key, "Fruit to pick", lines, words, partial(_keep, key))
         _all_picked(row, picked)
         _work(today, picked)
 
@@ -159,27 +161,25 @@ def _picked(one: RoundView, today: Today) -> set[str]:
 
 
 def _lines(
-    picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+    one: RoundView, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
-    return [
-        {
-            "key": pick.fruit.fruit_id,
-            "at": f"{pick.fruit.position_m:.2f} m {pick.fruit.side}".strip(),
-            "length": units.text(pick.fruit.length_m),
-            "grade": name_of_class(pick.name)
-            + ("" if pick.ready >= 0.8 else ", perhaps")
-            + (", simulated" if pick.fruit.fruit_id in simulated else ""),
-            "picked": _is_picked(pick, picked),
-        }
-        for pick in picks
-    ]
-
-
-def _list(key: str, lines: list[dict[str, Any]], words: str) -> None:
-    data = {"fruit": lines, "words": words}
-    # Taps are kept before anything is drawn, so that all totals count them.
-    component("picklist")(key=key, data=data, on_taps_change=partial(_keep, key))
+    views = {view.key: view for view in resources.graded_round(one).fruit}
+    lines = []
+    for pick in picks:
+        key, probably = pick.fruit.fruit_id, "" if pick.ready >= 0.8 else "probably "
+        view = views.get(key)
+        says = [
+            f"{pick.fruit.position_m:.2f} m {pick.fruit.side}".strip(),
+            units.text(pick.fruit.length_m),
+            probably + name_of_class(pick.name),
+            "" if view is None else height_words(view.record, units),
+            "computer-made" if key in simulated else "",
+        ]
+        picture = None if view is None else resources.thumbnail_of(view)
+        picked_now = _is_picked(pick, picked)
+        lines.append({"key": key, "picture": picture, "says": says, "picked": picked_now})
+    return lines
 
 
 def _keep(key: str) -> None:

@@ -1,0 +1,127 @@
+"""Every page on a desktop, a tablet and a phone: readable, in reach of a thumb, nothing cut off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("axe_playwright_python")
+
+from axe_playwright_python.sync_playwright import Axe
+
+from cucumbervision.capture.source import example_captures
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import open_store
+
+WALK, TODAY = key_of("walk"), key_of("today")
+SIZES = {"desktop": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
+# Each with words that are there once it is drawn.
+PAGES = {
+    "today": ("/", "Pick list"),
+    "capture": ("/capture", "press as fast as you walk"),
+    "upload": ("/upload", "Measure these files"),
+    "results": ("/results", "tap one to open it"),
+    "fruit": ("/results?fruit={fruit}", "Details"),
+    "map": ("/map?fruit={fruit}", "This is a fruit"),
+    "stop": ("/map?stop={stop}", "Delete this stop"),
+    "forecast": ("/forecast", "80 % intervals"),
+    "accuracy": ("/accuracy", "Measured by hand"),
+    "settings": ("/settings", "Networks"),
+}
+LEAST_PX = 40
+
+# What reaches beyond the screen, words that end in '…', and what is too small for a thumb.
+LOOK = """(least) => {
+  const every = (root) => [...root.querySelectorAll('*')].flatMap(
+    (node) => [node, ...(node.shadowRoot ? every(node.shadowRoot) : [])]);
+  const words = (node) => `${node.tagName.toLowerCase()} '${
+    (node.getAttribute('aria-label') || node.innerText || node.value || '').trim().slice(0, 40)}'`;
+  const found = { cut: [], small: [] };
+  if (document.documentElement.scrollWidth > innerWidth) found.cut.push('the page');
+  for (const node of every(document.body)) {
+    const box = node.getBoundingClientRect(), style = getComputedStyle(node);
+    if (box.width < 2 || box.height < 2 || style.visibility === 'hidden') continue;
+    if (node.closest('canvas, svg, [data-testid=stDataFrame], .quiet, footer')) continue;
+    const own = [...node.childNodes].some((one) => one.nodeType === 3 && one.data.trim());
+    const hides = style.overflowX !== 'visible' && style.textOverflow === 'ellipsis';
+    const beyond = box.right > innerWidth + 1 || (hides && node.scrollWidth > node.clientWidth + 1);
+    if (own && beyond && node.innerText) found.cut.push(words(node));
+    const tapped = 'button, a[href], input, select, summary, [role=button], [role=tab]';
+    if (!node.matches(tapped) || node.disabled || node.closest('[aria-hidden=true]')) continue;
+    // A link in a sentence is text; what is tapped for a field is all that surrounds it.
+    if (style.display === 'inline' && node.tagName === 'A') continue;
+    const around = 'label, [data-baseweb=select], [data-testid=stSelectbox]';
+    const at = (node.closest('[data-testid=stTooltipIcon]') ? node : node.closest(around) || node)
+      .getBoundingClientRect();
+    if (at.height < least - 0.5 || at.width < least - 0.5)
+      found.small.push(`${words(node)} ${Math.round(at.width)} x ${Math.round(at.height)}`);
+  }
+  return found;
+}"""
+
+# One server and one browser, and no limit that a busy machine could reach.
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
+
+
+@pytest.fixture(scope="module")
+def address(
+    made: Path, tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., str]
+) -> tuple[str, dict[str, str]]:
+    """A server with a round of today, and what the addresses of its pages name."""
+    folder = tmp_path_factory.mktemp("sizes")
+    path = folder / "house.db"
+    shutil.copyfile(made, path)
+    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    with open_store(path) as store:
+        today = RoundRecord(TODAY, "morning", "house 1", profile="long-cucumber")
+        store.save_round(today)
+        for number, stop in enumerate(store.stops(WALK)):
+            record = replace(store.stop(stop.key), key=key_of("today", number), round_key=TODAY)
+            store.save_stop(replace(record, taken_s=today.started_s + number))
+        fruit = next(view for view in store.detections(TODAY) if view.record.length_m)
+    server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
+    return server, {"fruit": fruit.key, "stop": fruit.stop_key}
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_for_everybody(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any], name: str, size: str
+) -> None:
+    server, named = address
+    path, words = PAGES[name]
+    width, height = SIZES[size]
+    page, said = new_page(width, height, has_touch=size != "desktop"), list[str]()
+    page.on("console", lambda line: said.append(line.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    query = "&" if "?" in path else "?"
+    page.goto(f"{server}{path.format(**named)}{query}round={TODAY}")
+    page.get_by_text(words).first.wait_for()
+    page.locator('[data-testid="stSkeleton"]').first.wait_for(state="hidden")
+    page.wait_for_timeout(1500)
+    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
+        # Streamlit's pages scroll within: as high as all that is on them.
+        within = "(document.querySelector('.stMain') || document.body).scrollHeight"
+        page.set_viewport_size({"width": width, "height": max(page.evaluate(within), height)})
+        page.wait_for_timeout(1000)
+        page.screenshot(path=Path(folder) / f"{name}-{size}.png")
+        page.set_viewport_size({"width": width, "height": height})
+    rules = Axe().run(page).response["violations"]
+    grave = [
+        f"{rule['id']}: {node['target']} {node['html'][:200]} {node['failureSummary']}"
+        for rule in rules
+        if rule["impact"] in ("serious", "critical")
+        for node in rule["nodes"]
+    ]
+    seen = page.evaluate(LOOK, LEAST_PX)
+    page.context.close()
+    assert grave == []
+    assert said == []
+    assert seen == {"cut": [], "small": []}

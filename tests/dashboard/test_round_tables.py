@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -57,7 +59,7 @@ def walked(store: Store) -> str:
     best = [view for view in store.detections(one.key) if view.best]
     assert max(view.views for view in best) > 1
     deleted, picked, hidden = best[0], best[1], best[2]
-    page("results", one.key, fruit=deleted.key, press="Delete")
+    page("results", one.key, fruit=deleted.key, press="Not a fruit")
     store.pick([picked.key])
     store.correct(hidden.key, replace(hidden.record, flags="end-hidden", length=Length(0.36)))
     return one.key
@@ -74,6 +76,64 @@ def page(name: str, round_key: str, *, fruit: str = "", press: str = "") -> AppT
         next(button for button in test.button if button.label == press).click().run()
     assert not test.exception
     return test
+
+
+def table(test: AppTest) -> list[dict[str, str]]:
+    """The lines of a page's last table, as it is drawn."""
+    lines = test.table[-1].value.to_dict("records")
+    return [{name: value.replace("\\", "") for name, value in line.items()} for line in lines]
+
+
+def captions(test: AppTest) -> str:
+    return " ".join(str(part.value) for part in (*test.markdown, *test.caption))
+
+
+def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: str) -> None:
+    profile, units = load_profile("long-cucumber"), Units("cm")
+    files = round_tables(store, walked, profile, pictures=False)
+    lines = files["fruit"].rows
+    graded = grade_round(read_round(store, walked), fruit_table(read_round(store, walked)), profile)
+
+    # The list of the results: each fruit of the files, with its length and class.
+    results = page("results", walked)
+    [drawn] = [x for x in results.get("bidi_component") if "fruitlist" in x.proto.component_name]
+    listed = json.loads(drawn.proto.json)["fruit"]
+    assert f"{len(lines)} fruit" in json.loads(drawn.proto.json)["words"]
+    lengths = Counter(one["says"][0].split(" (")[0].removeprefix("at least ") for one in listed)
+    assert lengths == Counter(units.text(line["length_cm"] / 100) for line in lines)
+    classes = Counter(one["says"][1].removeprefix("probably ") for one in listed)
+    written = Counter(f"class {line['grade']}" for line in lines)
+    for name in ("class I", "class II"):
+        assert classes[name] == written[name]
+    others = classes["too short"] + classes["too long"]
+    assert others == written["class out of grade"] > 0
+    said = ", ".join(f"{number} {name}" for name, number in sorted(classes.items()))
+    assert f"**{said}**" in captions(results)
+
+    # The map: the same fruit, the picked one crossed.
+    marks = map_lines(graded, units)
+    assert Counter(units.text(x["length"] / 100) for x in marks) == lengths
+    assert [x["mark"] for x in marks].count("picked") == files.summary["picked"] == 1
+    picked = next(x for x in marks if x["mark"] == "picked")
+    assert "picked" in next(x for x in listed if x["key"] == picked["key"])["says"][3]
+    [row] = files["rows"].rows
+    expected = f"{row['expected_fruit']:.0f}"
+    assert f"{row['fruit']} seen, about {expected} real" in captions(page("row_map", walked))
+    assert files.summary["expected_fruit"] == row["expected_fruit"]
+
+    # Work and crates of the days, and of today.
+    work = files["work"].rows
+    shown = table(page("forecast", walked))
+    days = [line for line in work if line["fruit_high"] >= 1]
+    assert len(shown) == len(days) > 1
+    for line, day in zip(shown, days, strict=True):
+        assert line["Fruit"].split(" ")[0] == f"{day['fruit']:.0f}"
+        if day["fruit"] >= 1:  # of less than a minute a file keeps too few digits
+            assert line["Work"].split(" (")[0] == hours_words(day["hours"])
+    today = captions(page("today", walked))
+    crates = f"{work[0]['crates']:.0f} crate"
+    assert f"About {hours_words(work[0]['hours'])} and {crates}" in today
+    assert f"{work[0]['fruit']:.0f} fruit are left" in today
 
 
 def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> None:

@@ -130,6 +130,6 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
 
 
 def _mark_of(view: DetectionView) -> str:
-    if view.simulated:
-        return "simulated"
-    return "seen" if view.picked_s is None else "picked"
+    if view.picked_s is not None:
+        return "picked"
+    return "simulated" if view.simulated else "seen"

@@ -405,7 +405,7 @@ def test_today_counts_what_is_ready(house: Path) -> None:
         ]
     test = app("today", round=fresh.key)
     shown = {metric.label: metric.value for metric in test.metric}
-    assert "of today" in said(test)
+    assert "Measured today" in said(test)
     assert int(shown["Ready today"]) + int(shown.get("Too long", 0)) >= len(ready) > 0
 
 

@@ -191,10 +191,23 @@ def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
     there = asked.post("/api/fruit", json={**fruit, "point": middle})
     assert there.status_code == 409
     assert "there already" in there.json()["error"]
-    for part in ({"capture": "other", "point": middle}, {}):
-        gone = asked.post("/api/fruit", json={**fruit, **part})
+    for path in ("/api/fruit", "/api/outline"):
+        gone = asked.post(path, json={**fruit, "capture": "other", "point": middle})
         assert "not there any more" in gone.json()["error"]
+        assert asked.post(path, json=fruit).status_code == 400
     assert len(store.detections(WALK)) == 8
+
+
+def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Store) -> None:
+    view = store.detections(WALK)[0]
+    box = view.record
+    edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
+    sent = {"stop": view.stop_key, "capture": view.capture, "box": edges}
+    (line,) = asked.post("/api/outline", json=sent).json()["outline"]
+    points = np.reshape(line, (-1, 2))
+    drawn = [*points.min(axis=0), *points.max(axis=0)]
+    np.testing.assert_allclose(drawn, edges, atol=0.1 * (edges[2] - edges[0]))
+    assert store.detection(view.key).view == view
 
 
 def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:

@@ -103,7 +103,7 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
     assert sum(one.saved for one in told) == 2
     lost = [one for one in told if not one.saved]
     assert [one.name for one in lost] == ["odd.png", "upload"]
-    assert "has no partner" in lost[0].words
+    assert "has no matching picture" in lost[0].words
     assert "intrinsics" in lost[1].words
     # Drawn: in the demonstration, from the given place on, backwards.
     assert store.stops(ROUND.key) == []

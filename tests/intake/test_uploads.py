@@ -80,7 +80,7 @@ def test_loose_pairs_are_matched_by_name_and_go_by_it(
 
 def test_pictures_without_any_partner_are_refused_each(tmp_path: Path, depth_png: bytes) -> None:
     got = send(tmp_path, depth_8__png=depth_png, notes__txt=b"hello")
-    assert "has no partner" in faults(got)["depth_8.png"]
+    assert "has no matching picture" in faults(got)["depth_8.png"]
     assert got.ignored == ["notes.txt"]
     assert not got.folder.exists()
 
@@ -123,7 +123,7 @@ def test_what_it_is_goes_by_the_bytes_and_not_by_the_ending(
     )
     (ref,) = got.sources[0].open()
     assert ref.load().fill == 1.0
-    assert "of no kind that is accepted" in faults(got)["evil.exe"]
+    assert "not a file type we can read" in faults(got)["evil.exe"]
     assert "empty" in faults(got)["empty.png"]
 
 
@@ -254,15 +254,15 @@ def test_bombs_are_refused_by_ratio_size_and_number(tmp_path: Path) -> None:
 def test_exactly_as_many_members_as_allowed_are_taken(tmp_path: Path, depth_png: bytes) -> None:
     two = {"colour_2.jpg": b"MZ", "depth_1.png": depth_png}
     packed = zip_of(*two.items(), ("__MACOSX/._x", b"0"), ("folder/", b""))
-    for members, message in ((2, "has no partner"), (1, "holds more than 1 files")):
+    for members, message in ((2, "has no matching picture"), (1, "holds more than 1 files")):
         got = send(tmp_path / str(members), Limits(members=members), a__zip=packed)
         assert message in " ".join(faults(got).values())
     # All zips of an upload share the number: the second zip's are one too many.
     got = send(tmp_path / "3", Limits(members=3), a__zip=packed, b__zip=packed)
-    assert "has no partner" in faults(got)["a.zip: depth_1.png"]
+    assert "has no matching picture" in faults(got)["a.zip: depth_1.png"]
     assert "holds more than 3 files" in faults(got)["b.zip"]
     got = send(tmp_path / "4", Limits(members=4), a__zip=packed, b__zip=packed)
-    assert all("has no partner" in text for text in faults(got).values())
+    assert all("has no matching picture" in text for text in faults(got).values())
 
 
 def test_a_zip_that_lies_about_its_sizes_is_stopped_while_unpacking(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from urllib.parse import quote
 from cucumbervision.about import source_offer
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.fruit_view import stop_layers
+from cucumbervision.dashboard.fruit_view import mask_outline, stop_layers
 from cucumbervision.dashboard.words import (
     added_words,
     grade_name,
@@ -24,9 +24,10 @@ from cucumbervision.rounds.walking import next_place, sides_of
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Stop
+    from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.shutter import Pressed
+    from cucumbervision.store.records import StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView, StopView
 
@@ -174,6 +175,28 @@ def take_back(store: Store, key: str) -> str:
     return "The last stop was deleted. 'Undo' on the row map brings it back"
 
 
+def outline(
+    stop_key: str,
+    name: str,
+    point: tuple[float, float] | None,
+    box: tuple[float, float, float, float] | None,
+) -> dict[str, Any]:
+    """Return the outlines of what lies at a point or in a box, to be seen before it is measured.
+
+    Raises
+    ------
+    InstancesError
+        If there is nothing.
+    """
+    _, capture = _picture_of(stop_key, name)
+    measurer = resources.measurer()
+    job = resources.worker().submit(
+        "Outlining the fruit", lambda _: measurer.mask_of(capture, point, box)
+    )
+    job.wait()
+    return {"outline": mask_outline(job.result)}
+
+
 def add_fruit(
     store: Store,
     stop_key: str,
@@ -188,17 +211,22 @@ def add_fruit(
     InstancesError
         If there is none, or it is there already.
     """
-    record = store.stop(stop_key)
-    taken = next((one for one in record.captures if one.name == name), None)
-    if taken is None or (point is None and box is None):
-        raise StoreError("this picture is not there any more", remedy="reload the page")
-    capture = stored_capture(store.images, taken, record)
+    record, capture = _picture_of(stop_key, name)
     options, measurer = resources.settings().options, resources.measurer()
 
     def work(_: Job) -> str:
         mask = measurer.mask_of(capture, point, box)
         return measurer.add(store, record, capture, mask, options)
 
-    job = resources.worker().submit("Outlining the fruit", work)  # its networks serve one at a time
+    job = resources.worker().submit("Measuring the fruit", work)  # its networks serve one at a time
     job.wait()
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
+
+
+def _picture_of(stop_key: str, name: str) -> tuple[StopRecord, Capture]:
+    store = resources.store()
+    record = store.stop(stop_key)
+    taken = next((one for one in record.captures if one.name == name), None)
+    if taken is None:
+        raise StoreError("this picture is not there any more", remedy="reload the page")
+    return record, stored_capture(store.images, taken, record)

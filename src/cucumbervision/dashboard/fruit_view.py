@@ -143,7 +143,7 @@ def fruit_layers(
     layers = []
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
-        areas = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
+        areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
         layers.append(layer("Mask", _MASK_COLOR, True, areas))
     layers.append(layer("Box", _BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
@@ -255,7 +255,7 @@ def stop_layers(
             lines = [_box_line(record)]
         else:
             mask = decode_rle(rle, capture.height_px, capture.width_px)
-            lines = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
+            lines = [{"kind": "area", "points": line} for line in mask_outline(mask)]
         at = [(record.box_x1_px + record.box_x2_px) / 2, (record.box_y1_px + record.box_y2_px) / 2]
         text = length_words(record, units)
         shapes["shapes"] += [*lines, {"kind": "label", "points": at, "text": text}]
@@ -277,14 +277,14 @@ def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any
     return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
 
 
-def _mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
+def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
     """Return a mask's outlines as polygons: x and y after each other, pixels.
 
     Examples
     --------
     >>> mask = np.zeros((6, 6), bool)
     >>> mask[1:5, 1:4] = True
-    >>> _mask_outline(mask)
+    >>> mask_outline(mask)
     [[1, 1, 1, 4, 3, 4, 3, 1]]
     """
     found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -400,7 +400,9 @@ def picture(
     ruler_text: str = "",
     title: str = "",
     focus_px: tuple[float, float, float, float] | None = None,
-    zooms: bool = False,
+    place: Mapping[str, str] | None = None,
+    adds: bool = False,
+    outcome: tuple[object, str] = ("", ""),
 ) -> Any:
     """Draw a picture that takes clicks, which Streamlit's own does not.
 
@@ -424,8 +426,12 @@ def picture(
         What the picture shows, for screen readers.
     focus_px : tuple of float, optional
         Box that the picture opens on.
-    zooms : bool
-        Whether it can be zoomed, moved and shown on the full screen.
+    place : mapping of str to str
+        'stop' and 'capture' of the picture, for what is outlined in it.
+    adds : bool
+        Whether a point or box adds a fruit; else it is returned.
+    outcome : tuple of object and str
+        The last correction, and what became of it, which is said over the picture.
 
     Returns
     -------
@@ -444,7 +450,10 @@ def picture(
         "rulerText": ruler_text,
         "title": title,
         "focus": focus_px and list(focus_px),
-        "zooms": zooms,
+        **(place or {}),
+        "adds": adds,
+        "job": outcome[0],
+        "told": outcome[1],
     }
     # The page reads the values itself; a callback makes the component send them.
     callbacks = {f"on_{name}_change": lambda: None for name in _MARKS}

@@ -127,6 +127,7 @@ class SharedMeasurer:
         detail: DetectionDetail,
         mask: NDArray[np.bool_],
         options: MeasureOptions,
+        drawn_by: MaskSource = MaskSource.SAM,
     ) -> int:
         """Measure a fruit of the store anew with this mask, and let that stand; logged.
 
@@ -140,7 +141,7 @@ class SharedMeasurer:
         _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
         keypoints = _kept_keypoints(record.keypoints, mask)
         instance = Instance(
-            box_of_mask(mask), record.score, record.label, mask, MaskSource.SAM, None, keypoints
+            box_of_mask(mask), record.score, record.label, mask, drawn_by, None, keypoints
         )
         corrected = self._placed(capture, detail.stop, instance, record.number, options)
         return store.correct(detail.view.key, corrected)

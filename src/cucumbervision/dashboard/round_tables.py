@@ -116,7 +116,7 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
         {
             "key": view.key,
             "row": row_name(view.row) + (f", {view.side}" if view.side else ""),
-            "along": round(view.along_m, 2),
+            "along": round(max(view.along_m, 0.0), 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
             "class": grade_name(graded.grades[view.key]),

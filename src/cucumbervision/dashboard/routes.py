@@ -21,7 +21,7 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 import streamlit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
@@ -116,6 +116,12 @@ class SentFruit(_Sent):
     point: tuple[float, float] | None = None
     box: tuple[float, float, float, float] | None = None
 
+    @model_validator(mode="after")
+    def _names_a_place(self) -> SentFruit:
+        if self.point is None and self.box is None:
+            raise ValueError("neither a point nor a box")
+        return self
+
 
 def _answer(
     work: Callable[[Request, Any], Any],
@@ -189,6 +195,12 @@ def _add_fruit(request: Request, content: bytes) -> Any:
     return capture_state.add_fruit(
         _store_of(request), sent.stop, sent.capture, sent.point, sent.box
     )
+
+
+@_answer
+def _outline(request: Request, content: bytes) -> Any:  # noqa: ARG001
+    sent = SentFruit.model_validate_json(content)
+    return capture_state.outline(sent.stop, sent.capture, sent.point, sent.box)
 
 
 @_answer
@@ -433,6 +445,7 @@ def routes() -> list[Route | WebSocketRoute]:
         Route("/api/rounds", _begin, methods=post),
         Route("/api/undo", _undo, methods=post),
         Route("/api/fruit", _add_fruit, methods=post),
+        Route("/api/outline", _outline, methods=post),
         Route("/api/uploads", _begin_upload, methods=post),
         Route("/api/uploads/{upload}/{number}", _receive, methods=post),
         Route("/api/camera", _retry, methods=post),

@@ -110,6 +110,17 @@ def kind_words(kind: str | None) -> str:
     }.get(kind or "", "")
 
 
+def metres_words(along_m: float | None) -> str:
+    """Return a position along a row: a row begins at 0, also where a fruit hangs before it.
+
+    Examples
+    --------
+    >>> metres_words(1.204), metres_words(-0.12)
+    ('1.20 m', '0.00 m')
+    """
+    return f"{max(along_m or 0.0, 0.0):.2f} m"
+
+
 def height_words(record: DetectionRecord, units: Units) -> str:
     """Return how high a fruit hangs, empty where that is not known.
 

@@ -319,13 +319,13 @@ def _needs_partner(name: PurePosixPath, used: set[PurePosixPath]) -> bool:
 def _left_alone(shown: str, suffix: str) -> CaptureError:
     if suffix in _PICTURES:
         return CaptureError(
-            "has no partner: a capture is a colour and a depth picture",
+            "has no matching picture: a capture is a colour and a depth picture",
             source=shown,
             remedy="send both, named alike but for the words color and depth, and an "
             "intrinsics.json",
         )
     return UploadError(
-        "is of no kind that is accepted",
+        "is not a file type we can read",
         source=shown,
         remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
         "them",

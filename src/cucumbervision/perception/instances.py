@@ -40,11 +40,12 @@ class MaskSource(StrEnum):
     SAM = "sam"
     DETECTOR = "detector"
     DATASET = "dataset"
+    HAND = "hand"
 
     @property
     def words(self) -> str:
         """Name shown to users."""
-        return {"sam": "SAM", "detector": "detector", "dataset": "data set"}[self.value]
+        return {"sam": "SAM", "dataset": "data set"}.get(self.value, self.value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,6 +105,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     wait_for_action(path, "correct")
     after = opened()
     assert after.view.corrected
+    assert after.view.record.mask_source == "hand"
     u, v = np.rint(axis[-1] + 12 * ahead).astype(int)
     assert mask_of(after)[v, u]
     assert not mask_of(before)[v, u]
@@ -113,7 +114,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     # A fruit that was missed is added by a tap on its middle.
     page.get_by_text("Tap or draw a box to add a missed fruit").click()
     page.get_by_role("button", name="Whole").click()
-    page.get_by_role("button", name="By a tap").click()
+    page.get_by_role("button", name="Add by tap").click()
     lost = missed[capture]
     middle = axis_px(lost)[len(axis_px(lost)) // 2]
     page.mouse.click(*on_screen(page, middle))

@@ -68,7 +68,10 @@ function showWalk(walk) {
     own.home = walk.home;
     own.mine = null;
     const kept = JSON.parse(localStorage.getItem(`place-${walk.home}`) || "null");
-    usePlace(kept && Date.now() - kept.at < 12 * 3600e3 && walk.place.row === kept.place.row ? kept.place : walk.place);
+    // Was the last stop saved at another place since, the walk goes on from there.
+    const moved = kept?.from && kept.from.key === walk.from?.key && JSON.stringify(kept.from) !== JSON.stringify(walk.from);
+    const still = kept && !moved && Date.now() - kept.at < 12 * 3600e3 && walk.place.row === kept.place.row;
+    usePlace(still ? kept.place : walk.place);
   } else if (own.mine && walk.from?.key === own.mine.key && ["row", "side", "position_m"].some((name) => walk.from[name] !== own.mine[name])) {
     // Its place was corrected: the walk goes on from there.
     own.mine = walk.from;
@@ -92,13 +95,13 @@ function usePlace(place) {
   $("position").value = place.position_m.toFixed(2);
   $("step").value = place.step_m.toFixed(2);
   $("way").value = place.back ? "back" : "onward";
-  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, at: Date.now() }));
+  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, from: own.walk?.from, at: Date.now() }));
 }
 
 function readPlace() {
   const number = (id, known) => { const value = $(id).valueAsNumber; return Number.isFinite(value) ? Math.min(Math.max(value, 0), 10000) : known; };
   own.place = { row: $("row").value.trim(), side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
-  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, at: Date.now() }));
+  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, from: own.walk?.from, at: Date.now() }));
 }
 
 // Positions end at 0: from there a walk goes on upwards only when somebody says so.
@@ -278,22 +281,15 @@ $("new").onclose = async () => {
 for (const id of ["row", "side", "position", "step", "way"]) $(id).onchange = readPlace;
 
 // ---- The last stop.
-let template = null;
+let template = null, drawn = "", told = "";
 async function pictureNode(capture, stop) {
   template = template || Promise.all(["picture.css", "picture.html"].map((name) => fetch(`/capture/${name}`).then((found) => found.text())));
   const [css, html] = await template, node = document.createElement("div"), root = node.attachShadow({ mode: "open" });
   root.innerHTML = `<style>${css}</style>${html}`;
   const [width, height] = capture.size;
-  const data = { images: { Colour: capture.picture }, width, height, layers: capture.layers, bar: null, tools: ["point", "box"], rulerText: "", title: "The fruit of the last stop", focus: null, zooms: true };
-  const add = async (kind, value) => {
-    show($("fault"), "Drawing the outline …");
-    try {
-      const answer = await post("/api/fruit", { stop: stop.key, capture: capture.name, [kind]: value }, 120000);
-      show($("fault"), answer.words);
-    } catch (fault) { show($("fault"), fault.message); }
-    readWalk();
-  };
-  drawPicture({ data, parentElement: root, setTriggerValue: add });
+  const data = { images: { Colour: capture.picture }, width, height, layers: capture.layers, bar: null, tools: ["point", "box"], rulerText: "", title: "The fruit of the last stop", focus: null, stop: stop.key, capture: capture.name, adds: true, job: told, told };
+  told = "";
+  drawPicture({ data, parentElement: root, setTriggerValue: (_, words) => { told = words; drawn = ""; readWalk(); } });
   return node;
 }
 
@@ -314,7 +310,6 @@ function fruitTable(capture) {
   return table;
 }
 
-let drawn = "";
 async function drawLast(last) {
   const text = JSON.stringify(last);
   if (text === drawn) return;

@@ -1,17 +1,41 @@
 // A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with.
 const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
-  "": "Pinch, wheel or + and − to zoom, drag to move.",
+  "": "Pinch or + and − to zoom, then drag to move; Ctrl and wheel with a mouse.",
   ruler: "Tap two points: the straight distance between them is measured in depth.",
   point: "Tap the middle of the fruit: its outline is drawn.",
   box: "Drag a box around the fruit: its outline is drawn.",
   brush: "Paint what belongs to the fruit as well; two fingers move the picture.",
   erase: "Paint what does not belong to the fruit; two fingers move the picture.",
 };
-const NAMES = { ruler: "Ruler", point: "By a tap", box: "By a box", brush: "Brush", erase: "Rubber" };
+const NAMES = { ruler: "Ruler", point: "Redraw by tap", box: "Redraw by box", brush: "Brush", erase: "Rubber" };
 const DRAGGED = ["box", "brush", "erase"];
 const NEAREST = 20, BRUSH = 13;
+const PATIENCE_MS = 120000;
 const state = new WeakMap();
+
+async function post(path, content) {
+  const answer = await fetch(path, { method: "POST", body: JSON.stringify(content), signal: AbortSignal.timeout(PATIENCE_MS) });
+  const found = await answer.json().catch(() => ({}));
+  if (!answer.ok) throw new Error(found.error || "Not admitted: reload the page.");
+  return found;
+}
+
+// What was tapped is outlined at once, and measured then: added here, or by whom it is sent to.
+async function prompt(data, own, kind, value, redraw, send) {
+  const asked = { stop: data.stop, capture: data.capture, [kind]: value };
+  const tell = (words, draft) => { Object.assign(own, { told: words, draft }); redraw(); };
+  tell("Outlining …", []);
+  try {
+    const { outline } = await post("/api/outline", asked);
+    tell("Measuring …", outline);
+    if (!data.adds) { send(kind, value); return; }
+    const { words } = await post("/api/fruit", asked);
+    own.stale = true; // the next picture has it among its layers
+    tell(words, outline);
+    send("added", words);
+  } catch (fault) { tell(fault.message, []); }
+}
 
 function make(name, attributes, parent) {
   const node = document.createElementNS(SVG, name);
@@ -86,7 +110,8 @@ function draw(root, data, own) {
   const { x, y, w } = own.view, h = (w * data.height) / data.width;
   const unit = w / 900;
   svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
-  svg.style.touchAction = own.tool || w < data.width ? "none" : "pan-y";
+  // A finger on a picture that nobody zoomed scrolls the page.
+  svg.style.touchAction = DRAGGED.includes(own.tool) || own.zoomed ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
   svg.classList.toggle("drawing", own.tool !== "");
   svg.replaceChildren();
@@ -99,9 +124,11 @@ function draw(root, data, own) {
     const [x1, y1, x2, y2] = own.drag;
     make("rect", { x: Math.min(x1, x2), y: Math.min(y1, y2), width: Math.abs(x2 - x1), height: Math.abs(y2 - y1), fill: "none", stroke: "#ff0", "stroke-width": 3 * unit }, svg);
   }
-  if (own.stroke) {
-    const ink = own.tool === "brush" ? "#0f0" : "#f00";
-    make("polyline", { points: own.stroke.join(" "), fill: "none", stroke: ink, "stroke-opacity": 0.5, "stroke-width": 2 * BRUSH * unit, "stroke-linecap": "round", "stroke-linejoin": "round" }, svg);
+  for (const line of own.draft) make("polygon", { points: line.join(" "), fill: "#ff0", "fill-opacity": 0.25, stroke: "#ff0", "stroke-width": 2.5 * unit, "stroke-dasharray": `${8 * unit}` }, svg);
+  const painted = own.stroke || own.painted;
+  if (painted) {
+    const ink = own.tool === "erase" ? "#f00" : "#0f0";
+    make("polyline", { points: painted.join(" "), fill: "none", stroke: ink, "stroke-opacity": 0.5, "stroke-width": 2 * BRUSH * unit, "stroke-linecap": "round", "stroke-linejoin": "round" }, svg);
   }
   if (data.bar) drawBar(svg, data.bar, { x, y, w, h }, unit);
 }
@@ -140,7 +167,7 @@ function chips(root, data, own, again) {
     chip(layers, layer.name, own.on[layer.name], layer.color, () => { own.on[layer.name] = !own.on[layer.name]; again(); });
   }
   for (const tool of data.tools) {
-    chip(tools, NAMES[tool], own.tool === tool, "", () => {
+    chip(tools, data.adds ? NAMES[tool].replace("Redraw", "Add") : NAMES[tool], own.tool === tool, "", () => {
       own.tool = own.tool === tool ? "" : tool;
       own.ends = [];
       own.drag = null;
@@ -148,27 +175,29 @@ function chips(root, data, own, again) {
     });
   }
   const middle = () => [own.view.x + own.view.w / 2, own.view.y + (own.view.w * data.height) / data.width / 2];
-  const look = (label, view) => chip(tools, label, false, "", () => { own.view = view(); again(); });
-  if (data.zooms) {
-    look("+", () => zoomed(own.view, data, 1.5, middle()));
-    look("−", () => zoomed(own.view, data, 1 / 1.5, middle()));
-    look("Whole", () => ({ x: -0.5, y: -0.5, w: data.width }));
-    chip(tools, "Full screen", false, "", () => {
-      if (document.fullscreenElement) document.exitFullscreen();
-      else root.host.requestFullscreen?.();
-    });
-  }
-  root.querySelector(".hint").textContent = data.zooms || own.tool ? HINTS[own.tool] : "";
+  const look = (label, view, zoomed = true) => chip(tools, label, false, "", () => { Object.assign(own, { view: view(), zoomed }); again(); });
+  look("+", () => zoomed(own.view, data, 1.5, middle()));
+  look("−", () => zoomed(own.view, data, 1 / 1.5, middle()));
+  look("Whole", () => ({ x: -0.5, y: -0.5, w: data.width }), false);
+  chip(tools, "Full screen", false, "", () => {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else root.host.requestFullscreen?.();
+  });
+  root.querySelector(".hint").textContent = HINTS[own.tool];
 }
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
-  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, fingers: new Map(), moved: false };
+  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, zoomed: false, fingers: new Map(), moved: false };
   state.set(root, own);
+  if (own.stale) Object.assign(own, { stale: false, draft: [] });
+  if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [], painted: null });
   own.view = own.view || opening(data);
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;
   const svg = root.querySelector("svg");
-  const again = () => { draw(root, data, own); chips(root, data, own, again); };
+  const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
+  const again = () => { redraw(); chips(root, data, own, again); };
+  const send = (kind, value) => prompt(data, own, kind, value, redraw, setTriggerValue);
   const raw = (event) => {
     const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
     return [point.x, point.y];
@@ -196,10 +225,11 @@ export default function (component) {
     const now = raw(event);
     if (own.fingers.size === 1 && own.drag) own.drag = [own.drag[0], own.drag[1], ...at(event)];
     else if (own.fingers.size === 1 && own.stroke) own.stroke = [...own.stroke, ...at(event)];
-    else if (data.zooms && (own.fingers.size > 1 || own.tool === "")) {
+    else if (own.fingers.size > 1 || (own.tool === "" && (own.zoomed || event.pointerType === "mouse"))) {
       const other = [...own.fingers].find(([id]) => id !== event.pointerId)?.[1];
       const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
       // Points are kept in the picture's own frame: what lies under a finger stays under it.
+      own.zoomed = own.zoomed || own.fingers.size > 1;
       if (other && apart(before) > 1) own.view = zoomed(own.view, data, apart(now) / apart(before), other);
       else own.view = held({ x: own.view.x + before[0] - now[0], y: own.view.y + before[1] - now[1], w: own.view.w }, data);
       if (Math.hypot(before[0] - now[0], before[1] - now[1]) > own.view.w / 200) own.moved = true;
@@ -213,25 +243,28 @@ export default function (component) {
     own.fingers.delete(event.pointerId);
     if (own.drag) {
       const [x1, y1, x2, y2] = own.drag;
-      if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) setTriggerValue("box", own.drag);
+      if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) send("box", own.drag);
     }
     if (own.stroke) {
       const radius = Math.round((10 * BRUSH * own.view.w) / 900) / 10;
       setTriggerValue("stroke", { points: own.stroke, radius, erase: own.tool === "erase" });
-      own.stroke = null;
+      Object.assign(own, { painted: own.stroke, stroke: null, told: "Measuring …" });
+      redraw();
     }
   };
   svg.onpointerup = lift;
   svg.onpointercancel = lift;
   svg.onpointerleave = (event) => { if (!own.drag && !own.stroke) own.fingers.delete(event.pointerId); };
-  svg.onwheel = !data.zooms ? null : (event) => {
+  svg.onwheel = (event) => {
+    if (!event.ctrlKey && !document.fullscreenElement) return; // the page scrolls
     event.preventDefault();
+    own.zoomed = true;
     own.view = zoomed(own.view, data, Math.exp(-event.deltaY / 400), raw(event));
     draw(root, data, own);
   };
   svg.onclick = (event) => {
     if (own.moved) return;
-    if (own.tool === "point") setTriggerValue("point", at(event));
+    if (own.tool === "point") send("point", at(event));
     if (own.tool !== "ruler") return;
     own.ends = own.ends.length === 1 ? [own.ends[0], at(event)] : [at(event)];
     data.rulerText = "";

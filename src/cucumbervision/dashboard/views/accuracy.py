@@ -17,7 +17,7 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.settings import replace_text
-from cucumbervision.dashboard.words import plain
+from cucumbervision.dashboard.words import length_words, metres_words, plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.rounds.from_store import read_round
@@ -27,10 +27,11 @@ from cucumbervision.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.store.records import MethodRecord
+    from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
+_SLIP = 2.0  # a length by hand beyond so many times the program's is asked about
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
 
 
@@ -179,6 +180,23 @@ def write_hand_lengths(
     return written
 
 
+def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
+    """Tell whether a length by hand differs so much that it may be a slip: twice, or half.
+
+    Examples
+    --------
+    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, length=Length(0.25))
+    >>> is_odd(fruit, 0.26), is_odd(fruit, 0.75), is_odd(fruit, 0.10), is_odd(fruit, None)
+    (False, True, True, False)
+    """
+    if hand_m is None or record.length_m is None:
+        return False
+    ratio = hand_m / record.length_m
+    return ratio < 1 / _SLIP or (ratio > _SLIP and not record.partial)
+
+
 def hand_lengths(
     path: Path, fruit: Sequence[DetectionView]
 ) -> dict[str, tuple[float | None, float | None]]:
@@ -256,16 +274,25 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         },
         key=f"hand_{path.stem}_{shown[0].key}",
     )
-    if st.button("Save these lengths", type="primary", icon=":material/save:"):
-        for view, line in zip(shown, edited, strict=True):
-            known[view.key] = _typed_m(line["First"]), _typed_m(line["Second"])
+    for view, line in zip(shown, edited, strict=True):
+        known[view.key] = _typed_m(line["First"]), _typed_m(line["Second"])
+    odd = [
+        f"{units.text(hand_m)} by hand, {length_words(view.record, units)} by the program"
+        for view in shown
+        for hand_m in known[view.key]
+        if is_odd(view.record, hand_m)
+    ]
+    if odd:
+        st.warning(f"{plain('; '.join(odd))}. Is that right?", icon=":material/help:")
+        odd = [] if st.checkbox("Yes, these lengths are right", key=f"sure_{odd}") else odd
+    if st.button("Save these lengths", type="primary", icon=":material/save:", disabled=bool(odd)):
         write_hand_lengths(path, fruit, known, kind or LengthDefinition.CENTRELINE)
         st.rerun()
 
 
 def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
-    along = "" if view.along_m is None else f", {view.along_m:.2f} m"
+    along = "" if view.along_m is None else f", {metres_words(view.along_m)}"
     return {
         "Picture": resources.thumbnail_of(view),
         "First": units.value(known[0]),

@@ -23,7 +23,6 @@ from cucumbervision.dashboard.fruit_view import (
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
-    added_words,
     grade_words,
     interval_words,
     kind_words,
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
         DetectionRecord,
         JointRecord,
         MethodRecord,
-        StopRecord,
     )
     from cucumbervision.store.views import DetectionView, RoundView
 
@@ -201,20 +199,24 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
     depth, words = depth_picture(capture.depth_m, units)
     ruler = st.session_state.get("ruler")
     tube = None if joint is None else joint_tube(joint, detail.view.key)
+    view = detail.view
+    adds = st.session_state.get("adds_fruit", False)
     drawn = picture(
-        f"fruit_{detail.view.key}",
+        f"fruit_{view.key}",
         {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
         (capture.width, capture.height),
         layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box", "brush", "erase"),
         ruler_text=ruler or "",
-        title=f"Fruit {record.number} of {detail.view.capture}",
+        title=f"Fruit {record.number} of {view.capture}",
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
-        zooms=True,
+        place={"stop": view.stop_key, "capture": view.capture},
+        adds=adds,
+        outcome=_outcome(view.key),
     )
     simulated = ", computer-made example" if capture.simulated else ""
-    st.caption(f"{plain(detail.view.capture)}{simulated}. Depth: {words}.")
+    st.caption(f"{plain(view.capture)}{simulated}. Depth: {words}.")
     if drawn.ruler:
         x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
         length_m = ruler_m(capture, (x1, y1), (x2, y2))
@@ -223,18 +225,17 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         st.rerun()
     if ruler:
         st.markdown(f"Ruler: **{ruler}**, straight distance")
-    adds = st.toggle(
+    st.toggle(
         "Tap or draw a box to add a missed fruit",
         key="adds_fruit",
         help="Off: this corrects the outline of this fruit.",
     )
-    if adds and (drawn.point or drawn.box):
-        add_fruit(detail.stop, capture, drawn.point, drawn.box)
-    elif drawn.point or drawn.box:
-        _correct(detail, partial(resources.measurer().mask_of, capture, drawn.point, drawn.box))
+    if drawn.point or drawn.box:
+        prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
+        _correct(detail, prompted, MaskSource.SAM)
     elif drawn.stroke:
-        _correct(detail, partial(_painted, record, capture, drawn.stroke))
-    show_correction()
+        painted = partial(_painted, record, capture, drawn.stroke)
+        _correct(detail, painted, MaskSource.HAND)
     _accept_others(detail)
 
 
@@ -283,7 +284,9 @@ def _painted(
     return painted_mask(mask, points, float(stroke["radius"]), erase=bool(stroke["erase"]))
 
 
-def _correct(detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]]) -> None:
+def _correct(
+    detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]], drawn_by: MaskSource
+) -> None:
     options, measurer = resources.settings().options, resources.measurer()
     store = resources.store()
 
@@ -291,44 +294,17 @@ def _correct(detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]]) -> 
         job.total = 2
         mask = draw()
         job.step()
-        return measurer.correct(store, detail, mask, options)
+        return measurer.correct(store, detail, mask, options, drawn_by)
 
-    page_elements.start_job("correction", "Measuring with the new outline", work)
-
-
-def add_fruit(
-    stop: StopRecord, capture: Capture, point: list[float] | None, box: list[float] | None
-) -> None:
-    """Segment and measure the fruit at a point or in a box, and add it to its capture's."""
-    options, measurer, store = (
-        resources.settings().options,
-        resources.measurer(),
-        resources.store(),
-    )
-
-    def work(job: Job) -> str:
-        job.total = 2
-        mask = measurer.mask_of(capture, point, box)
-        job.step()
-        return measurer.add(store, stop, capture, mask, options)
-
-    page_elements.start_job("correction", "Segmenting the fruit", work)
+    page_elements.start_job(f"correction_{detail.view.key}", "Measuring with the new outline", work)
 
 
-def show_correction() -> None:
-    """Show the outcome of the last tap or box."""
-    job = page_elements.finished_job("correction")
+def _outcome(key: str) -> tuple[int | None, str]:
+    """Return the last correction of a fruit, and what became of it."""
+    job = page_elements.finished_job(f"correction_{key}")
     if job is None:
-        return
-    st.session_state.pop("correction")
-    if job.error:
-        st.warning(plain(job.error), icon=":material/error:")
-    else:
-        if isinstance(job.result, str):  # one that was added
-            doubtful = resources.store().detection(job.result).view.doubtful
-            (st.warning if doubtful else st.success)(added_words(doubtful=doubtful))
-        else:
-            st.success("Measured with this outline. 'Undo' removes it.")
+        return None, ""
+    return job.number, job.error or "Saved: measured with this outline. 'Undo' removes it."
 
 
 def _methods(detail: DetectionDetail) -> None:

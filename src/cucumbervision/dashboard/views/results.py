@@ -18,6 +18,7 @@ from cucumbervision.dashboard.words import (
     grade_words,
     interval_words,
     length_words,
+    metres_words,
     plain,
     remarks,
     row_name,
@@ -198,7 +199,7 @@ def _merge(one: RoundView) -> None:
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     interval = None if record.partial else interval_words(record, units)
-    at = "" if view.along_m is None else f", {view.along_m:.2f} m"
+    at = "" if view.along_m is None else f", {metres_words(view.along_m)}"
     checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
     picked = "picked" if view.picked_s else ""
     says = [

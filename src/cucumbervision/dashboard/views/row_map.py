@@ -17,6 +17,7 @@ from cucumbervision.dashboard.words import (
     counted,
     grade_words,
     length_words,
+    metres_words,
     plain,
     round_day,
     row_name,
@@ -115,7 +116,7 @@ def _fruit(one: RoundView, graded: GradedRound) -> None:
         return
     units, fruit = resources.settings().units, found.fruit
     grade = grade_words(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
-    place = f"{row_name(fruit.row)}, {fruit.side or ''}, {fruit.along_m or 0:.2f} m"
+    place = f"{row_name(fruit.row)}, {fruit.side or ''}, {metres_words(fruit.along_m)}"
     st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
     _judge(one, found)
     store = resources.store()
@@ -178,7 +179,7 @@ def _pictures(
     st.markdown(f"**{title}**")
 
     def words(view: DetectionView) -> str:
-        place = f"{step_words(view.step).lower()} · {view.along_m or 0:.2f} m"
+        place = f"{step_words(view.step).lower()} · {metres_words(view.along_m)}"
         return f"{length_words(view.record, units)} · {place}"
 
     def draw(view: DetectionView) -> None:

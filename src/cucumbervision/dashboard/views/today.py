@@ -14,7 +14,7 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import name_of_class
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import doubtful
-from cucumbervision.dashboard.words import counted, height_words, plain, round_day
+from cucumbervision.dashboard.words import counted, height_words, metres_words, plain, round_day
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.adding import is_demonstration
 from cucumbervision.rounds.forecasting import Age, age_words
@@ -51,7 +51,8 @@ def _age(one: RoundView, today: Today) -> None:
             icon=":material/history:",
         )
         return
-    words = f"The data are **{age_words(today.age_days)}** (last stop {walked})."
+    ago = age_words(today.age_days).removeprefix("of ").replace(" old", " ago")
+    words = f"**Measured {ago}** (last stop {walked})."
     if today.age_days:
         words += " Lengths include the growth expected since then."
     (st.warning if today.age is Age.OLD else st.markdown)(words)
@@ -170,7 +171,7 @@ def _lines(
         key, probably = pick.fruit.fruit_id, "" if pick.ready >= 0.8 else "probably "
         view = views.get(key)
         says = [
-            f"{pick.fruit.position_m:.2f} m {pick.fruit.side}".strip(),
+            f"{metres_words(pick.fruit.position_m)} {pick.fruit.side}".strip(),
             units.text(pick.fruit.length_m),
             probably + name_of_class(pick.name),
             "" if view is None else height_words(view.record, units),

@@ -20,6 +20,7 @@ from cucumbervision import MeasureOptions, Measurer, draw_overlay, open_source
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.fruit_view import depth_picture
+from cucumbervision.dashboard.settings import Units
 from cucumbervision.measurement.result import FruitMeasurement
 from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
 
@@ -53,7 +54,7 @@ def pictures(
 ) -> Iterator[tuple[NDArray[np.uint8], int]]:
     """Yield each picture, with its duration in ms."""
     yield capture.color, 1500
-    yield depth_picture(capture.depth_m)[0], 1500
+    yield depth_picture(capture.depth_m, Units("cm"))[0], 1500
     yield partly_measured(capture, fruit, 0.0), 1200
     for share in GROWTH:
         yield partly_measured(capture, fruit, float(share)), 90

@@ -6,6 +6,7 @@ import json
 import time
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def captions(test: AppTest) -> str:
 def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: str) -> None:
     profile, units = load_profile("long-cucumber"), Units("cm")
     files = round_tables(store, walked, profile, pictures=False)
-    lines = files["fruit"].rows
+    lines: list[dict[str, Any]] = files["fruit"].rows
     graded = grade_round(read_round(store, walked), fruit_table(read_round(store, walked)), profile)
 
     # The list of the results: each fruit of the files, with its length and class.
@@ -122,7 +123,7 @@ def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: 
     assert files.summary["expected_fruit"] == row["expected_fruit"]
 
     # Work and crates of the days, and of today.
-    work = files["work"].rows
+    work: list[dict[str, Any]] = files["work"].rows
     shown = table(page("forecast", walked))
     days = [line for line in work if line["fruit_high"] >= 1]
     assert len(shown) == len(days) > 1

@@ -161,7 +161,7 @@ def accept_uploads(
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     got = accept_uploads([("../../x.exe", io.BytesIO(b"MZ"))], Path(tmp) / "in")
     ...     print(got.refused[0])
-    x.exe: is of no kind that is accepted; send PNG, JPEG or TIFF pictures, ...
+    x.exe: is not a file type we can read; send PNG, JPEG or TIFF pictures, ...
     """
     limits = limits or Limits()
     if len(files) > limits.files:

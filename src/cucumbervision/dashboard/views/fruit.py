@@ -96,7 +96,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     found = graded.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
-        kind_words(record.length and str(record.length.kind)),
+        kind_words(None if record.length is None else str(record.length.kind)),
         length_words(record, units),
         interval and f"Likely between {interval.replace(' to ', ' and ')}",
         delta_color="off",

@@ -1,10 +1,11 @@
 """Speed as ratios that are measured side by side; only ratios mean anything on a shared machine.
 
     python benchmarks/speed.py [PART ...] [--quick] [--out FOLDER]
+    PYTHONPATH=. python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
-Parts: pipeline, processor, start, stream, kernels, workers. Each prints a table; with --out it is
-kept as FOLDER/PART.json. The exit code is 1 if an aim or a limit is missed.
+Parts: pipeline, processor, start, stream, kernels, workers, dashboard. Each prints a table; with
+--out it is kept as FOLDER/PART.json. The exit code is 1 if an aim or a limit is missed.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ import argparse
 import json
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -45,6 +48,9 @@ from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
+from cucumbervision.rounds.adding import add_captures
+from cucumbervision.store.repository import open_store
+from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -350,8 +356,146 @@ def workers(quick: bool) -> list[Figure]:
     return figures
 
 
+class Visit:
+    """A page of Chromium on a dashboard of its own."""
+
+    def __init__(self, store: Path, page: Any, address: str) -> None:
+        self.store, self.page, self.address = store, page, address
+
+    def seconds(self, act: Callable[[], object], shown: str) -> float:
+        """Return the time from an act to the moment at which an element is seen."""
+        begun = time.perf_counter()
+        act()
+        self.page.locator(shown).first.wait_for()
+        return time.perf_counter() - begun
+
+    def open(self, path: str, shown: str) -> float:
+        """Open an address, and return how long that takes."""
+        return self.seconds(lambda: self.page.goto(f"{self.address}{path}"), shown)
+
+    def kept(self) -> int:
+        """Return how many captures are stops, or wait to be measured."""
+        waiting = WaitingCaptures(waiting_folder(str(self.store)))
+        keys = {one.key for one in (*waiting.captures(), *waiting.set_aside())}
+        with open_store(self.store) as store:
+            keys |= {stop.key for one in store.rounds() for stop in store.stops(one.key)}
+        return len(keys)
+
+    def received(self, wait_s: float) -> tuple[int, int]:
+        """Return how many pictures, and bytes of them, the preview sends while nobody acts."""
+        sizes: list[int] = []
+        self.page.on(
+            "websocket",
+            lambda line: (
+                "preview" in line.url
+                and line.on("framereceived", lambda frame: sizes.append(len(frame)))
+            ),
+        )
+        self.open("/capture", "button.take:enabled")
+        self.page.wait_for_timeout(4000)
+        sizes.clear()
+        self.page.wait_for_timeout(1000 * wait_s)
+        return len(sizes), sum(sizes)
+
+
+@contextmanager
+def visit(store: Path, replay: Path) -> Iterator[Visit]:
+    """Serve a dashboard on the loopback, and open a page of Chromium on it."""
+    from playwright.sync_api import sync_playwright
+    from tests.dashboard.conftest import FLAGS
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    code = "from cucumbervision.cli.app import main; main()"
+    words = ["--no-browser", "--port", str(port), "--store", str(store), "--replay", str(replay)]
+    command = [sys.executable, "-c", code, "dashboard", *words]
+    quiet, address = subprocess.DEVNULL, f"http://127.0.0.1:{port}"
+    with subprocess.Popen(command, stdout=quiet, stderr=quiet) as server, sync_playwright() as web:
+        try:
+            browser = web.chromium.launch(
+                executable_path=shutil.which("chromium"), args=list(FLAGS)
+            )
+            page = browser.new_page(viewport={"width": 1280, "height": 800}, has_touch=True)
+            page.set_default_timeout(300_000)
+            while True:
+                try:
+                    page.request.get(f"{address}/_stcore/health")
+                    break
+                except Exception:  # it does not listen yet
+                    time.sleep(0.2)
+            yield Visit(store, page, address)
+        finally:
+            server.terminate()
+
+
+def dashboard(quick: bool) -> list[Figure]:
+    """Time presses, preview and pages in Chromium; the server has the same cores."""
+    from tests.conftest import record
+    from tests.dashboard.conftest import LONG, WALK, long_round
+
+    presses = 20 if quick else 200
+    measured = "#where:has-text('saved')"
+    with tempfile.TemporaryDirectory() as tmp:
+        house, walk = Path(tmp) / "house.db", Path(tmp) / "walk.db"
+        with open_store(walk) as store:
+            store.save_round(WALK)
+        with visit(walk, record(Path(tmp) / "walk.db3", 300)) as seen:
+            moving, _ = seen.received(5.0)
+            for _ in range(presses):
+                seen.page.locator("button.take").tap()
+                seen.page.wait_for_timeout(100)
+            seen.page.locator("#presses .waiting").first.wait_for(state="hidden")
+            kept = seen.kept()
+        with open_store(house) as store:
+            store.save_round(WALK)
+            add_captures(store, WALK.key, [example_captures()], GIVEN)
+            long_round(store, store.stop(store.stops(WALK.key)[0].key), 320)
+        with visit(house, example_captures()) as seen:
+            _, still = seen.received(5.0)
+            seen.page.get_by_text("Loading the networks").first.wait_for(state="hidden")
+            take = seen.page.locator("button.take")
+            press_s = seen.seconds(take.tap, measured)
+            tapped: dict[str, float] = {}
+            seen.open(f"/results?round={WALK.key}", ".fruit button")
+            first = seen.page.locator(".fruit button").first
+            tapped["fruit"] = seen.seconds(first.click, "svg.view polygon")
+            for name in ("outline, first", "outline"):
+                seen.page.get_by_role("button", name="Redraw by tap").click()
+                tap = seen.page.locator("svg.view").click
+                tapped[name] = seen.seconds(tap, "svg.view polygon[stroke-dasharray]")
+                seen.page.get_by_text("Saved: measured with this outline").wait_for()
+                seen.page.reload()
+                seen.page.locator("svg.view polygon").first.wait_for()
+            pages = {
+                "results": ".fruit button",
+                "map": "canvas",
+                "forecast": "canvas",
+                "accuracy": "[data-testid=stDataFrame] canvas",
+            }
+            cold, within = [], []
+            for name, shown in pages.items():
+                cold.append(seen.open(f"/{name}?round={LONG.key}", shown))
+            for name, shown in pages.items():
+                way = seen.page.locator(f'.st-key-nav a[href*="/{name}"]')
+                within.append(seen.seconds(way.click, f"{shown}"))
+                seen.page.wait_for_timeout(2000)
+    return [
+        Figure("presses that are one stop each", 100 * kept / presses, "%", ">= 100"),
+        Figure("preview while it moves, pictures a second", moving / 5, "/s", ">= 10"),
+        Figure("preview while still", still / 5e3, "kB/s", "<= 1"),
+        Figure("first result of a press", press_s, "s", "<= 1.5"),
+        Figure("tap to screen: fruit", tapped["fruit"], "s", "<= 0.4"),
+        Figure("tap to screen: outline, first", tapped["outline, first"], "s", "<= 1.0"),
+        Figure("tap to screen: outline", tapped["outline"], "s", "<= 0.7"),
+        Figure("pages of 320 stops, cold: slowest", max(cold), "s", "<= 0.6"),
+        Figure("pages of 320 stops, within the app: slowest", max(within), "s", "<= 0.3"),
+    ]
+
+
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
-    part.__name__: part for part in (pipeline, processor, start, stream, kernels, workers)
+    part.__name__: part
+    for part in (pipeline, processor, start, stream, kernels, workers, dashboard)
 }
 
 

@@ -430,6 +430,29 @@ def test_a_round_is_begun(house: Path) -> None:
     assert test.session_state["round"] == newest.key
 
 
+def test_a_round_that_was_left_is_not_opened_again_by_an_older_address(house: Path) -> None:
+    script = (
+        "from cucumbervision.dashboard.app import read_address\n"
+        "from cucumbervision.dashboard.round_choice import choose_round\n"
+        "read_address()\nchoose_round()\n"
+    )
+    test = AppTest.from_string(script, default_timeout=600)
+    test.query_params["round"] = WALK
+    test.run()
+    test.text_input(key="new_name").set_value("Monday").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    begun = test.session_state["round"]
+    assert test.query_params["round"] == begun
+    # What a page sent before it knew the new address.
+    test.query_params["round"] = WALK
+    assert test.run().session_state["round"] == begun
+    assert test.query_params["round"] == begun
+    # Once it has it, going back opens the round of before.
+    test.run()
+    test.query_params["round"] = WALK
+    assert test.run().session_state["round"] == WALK
+
+
 def test_inches_are_shown_where_chosen(house: Path) -> None:
     test = app("settings")
     control = next(c for c in test.segmented_control if c.label == "Lengths in")

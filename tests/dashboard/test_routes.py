@@ -207,7 +207,8 @@ def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Sto
     points = np.reshape(line, (-1, 2))
     drawn = [*points.min(axis=0), *points.max(axis=0)]
     np.testing.assert_allclose(drawn, edges, atol=0.1 * (edges[2] - edges[0]))
-    assert store.detection(view.key).view == view
+    assert len(store.detections(WALK)) == 8
+    assert not store.detection(view.key).view.corrected
 
 
 def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:

@@ -138,6 +138,42 @@ def test_presses_while_offline_each_get_their_picture(
     assert len(walk.pictures()) == 4
 
 
+def test_capture_opens_and_takes_presses_while_the_server_is_away(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    found = page.request.get(f"{walk.address}/capture/capture.webmanifest").json()
+    assert (found["start_url"], found["display"]) == ("/capture", "standalone")
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    page.reload()  # from now on it is the worker's
+    page.locator("button.take:enabled").wait_for()
+    page.context.set_offline(True)
+    page.reload()
+    page.locator("button.take:enabled").wait_for()
+    page.locator("button.take").click()
+    page.get_by_text("1 press is kept on this device").wait_for()
+    page.context.set_offline(False)
+    wait_for_stops(page, walk, 1)
+    shot(page, "reloaded")
+
+
+def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., Any]) -> None:
+    first, second = (opened(new_page(has_touch=True), walk) for _ in range(2))
+    for _ in range(3):
+        for page in (first, second):
+            page.locator("button.take").tap()
+        first.wait_for_timeout(600)
+    wait_for_stops(second, walk, 6)
+    with open_store(walk.store) as store:
+        while len(stops := store.stops(WALK.key)) < 6:
+            first.wait_for_timeout(500)
+    assert sorted(stop.step or 0 for stop in stops) == [1, 2, 3, 4, 5, 6]
+    assert len({(stop.row, stop.side, stop.position_m) for stop in stops}) == 6
+    # Each sees the other's stops.
+    for page in (first, second):
+        page.locator("#where").get_by_text("Stop 6").wait_for()
+
+
 def test_presses_that_a_restart_lost_are_refused_and_said(
     walk: Walk, new_page: Callable[..., Any]
 ) -> None:

@@ -144,7 +144,9 @@ def _draw_navigation(pages: list[StreamlitPage]) -> None:
 def read_address() -> None:
     """Open the round that the address names; the address names the one that is open."""
     named = st.query_params.get("round")
-    if named and named != st.session_state.get("named"):
+    if named == st.session_state.get("named"):
+        st.session_state.pop("named_before", None)
+    elif named and named != st.session_state.get("named_before"):
         st.session_state["round"] = st.session_state["named"] = named
 
 

@@ -37,6 +37,8 @@ def choose_round() -> RoundView | None:
     )
     one = rounds.get(key) if key else None
     if one is not None and st.query_params.get("round") != one.key:
+        # A browser that was slower sends the round of before once more: that opens nothing.
+        st.session_state["named_before"] = st.session_state.get("named")
         st.query_params["round"] = st.session_state["named"] = one.key
     # They know whether they are open, so that what is done in them closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}

@@ -216,7 +216,11 @@ def _receive(request: Request, content: bytes) -> Any:
     if len(content) > _MOST_PART:
         raise UploadError("the part is too large", remedy="reload the page")
     uploads = resources.uploads()
-    there = uploads.append(part.upload, part.number, part.offset, content)
+    try:
+        there = uploads.append(part.upload, part.number, part.offset, content)
+    except OSError as error:  # a full disk: it is sent again until there is room
+        words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
+        return JSONResponse({"error": words}, 507)
     if uploads.is_whole(part.upload):
         resources.measure_uploads()
     return {"received": there}

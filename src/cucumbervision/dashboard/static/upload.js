@@ -6,7 +6,7 @@ const mb = (bytes) => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 async function post(path, body) {
   const answer = await fetch(path, { method: "POST", body, signal: AbortSignal.timeout(PATIENCE_MS) });
   const found = await answer.json().catch(() => ({}));
-  if (!answer.ok) throw Object.assign(new Error(found.error || "Not admitted: reload the page."), { final: answer.status < 500 });
+  if (!answer.ok) throw Object.assign(new Error(found.error || "Not admitted: reload the page."), { answered: true, final: answer.status < 500 });
   return found;
 }
 
@@ -28,7 +28,7 @@ async function send(files, about, tell) {
       return;
     } catch (fault) {
       if (fault.final) { tell(fault.message, null); return; }
-      tell("Connection to the camera computer lost; sending goes on when it is back.", null);
+      tell(fault.answered ? `${fault.message}; sending goes on then.` : "Connection to the camera computer lost; sending goes on when it is back.", null);
       await new Promise((resolve) => { setTimeout(resolve, AGAIN_MS); });
     }
   }

@@ -90,6 +90,34 @@ def address(
     return server, {"fruit": fruit.key, "stop": fruit.stop_key}
 
 
+def test_back_and_reload_come_to_the_same_place(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    listed, picture = page.locator(".fruit button").first, page.locator("svg.view")
+    page.goto(f"{address[0]}/?round={TODAY}")
+    page.get_by_text("Pick list").first.wait_for()
+    page.wait_for_url("**row=demo**")
+    page.goto(f"{address[0]}/results?round={TODAY}")
+    listed.tap()
+    picture.wait_for()
+    assert "fruit=" in page.url
+    # At once, within the first screen.
+    box = picture.bounding_box()
+    assert box["y"] + box["height"] < SIZES["phone"][1]
+    page.reload()
+    picture.wait_for()
+    page.locator(".st-key-nav a").filter(has_text="Row map").click()
+    page.get_by_text("One mark per fruit").wait_for()
+    page.go_back()
+    picture.wait_for()
+    page.go_back()
+    listed.wait_for()
+    page.go_forward()
+    picture.wait_for()
+    page.context.close()
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_for_everybody(

@@ -125,33 +125,6 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     return chart
 
 
-def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
-    """Return a box for each method from quartile to quartile, its median, lines to the ends."""
-    by_method: dict[str, list[float]] = {}
-    for line in lines:
-        by_method.setdefault(line["method"], []).append(line["length"])
-    table = [
-        dict(
-            zip(
-                ("low", "q1", "median", "q3", "high"),
-                np.quantile(lengths, [0, 0.25, 0.5, 0.75, 1]).round(2).tolist(),
-                strict=True,
-            ),
-            method=method,
-            fruit=len(lengths),
-        )
-        for method, lengths in sorted(by_method.items())
-    ]
-    x = alt.X("low:Q", title=f"Length [{units.name}]", scale=alt.Scale(zero=False))
-    said = [alt.Tooltip(f"{name}:Q") for name in ("fruit", "median", "low", "high")]
-    base = alt.Chart(_data(table)).encode(y=alt.Y("method:N", title=None), tooltip=said)
-    ends = base.mark_rule(color="#1B7837").encode(x=x, x2=alt.X2("high:Q"))
-    box = base.mark_bar(size=18, color="#5AAE61").encode(x="q1:Q", x2="q3:Q")
-    median = base.mark_tick(color="white", size=18, thickness=2).encode(x=alt.X("median:Q"))
-    chart: alt.LayerChart = (ends + box + median).properties(height=260)
-    return chart
-
-
 def map_chart(
     lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
 ) -> alt.Chart:

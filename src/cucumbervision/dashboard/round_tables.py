@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.fruit_table import RoundFigures, RoundFruit
-    from cucumbervision.store.records import DetectionRecord, MethodRecord
+    from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.views import DetectionView
 
 
@@ -94,19 +94,6 @@ def length_lines(
         {"length": units.value(view.record.length_m), "class": grade_name(grades[view.key])}
         for view in fruit
         if hanging_lengths_m([view])
-    ]
-
-
-def method_lines(
-    by_fruit: Mapping[str, Sequence[MethodRecord]], keys: set[str], units: Units
-) -> list[dict[str, Any]]:
-    """Return a line for each method's own length of each fruit, by fruit key."""
-    return [
-        {"method": method.method, "length": units.value(method.length_m)}
-        for key, methods in by_fruit.items()
-        if key in keys
-        for method in methods
-        if method.length_m is not None and method.measured_by is None
     ]
 
 

@@ -10,7 +10,6 @@ import streamlit as st
 
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
-from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import GradedRound
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.dashboard.words import (
@@ -82,8 +81,6 @@ def page(one: RoundView) -> None:
         return
     _list(graded, fruit)
     _charts(graded, fruit)
-    _methods(one, fruit)
-    _merge(one)
     with st.expander("Files of this round", icon=":material/download:"):
         _files(one)
 
@@ -128,33 +125,19 @@ def _statistics(graded: GradedRound) -> None:
 
 
 def _filtered(graded: GradedRound) -> list[DetectionView]:
-    units = resources.settings().units
-
     def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
         known = sorted({value for value in values if value})
         return column.selectbox(label, [None, *known], format_func=lambda x: str(x or "all"))
 
     with st.expander("Filters", icon=":material/filter_alt:"):
-        row, named, method, verdict = st.columns(4)
-        highest = 20.0 if units.name == "in" else 50.0
+        row, named, checked = st.columns(3)
         chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
         chosen_name = choose(named, "Class", map(grade_name, graded.grades.values()))
-        chosen_method = choose(method, "Method", (view.record.method for view in graded.fruit))
-        chosen_verdict = choose(verdict, "Checked", Verdict)
-        least, most = st.columns(2)
-        low = least.number_input(f"Shortest [{units.name}]", 0.0, highest, 0.0, 1.0, "%.1f")
-        high = most.number_input(f"Longest [{units.name}]", 0.0, highest, highest, 1.0, "%.1f")
-        limited = (low, high) != (0.0, highest)
-        only = DetectionFilter(
-            row=chosen_row,
-            method=chosen_method,
-            verdict=chosen_verdict,
-            min_length_m=units.metres(low) if limited else None,
-            max_length_m=units.metres(high) if limited else None,
-        )
+        verdict = choose(checked, "Checked", Verdict)
+    only = DetectionFilter(row=chosen_row, verdict=verdict)
     return [
         view
-        for view in (graded.deleted if chosen_verdict is Verdict.REJECTED else graded.fruit)
+        for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
         if only.keeps(view) and chosen_name in (None, grade_name(graded.grades[view.key]))
     ]
 
@@ -169,16 +152,6 @@ def _charts(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
         st.altair_chart(charts.histogram(lines, units))
 
 
-def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
-    if not st.toggle("Lengths by method", key="by_method"):
-        return
-    units = resources.settings().units
-    keys = {view.key for view in fruit}
-    if lines := tables.method_lines(resources.methods_of(one), keys, units):
-        st.caption("Box from quartile to quartile, lines to the ends.")
-        st.altair_chart(charts.method_chart(lines, units))
-
-
 def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     shown = page_elements.page_of(fruit, "list_page", _LINES)
     lines = [_line(graded, view) for view in shown]
@@ -188,12 +161,6 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     if opened:
         page_elements.name_in_address("fruit", opened)
         st.rerun()
-
-
-def _merge(one: RoundView) -> None:
-    merge, hint = st.columns([2, 3], vertical_alignment="center")
-    button(merge, "Merge views of the same fruit", "join", resources.merge, one.key)
-    hint.caption("Fruit seen from several stops are then counted once. Your corrections are kept.")
 
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:

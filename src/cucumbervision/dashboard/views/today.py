@@ -124,7 +124,8 @@ def _picks(one: RoundView, today: Today) -> None:
         rows = {row.row: row for row in today.rows}
         done = {name: sum(_is_picked(p, picked) for p in own.ready) for name, own in rows.items()}
         if st.session_state.get("pick_row") not in rows:
-            st.session_state["pick_row"] = next(iter(rows))
+            named = st.query_params.get("row")
+            st.session_state["pick_row"] = named if named in rows else next(iter(rows))
         name = st.segmented_control(
             "Row, in the order of the walk",
             list(rows),
@@ -135,6 +136,7 @@ def _picks(one: RoundView, today: Today) -> None:
             required=True,
         )
         row = rows[name or next(iter(rows))]
+        page_elements.name_in_address("row", row.row)
         total = f"{sum(done.values())} of {len(today.ready)} in all rows"
         kinds = [("ready", row.ready, total), (TOO_LONG, row.too_long, "take them off")]
         for kind, picks, words in kinds:

@@ -12,7 +12,7 @@ from cucumbervision.errors import StoreError
 from cucumbervision.measurement.result import Length
 from cucumbervision.store.check import changed_lines, check_store, refuse_changed
 from cucumbervision.store.corrections import StopPlace
-from cucumbervision.store.links import Position
+from cucumbervision.store.links import LinkKind, LinkRecord, Position
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
@@ -138,7 +138,15 @@ CHANGED = {
     "measurements SET reason = 'no-depth'": "stop",
     "marks SET details = '{\"at_s\": 6.0}' WHERE slot = 'picked'": "correction",
     "marks SET value = 'rejected' WHERE slot = 'verdict'": "correction",
+    "marks SET ended_by_id = action_id WHERE slot = 'verdict'": "correction",
+    "marks SET fruit_id = fruit_id - 1 WHERE slot = 'picked'": "correction",
     "joint_measurements SET views = 3": "joint measurement",
+    "rounds SET name = 'Morning' WHERE id = 1": "round",
+    "rounds SET started_s = 2000 WHERE id = 1": "round",
+    "stops SET fitted_m = 1.26": "position of stop",
+    "links SET score = 0.25": "link",
+    "links SET kind = 'apart'": "link",
+    "links SET ended_by_id = 1": "link",
 }
 
 
@@ -154,6 +162,9 @@ def test_what_another_program_changed_is_found(
     store.set_verdict([first], Verdict.ACCEPTED)
     store.pick([second], at_s=5.0)
     store.save_joint(WALK, [JointRecord(key_of("joint"), "a", 2)], ())
+    together = LinkRecord(LinkKind.SAME, first, second, 0.5)
+    store.save_merging(WALK, [together], {stop.key: Position(1, 0.01)})
+    store.add_fruit(stop.key, "a", DetectionRecord(1))
     assert changed_lines(store) == []
     with store.writing() as connection:
         connection.exec_driver_sql(f"UPDATE {change}")
@@ -183,4 +194,7 @@ def test_what_the_store_changes_itself_is_sound(
     store.measure_again(again, {keys[0]: ("a", 1)}, {keys[0]: DetectionRecord(1)})
     store.delete_stop(stop.key)
     store.undo(WALK)
+    store.delete_round(NEXT_DAY)
+    store.restore_round(NEXT_DAY)
+    store.save_merging(WALK, [], {stop.key: Position(1, 0.01)})
     assert changed_lines(store) == changed_lines(store, WALK) == []

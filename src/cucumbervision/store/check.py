@@ -1,9 +1,9 @@
 """Whether a store still holds what was saved: hashes of its lines, and its pictures.
 
 A stop's hash is of all that was measured there and of where that was: its line, captures, fruit,
-masks, methods and artifacts, as the database gives them back. Corrections, the log and joint
-measurements have a hash a line. Whatever else writes into the file, or a bit that turns over on the
-disk, is found by `check_store`, and before an export.
+masks, methods and artifacts, as the database gives them back. Rounds, corrections, links, the log,
+joint measurements and where merging put a stop have a hash a line. Whatever else writes into the
+file, or a bit that turns over on the disk, is found by `check_store`, and before an export.
 """
 
 from __future__ import annotations
@@ -16,22 +16,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import or_, select, update
+from sqlalchemy import bindparam, or_, select, update
 
 from cucumbervision.errors import StoredImageError, StoreError
-from cucumbervision.store.cells import cells_of, round_id_of
+from cucumbervision.store.cells import cells_of, columns_of, round_id_of
 from cucumbervision.store.records import ImageRef
 from cucumbervision.store.schema import (
     IMAGE_COLUMNS,
+    ROUND_CELLS,
     Action,
     Artifact,
     CaptureLine,
     DetectionLine,
     Image,
     JointLine,
+    LinkLine,
     Mark,
     MaskLine,
     MethodLine,
+    Round,
     Row,
     StopArtifact,
     StopLine,
@@ -45,7 +48,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.engine import Database
 
 _AT_ONCE = 100  # stops whose lines are read together
-_NOT_HASHED = {"rows_sha256", "fitted_m", "fitted_sd_m"}  # merging finds these anew
+_NOT_HASHED = {"rows_sha256", "fitted_m", "fitted_sd_m", "sha256"}  # the last is of the others
 
 
 def sha256_of(*values: Any) -> str:
@@ -111,15 +114,67 @@ def _lines_of(stop_ids: Sequence[int]) -> Iterator[Any]:
 
 # Of tables whose lines have a hash each: their name, and the columns that it is of.
 _HASHED: dict[Any, tuple[str, tuple[str, ...]]] = {
-    Mark: ("correction", ("slot", "value", "details")),
-    Action: ("line of the log", ("at_s", "by", "kind", "fruit", "details")),
-    JointLine: ("joint measurement", ("key", "first", "views", "reason", "record", "drawing")),
+    Round: ("round", (*ROUND_CELLS, "deleted")),
+    StopLine: ("position of stop", ("key", "fitted_m", "fitted_sd_m")),
+    Mark: ("correction", ("fruit_id", "slot", "value", "details", "action_id", "ended_by_id")),
+    LinkLine: (
+        "link",
+        (
+            *("kind", "first_id", "second_id", "first_round_id", "second_round_id", "score"),
+            *("action_id", "ended_by_id"),
+        ),
+    ),
+    Action: (
+        "line of the log",
+        ("at_s", "by", "kind", "round_id", "fruit", "details", "undoes_id"),
+    ),
+    JointLine: (
+        "joint measurement",
+        ("key", "round_id", "first", "views", "reason", "record", "drawing"),
+    ),
 }
 
 
 def with_hash(table: Any, cells: dict[str, Any]) -> dict[str, Any]:
-    """Return the cells of a new mark, action or joint measurement with their hash."""
-    return {**cells, "sha256": sha256_of(*(cells[name] for name in _HASHED[table][1]))}
+    """Return the cells of a new line of a table whose lines have a hash each, with that hash."""
+    columns = columns_of(table, _HASHED[table][1])
+    said = [_as_stored(column, cells.get(column.name)) for column in columns]
+    return {**cells, "sha256": sha256_of(*said)}
+
+
+def _as_stored(column: Any, value: Any) -> Any:
+    """Return a cell's value as the database gives it back: 1 is 1.0 among floats."""
+    return float(value) if value is not None and column.type.python_type is float else value
+
+
+def change(connection: Connection, table: Any, which: Any, **values: Any) -> int:
+    """Change lines of a table whose lines have a hash each; return how many.
+
+    Parameters
+    ----------
+    connection : Connection
+        In a transaction.
+    table : type
+        The table.
+    which : SQL expression
+        Which of its lines; no other transaction changes them until this one ends.
+    **values
+        What they get.
+    """
+    names = _HASHED[table][1]
+    query = select(table.id, *columns_of(table, names)).where(which)
+    lines = cells_of(connection, query.with_for_update(key_share=True))
+    changed = [
+        {
+            "line": line,
+            "hash": with_hash(table, {**dict(zip(names, cells, strict=True)), **values})["sha256"],
+        }
+        for line, *cells in lines
+    ]
+    if changed:
+        one = update(table).where(table.id == bindparam("line"))
+        connection.execute(one.values(**values, sha256=bindparam("hash")), changed)
+    return len(changed)
 
 
 def refuse_changed(store: Database, round_key: str) -> None:
@@ -162,17 +217,24 @@ def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
             now = _hashes(connection, [row[0] for row in some])
             found += [f"stop {key} is not as it was saved" for i, key, was in some if now[i] != was]
         for table, (what, names) in _HASHED.items():
-            columns = [getattr(table, name) for name in names]
-            lines = select(table.id, table.sha256, *columns).order_by(table.id)
+            lines = select(table.id, table.sha256, *columns_of(table, names)).order_by(table.id)
             if number is not None and table is Mark:
                 lines = lines.join(DetectionLine, DetectionLine.id == Mark.fruit_id)
             if number is not None:
-                home = DetectionLine if table is Mark else table
-                lines = lines.where(home.round_id == number)
+                lines = lines.where(_in_round(table, number))
             for line, was, *cells in cells_of(connection, lines):
                 if sha256_of(*cells) != was:
                     found.append(f"{what} {line} is not as it was saved")
     return found
+
+
+def _in_round(table: Any, number: int) -> Any:
+    """Return which lines of a table belong to a round, for a query."""
+    if table is Round:
+        return Round.id == number
+    if table is LinkLine:
+        return or_(LinkLine.first_round_id == number, LinkLine.second_round_id == number)
+    return (DetectionLine if table is Mark else table).round_id == number
 
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
@@ -231,7 +293,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     if remove:
         _bring_back(store)
     with store.reading() as connection:
-        rows = connection.execute(select(*IMAGE_COLUMNS)).all()
+        rows = cells_of(connection, select(*IMAGE_COLUMNS))
     refs = {row[0]: ImageRef(*row) for row in rows}
     missing, damaged = [], []
     for ref in refs.values():

@@ -10,12 +10,12 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import and_, func, insert, or_, select, update
+from sqlalchemy import and_, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import round_id_of, row_id_of
-from cucumbervision.store.check import seal_stops, with_hash
+from cucumbervision.store.check import change, seal_stops, with_hash
 from cucumbervision.store.engine import SIGNED_BY, Database
 from cucumbervision.store.links import LinkKind, group_detections
 from cucumbervision.store.queries import links_of
@@ -224,8 +224,7 @@ class Corrections(Database):
                 )
                 for table in (Mark, LinkLine):
                     _end(connection, table, made, table.action_id == action.id)
-                    begun_again = update(table).where(table.ended_by_id == action.id)
-                    connection.execute(begun_again.values(ended_by_id=None))
+                    change(connection, table, table.ended_by_id == action.id, ended_by_id=None)
                 if "before" in action.details:
                     change_line(connection, action.details, back=True)
             except IntegrityError:  # something newer has taken its place
@@ -326,16 +325,15 @@ def _link(
         _end(
             connection, LinkLine, action, LinkLine.first_id.in_(ends) & LinkLine.second_id.in_(ends)
         )
-        connection.execute(
-            insert(LinkLine).values(
-                kind=str(kind),
-                first_id=first.id,
-                second_id=second.id,
-                first_round_id=first.round_id,
-                second_round_id=second.round_id,
-                action_id=action,
-            )
-        )
+        cells = {
+            "kind": str(kind),
+            "first_id": first.id,
+            "second_id": second.id,
+            "first_round_id": first.round_id,
+            "second_round_id": second.round_id,
+            "action_id": action,
+        }
+        connection.execute(insert(LinkLine).values(**with_hash(LinkLine, cells)))
     return action
 
 
@@ -391,15 +389,14 @@ def _mark(
     _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
     if value is not None:
         cells = {"slot": slot, "value": str(value), "details": details or {}, "action_id": action}
-        cells = with_hash(Mark, cells)
-        connection.execute(insert(Mark), [{"fruit_id": one, **cells} for one in ids])
+        lines = [with_hash(Mark, {"fruit_id": one, **cells}) for one in ids]
+        connection.execute(insert(Mark), lines)
 
 
 def _end(
     connection: Connection, table: type[Mark] | type[LinkLine], action: int, which: Any
 ) -> None:
-    ending = update(table).where(table.ended_by_id.is_(None), which)
-    connection.execute(ending.values(ended_by_id=action))
+    change(connection, table, and_(table.ended_by_id.is_(None), which), ended_by_id=action)
 
 
 MEASURE_AGAIN = "measure-again"
@@ -459,8 +456,10 @@ def log_action(
         "kind": kind,
         "fruit": list(fruit),
         "details": details or {},
+        "round_id": round_id,
+        **cells,
     }
-    line = insert(Action).values(**with_hash(Action, said), round_id=round_id, **cells)
+    line = insert(Action).values(**with_hash(Action, said))
     return connection.execute(line.returning(Action.id)).scalar_one()
 
 
@@ -479,8 +478,8 @@ def change_line(connection: Connection, details: dict[str, Any], *, back: bool =
     now = [getattr(table, name).is_not_distinct_from(value) for name, value in old.items()]
     # Where merging put a stop that is moved no longer holds: the next merging finds it anew.
     fitted = {"fitted_m": None, "fitted_sd_m": None} if "position_m" in new else {}
-    line = update(table).where(table.key == details["key"], *now)
-    if connection.execute(line.values(**new, **fitted)).rowcount != 1:
+    which = and_(table.key == details["key"], *now)
+    if change(connection, table, which, **new, **fitted) != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
     if table is StopLine:
         seal_stops(connection, StopLine.key == details["key"])

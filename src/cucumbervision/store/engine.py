@@ -290,7 +290,7 @@ class Database:
         self.close()
 
 
-VERSION = "2"
+VERSION = "3"
 """Of the tables; a change that is more than a new column of a record raises it."""
 
 VERSION_TABLE = "cucumbervision_version"

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
-from sqlalchemy import and_, delete, select, update
+from sqlalchemy import and_, delete, select
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.cells import (
@@ -18,7 +18,7 @@ from cucumbervision.store.cells import (
     insert_new,
     round_id_of,
 )
-from cucumbervision.store.check import with_hash
+from cucumbervision.store.check import change, with_hash
 from cucumbervision.store.corrections import find_detections, lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import LinkKind
@@ -59,13 +59,10 @@ class Merging(Database):
             _forget_links(connection, LinkKind.SAME, (round_id, round_id))
             in_round = StopLine.round_id == round_id
             nowhere = {"fitted_m": None, "fitted_sd_m": None}
-            connection.execute(update(StopLine).where(in_round).values(**nowhere))
+            change(connection, StopLine, in_round, **nowhere)
             for key, position in (positions or {}).items():
                 values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
-                fitted = connection.execute(
-                    update(StopLine).where(in_round, StopLine.key == key).values(**values)
-                )
-                if fitted.rowcount != 1:
+                if change(connection, StopLine, and_(in_round, StopLine.key == key), **values) != 1:
                     raise StoreError(
                         f"stop {key} is not in round {round_key}", remedy="see stops()"
                     )
@@ -192,7 +189,7 @@ def _add_links(
             )
         pair = frozenset((first.id, second.id))
         if pair not in decided:
-            lines[pair] = {
+            cells = {
                 "kind": str(kind),
                 "first_id": first.id,
                 "second_id": second.id,
@@ -200,6 +197,7 @@ def _add_links(
                 "second_round_id": rounds[1],
                 "score": link.score,
             }
+            lines[pair] = with_hash(LinkLine, cells)
     insert_all(connection, LinkLine, list(lines.values()))
     return len(lines)
 

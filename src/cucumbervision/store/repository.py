@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import func, insert, or_, select, update
+from sqlalchemy import and_, func, insert, or_, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import (
@@ -19,7 +19,7 @@ from cucumbervision.store.cells import (
     round_id_of,
     row_id_of,
 )
-from cucumbervision.store.check import seal_stops, with_hash
+from cucumbervision.store.check import change, seal_stops, with_hash
 from cucumbervision.store.corrections import (
     MEASURE_AGAIN,
     Corrections,
@@ -143,7 +143,8 @@ class Store(Queries, Corrections, Merging):
         """
         record = replace(record, key=checked_key(record.key, "round"))
         with self.writing() as connection:
-            if insert_new(connection, Round, _cells(record, ROUND_CELLS), "key") is not None:
+            cells = with_hash(Round, {**_cells(record, ROUND_CELLS), "deleted": False})
+            if insert_new(connection, Round, cells, "key") is not None:
                 return Saved.NEW
             columns = columns_of(Round, ROUND_CELLS)
             found = connection.execute(select(*columns).where(Round.key == record.key)).one()
@@ -180,7 +181,7 @@ class Store(Queries, Corrections, Merging):
                 "pose": list(stop.pose),
                 "failures": [dict(failure) for failure in stop.failures],
             }
-            stop_id = insert_new(connection, StopLine, cells, "key")
+            stop_id = insert_new(connection, StopLine, with_hash(StopLine, cells), "key")
             if stop_id is None:
                 stored = select(StopLine.content_sha256).where(StopLine.key == stop.key)
                 if connection.execute(stored).scalar_one() != sha256:
@@ -433,7 +434,8 @@ def _put_aside(connection: Connection, line: Any) -> tuple[int, dict[str, int]]:
     """
     cells = {**line._mapping, "key": new_key(), "deleted": True}
     del cells["id"]
-    aside = connection.execute(insert(StopLine).values(**cells).returning(StopLine.id)).scalar_one()
+    copied = insert(StopLine).values(**with_hash(StopLine, cells)).returning(StopLine.id)
+    aside = connection.execute(copied).scalar_one()
     for table in (CaptureLine, StopArtifact):
         moved = update(table).where(table.stop_id == line.id)
         connection.execute(moved.values(stop_id=aside))
@@ -467,12 +469,10 @@ def _carry_over(
         was = old[key]
         # A correction that was itself replaced stays with what it was measured from.
         current = or_(Mark.slot != "mask", Mark.ended_by_id.is_(None))
-        marks = update(Mark).where(Mark.fruit_id == was, current)
-        connection.execute(marks.values(fruit_id=new))
-        for end in (LinkLine.first_id, LinkLine.second_id):
-            connection.execute(update(LinkLine).where(end == was).values({end: new}))
-        active = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
+        change(connection, Mark, and_(Mark.fruit_id == was, current), fruit_id=new)
+        for end in ("first_id", "second_id"):
+            change(connection, LinkLine, getattr(LinkLine, end) == was, **{end: new})
+        active = and_(Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
         if key in corrected:
             details = record_json(corrected[key])
-            cells = {"slot": "mask", "value": "corrected", "details": details}
-            connection.execute(update(Mark).where(*active).values(**with_hash(Mark, cells)))
+            change(connection, Mark, active, value="corrected", details=details)

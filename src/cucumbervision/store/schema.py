@@ -89,6 +89,7 @@ class Round(Base):
     profile: Mapped[str]
     note: Mapped[str]
     deleted: Mapped[bool] = mapped_column(server_default=false())
+    sha256: Mapped[str]
 
 
 class Row(Base):
@@ -150,6 +151,7 @@ class StopLine(Base):
     # Where an algorithm puts the stop, from the fruit that it shares with its neighbours.
     fitted_m: Mapped[float | None]
     fitted_sd_m: Mapped[float | None]
+    sha256: Mapped[str]  # of where it was put
     # Whether its offsets along the row count the other way: its side was corrected later.
     mirrored: Mapped[bool] = mapped_column(server_default=false())
     deleted: Mapped[bool] = mapped_column(server_default=false())
@@ -276,6 +278,7 @@ class LinkLine(Base):
     first_round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     second_round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     score: Mapped[float | None]
+    sha256: Mapped[str]
     action_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 

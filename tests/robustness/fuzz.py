@@ -1,10 +1,12 @@
 """Read damaged files of every kind; only named errors may result.
 
     python -m tests.robustness.fuzz 100000 --seed 7 --out finds [--readers poses ...]
+    python -m tests.robustness.fuzz 1000000 --by hypothesis --counts tests/robustness/counts.json
 
-Each input is a valid file with one to three faults, read in a process that may hold 2 GB and
-compute for 10 s on it. A finding is an error that is not ours, too much memory or time, or the end
-of the process; the exit code is then 1.
+Each input is a valid file with one to three faults, which either `mutations` or Hypothesis chooses,
+read in a process that may hold 2 GB and compute for 10 s on it. A finding is an error that is not
+ours, too much memory or time, or the end of the process; the exit code is then 1. With a file of
+counts a run goes on where the last one ended: it first reads what was found once more.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import faulthandler
 import gc
 import multiprocessing
 import os
+import re
 import resource
 import shutil
 import signal
@@ -22,21 +25,30 @@ import tempfile
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from random import Random
+from typing import Any
 
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import seed as seeded
+from hypothesis import strategies as st
 from rich.progress import track
+from tests.robustness.counted import read_counts, write_counts
+from tests.robustness.drawn import drawn_damage
 from tests.robustness.mutations import damaged
 from tests.robustness.targets import TARGETS, Target
 
 from cucumbervision.errors import CucumberVisionError, InternalError, OutOfMemoryError
 
 _BATCH = 200  # inputs per call of the reading process
+_DRAWN_BATCH = 2000  # Hypothesis begins each reader of a batch with its simplest inputs
+GENERATORS = ("mutations", "hypothesis")
 _START = "spawn"  # of the reading process
 _PACKAGES = ("cucumbervision/", "cucumbervision_lab/")
 
@@ -59,7 +71,7 @@ class Finding:
     reader : str
         Name of the target.
     number : int
-        The input: with the seed it can be made again.
+        The input: with the seed it can be made again. Of one that Hypothesis drew, its batch.
     kind : str
         'unnamed', 'memory', 'time' or 'crash'.
     place : str
@@ -82,17 +94,48 @@ class Finding:
 
 @dataclass
 class Counts:
-    """Inputs tried and refused with a named error, by reader; and the findings."""
+    """Inputs tried and refused with a named error, by reader; and the findings.
+
+    `numbers` is where a later run goes on, `mended` counts earlier findings that are none any more.
+    """
 
     tried: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     findings: list[Finding] = field(default_factory=list)
+    numbers: int = 0
+    seed: int = 1
+    mended: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
         """Add another batch."""
         self.tried.update(other.tried)
         self.refused.update(other.refused)
         self.findings += other.findings
+
+    @classmethod
+    def load(cls, path: Path, by: str, seed: int) -> Counts:
+        """Read the counts of a generator's earlier runs; none where there are none."""
+        found = read_counts(path).get(by)
+        if found is None:
+            return cls(seed=seed)
+        findings = [Finding(detail="", **one) for one in found.pop("findings")]
+        counters = {name: Counter(found.pop(name)) for name in ("tried", "refused", "mended")}
+        return cls(findings=findings, **counters, **found)
+
+    def save(self, path: Path, by: str) -> None:
+        """Put the counts into a file, beside those of others."""
+        rows = [asdict(one) for one in self.findings]
+        rows = [{key: value for key, value in row.items() if key != "detail"} for row in rows]
+        write_counts(path, by, {**vars(self), "findings": rows})
+
+
+def damage_drawn(folder: Path, draw: Any) -> str:
+    """Damage one file of a folder as Hypothesis draws it; return its path below the folder."""
+    names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    name: str = draw(st.sampled_from(names))
+    data = (folder / name).read_bytes()
+    (folder / name).write_bytes(drawn_damage(data, name.rpartition(".")[2], draw))
+    return name
 
 
 def target_of(number: int, seed: int, targets: Sequence[Target] = TARGETS) -> Target:
@@ -119,15 +162,6 @@ def damage(folder: Path, number: int, seed: int) -> str:
     return name
 
 
-def make_input(number: int, seed: int, folder: Path, targets: Sequence[Target] = TARGETS) -> Target:
-    """Write an input into a new folder, and return its reader."""
-    target = target_of(number, seed, targets)
-    folder.mkdir(parents=True)
-    target.seed(folder)
-    damage(folder, number, seed)
-    return target
-
-
 class _TooLongError(BaseException):
     """Raised inside a reader that computes for too long; no `except Exception` catches it."""
 
@@ -137,9 +171,29 @@ def _stop(*_: object) -> None:
 
 
 def read_input(
-    target: Target, seeds: Path, number: int, seed: int, limits: Limits | None = None
+    target: Target,
+    seeds: Path,
+    number: int,
+    harm: Callable[[Path], str],
+    limits: Limits | None = None,
+    out: Path | None = None,
 ) -> tuple[Finding | None, bool]:
     """Read one damaged copy of a reader's valid files.
+
+    Parameters
+    ----------
+    target : Target
+        The reader.
+    seeds : Path
+        Its valid files.
+    number : int
+        Of the input, for what is found.
+    harm : callable
+        Damages one file of a folder and returns its path below the folder.
+    limits : Limits, optional
+        Of the input.
+    out : Path, optional
+        Gets the input and the traceback of a finding.
 
     Returns
     -------
@@ -151,10 +205,11 @@ def read_input(
     limits = limits or Limits()
     kind = ""
     caught: BaseException | None = None
-    with tempfile.TemporaryDirectory(dir=seeds.parent) as tmp:
+    with tempfile.TemporaryDirectory(prefix="input-", dir=seeds.parent) as tmp:
         folder = Path(tmp) / "input"
+        (Path(tmp) / "reader").write_text(target.name, "utf-8")
         shutil.copytree(seeds, folder)
-        name = damage(folder, number, seed)
+        name = harm(folder)
         faulthandler.dump_traceback_later(limits.clock_s, exit=True)
         signal.signal(signal.SIGPROF, _stop)
         try:
@@ -173,10 +228,21 @@ def read_input(
             kind, caught = "time" if isinstance(error, _TooLongError) else "unnamed", error
         finally:
             faulthandler.cancel_dump_traceback_later()
-    if caught is None:
-        return None, False
-    detail = "".join(traceback.format_exception(caught))[-20_000:]
-    return Finding(target.name, number, kind, _place_of(caught), detail), False
+        if caught is None:
+            return None, False
+        detail = "".join(traceback.format_exception(caught))[-20_000:]
+        found = Finding(target.name, number, kind, _place_of(caught), detail)
+        if out is not None:
+            _keep(folder, out, found)
+    return found, False
+
+
+def _keep(folder: Path, out: Path, found: Finding) -> None:
+    """Copy an input that is the first of its kind, with its traceback."""
+    place = out / re.sub(r"[^\w.:]+", "-", found.key)
+    if not place.exists() and folder.exists():
+        shutil.copytree(folder, place)
+        (place / "traceback.txt").write_text(f"input {found.number}\n{found.detail}", "utf-8")
 
 
 def _place_of(error: BaseException) -> str:
@@ -196,6 +262,8 @@ class _Job:
     seed: int
     readers: tuple[str, ...]
     limits: Limits
+    by: str
+    out: Path | None
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -229,13 +297,41 @@ def _begin(job: _Job) -> None:
 
 def _read_batch(numbers: range) -> Counts:
     job, counts = _job[0], Counts()
-    for number in numbers:
-        target = target_of(number, job.seed, job.targets)
-        finding, refused = read_input(target, job.place / target.name, number, job.seed, job.limits)
+
+    def read(target: Target, number: int, harm: Callable[[Path], str]) -> None:
+        seeds = job.place / target.name
+        finding, refused = read_input(target, seeds, number, harm, job.limits, job.out)
         counts.tried[target.name] += 1
         counts.refused[target.name] += refused
         counts.findings += [finding] if finding else []
+
+    targets = [target_of(number, job.seed, job.targets) for number in numbers]
+    if job.by == "mutations":
+        for number, target in zip(numbers, targets, strict=True):
+            read(target, number, partial(damage, number=number, seed=job.seed))
+        return counts
+    for target, inputs in Counter(targets).items():
+        begin = f"{job.seed}/{numbers.start}/{target.name}"
+        _draw_inputs(inputs, begin, partial(read, target, numbers.start))
     return counts
+
+
+def _draw_inputs(inputs: int, begin: str, read: Callable[[Callable[[Path], str]], None]) -> None:
+    """Let Hypothesis damage about so many files of one reader; the same begin draws the same."""
+
+    @seeded(begin)
+    @settings(
+        max_examples=inputs,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(st.data())
+    def draw(data: st.DataObject) -> None:
+        read(partial(damage_drawn, draw=data.draw))
+
+    draw()
 
 
 class _Reader:
@@ -250,19 +346,27 @@ class _Reader:
         return ProcessPoolExecutor(1, context, _begin, (self._job,))
 
     def read(self, numbers: range) -> Counts:
-        """Read inputs; one that ends the process is found by halving the batch."""
+        """Read inputs; one that ends the process is found by halving the batch.
+
+        What Hypothesis draws cannot be halved: the others of such a batch are not counted.
+        """
         try:
             return self._pool.submit(_read_batch, numbers).result()
         except BrokenProcessPool:
             self._pool.shutdown()
             self._pool = self._new()
-        if len(numbers) > 1:
+        if len(numbers) > 1 and self._job.by == "mutations":
             half, counts = len(numbers) // 2, self.read(numbers[: len(numbers) // 2])
             counts.add(self.read(numbers[half:]))
             return counts
-        target = target_of(numbers[0], self._job.seed, self._job.targets)
-        crash = Finding(target.name, numbers[0], "crash", "the process ended", "")
-        return Counts(Counter({target.name: 1}), Counter(), [crash])
+        # What it was reading is still there.
+        left = max(self._job.place.glob("input-*/input"), key=lambda p: p.stat().st_ctime)
+        target = (left.parent / "reader").read_text(encoding="utf-8")
+        crash = Finding(target, numbers[0], "crash", "the process ended", "")
+        if self._job.out is not None:
+            _keep(left, self._job.out, crash)
+        shutil.rmtree(left.parent)
+        return Counts(Counter({target: 1}), Counter(), [crash])
 
     def close(self) -> None:
         self._pool.shutdown()
@@ -286,41 +390,54 @@ def fuzz(
     targets: Sequence[Target] = TARGETS,
     out: Path | None = None,
     *,
+    by: str = "mutations",
     limits: Limits | None = None,
+    counted: Path | None = None,
 ) -> Counts:
     """Read damaged files and count what happens.
 
     Parameters
     ----------
     inputs : int
-        How many.
+        How many, those of earlier runs included.
     seed : int
         The same seed makes the same inputs.
     targets : sequence of Target
         Readers, drawn by weight.
     out : Path, optional
         Folder that gets the input and the traceback of the first finding of each kind.
+    by : str
+        Who damages: one of `GENERATORS`.
     limits : Limits, optional
         Of each input.
+    counted : Path, optional
+        File of counts, to which this run adds.
     """
-    counts, kept = Counts(), set[str]()
+    counts = Counts.load(counted, by, seed) if counted else Counts(seed=seed)
+    size = _BATCH if by == "mutations" else _DRAWN_BATCH
+    names = tuple(one.name for one in targets)
     with _valid_files(targets) as place:
-        names = tuple(one.name for one in targets)
-        reader = _Reader(_Job(place, seed, names, limits or Limits()))
+        reader = _Reader(_Job(place, counts.seed, names, limits or Limits(), by, out))
         try:
-            starts = range(0, inputs, _BATCH)
+            _read_again(counts, reader, 1 if by == "mutations" else size)
+            starts = range(counts.numbers, inputs, size)
             for start in track(starts, "reading damaged files", disable=not sys.stderr.isatty()):
-                batch = reader.read(range(start, min(start + _BATCH, inputs)))
-                counts.add(batch)
-                for one in batch.findings:
-                    if out is not None and one.key not in kept:
-                        kept.add(one.key)
-                        folder = out / f"{one.reader.replace(' ', '-')}-{one.number}"
-                        make_input(one.number, seed, folder, targets)
-                        (folder / "traceback.txt").write_text(one.detail, encoding="utf-8")
+                counts.numbers = min(start + size, inputs)
+                counts.add(reader.read(range(start, counts.numbers)))
+                if counted is not None:
+                    counts.save(counted, by)
         finally:
             reader.close()
     return counts
+
+
+def _read_again(counts: Counts, reader: _Reader, size: int) -> None:
+    """Read what was found by earlier runs: what is no finding any more is mended."""
+    before, counts.findings = counts.findings, []
+    for number in sorted({one.number for one in before}):
+        counts.findings += reader.read(range(number, number + size)).findings
+    fewer = Counter(one.key for one in before) - Counter(one.key for one in counts.findings)
+    counts.mended.update(fewer)
 
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
@@ -341,8 +458,11 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--readers", nargs="*", default=())
-    given = parser.parse_args()
-    counts = fuzz(given.inputs, given.seed, find_targets(given.readers), given.out)
+    parser.add_argument("--by", choices=GENERATORS, default=GENERATORS[0])
+    parser.add_argument("--counts", type=Path, help="file to which the counts are added")
+    said = parser.parse_args()
+    targets = find_targets(said.readers)
+    counts = fuzz(said.inputs, said.seed, targets, said.out, by=said.by, counted=said.counts)
     of_reader = Counter(one.reader for one in counts.findings)
     for name, tried in sorted(counts.tried.items()):
         line = f"{name:28}{tried:9,}{counts.refused[name]:9,} refused{of_reader[name]:5} findings\n"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import NoReturn
 
 import pytest
 from tests.robustness import fuzz as fuzzing
-from tests.robustness.fuzz import find_targets, fuzz, make_input, read_input
+from tests.robustness.fuzz import damage, find_targets, fuzz, read_input
 from tests.robustness.mutations import damaged
 from tests.robustness.targets import TARGETS, Target
 
@@ -55,7 +56,8 @@ def test_an_error_without_a_name_is_a_finding(
     seeds = tmp_path / "seeds"
     seeds.mkdir()
     (seeds / "a.txt").write_text("1 2 3\n")
-    found = [read_input(raising(error), seeds, n, seed=1)[0] for n in range(20)]
+    target = raising(error)
+    found = [read_input(target, seeds, n, partial(damage, number=n, seed=1))[0] for n in range(20)]
     assert {one.kind for one in found if one is not None} == {kind}
     # The valid files are as they were, and nothing is left beside them.
     assert [p.name for p in tmp_path.rglob("*")] == ["seeds", "a.txt"]
@@ -70,7 +72,8 @@ def test_an_input_that_computes_for_ever_is_a_finding(tmp_path: Path) -> None:
     (tmp_path / "seeds").mkdir()
     (tmp_path / "seeds" / "a.txt").write_text("1")
     endless = Target("endless", lambda folder: None, read, 1)
-    finding, _ = read_input(endless, tmp_path / "seeds", 1, 1, fuzzing.Limits(cpu_s=0.2))
+    limits = fuzzing.Limits(cpu_s=0.2)
+    finding, _ = read_input(endless, tmp_path / "seeds", 1, lambda _: "a.txt", limits)
     assert finding is not None
     assert finding.kind == "time"
 
@@ -97,14 +100,13 @@ def test_an_input_that_ends_the_process_is_found_and_the_others_are_read(
 
 
 def test_an_input_is_made_again_from_its_number(tmp_path: Path) -> None:
-    targets = find_targets(["poses"])
+    made = []
     for name in ("a", "b"):
-        assert make_input(4, 7, tmp_path / name, targets).name == "poses"
-    first, second = (
-        {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
-        for folder in (tmp_path / "a", tmp_path / "b")
-    )
-    assert first == second
+        (tmp_path / name).mkdir()
+        find_targets(["poses"])[0].seed(tmp_path / name)
+        damage(tmp_path / name, 4, 7)
+        made.append({p.name: p.read_bytes() for p in (tmp_path / name).iterdir() if p.is_file()})
+    assert made[0] == made[1]
 
 
 def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:

@@ -79,7 +79,8 @@ def _changed(data: bytes, ending: str, draw: Any) -> bytes:
 def _bytes(data: bytes, draw: Any) -> bytes:
     start = draw(st.integers(0, len(data)))
     stop = draw(st.integers(start, min(len(data), start + 16)))
-    return data[:start] + draw(st.binary(max_size=16)) + data[stop:]
+    put: bytes = draw(st.binary(max_size=16))
+    return data[:start] + put + data[stop:]
 
 
 def _tree(data: bytes, draw: Any) -> bytes:
@@ -113,7 +114,8 @@ def _word(data: bytes, draw: Any) -> bytes:
     if not spans:
         return _bytes(data, draw)
     start, stop = spans[draw(st.integers(0, len(spans) - 1))]
-    return data[:start] + draw(_WORDS).encode(errors="surrogatepass") + data[stop:]
+    word: str = draw(_WORDS)
+    return data[:start] + word.encode(errors="surrogatepass") + data[stop:]
 
 
 def _chunk(data: bytes, draw: Any) -> bytes:

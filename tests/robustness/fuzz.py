@@ -120,7 +120,7 @@ class Counts:
             return cls(seed=seed)
         findings = [Finding(detail="", **one) for one in found.pop("findings")]
         counters = {name: Counter(found.pop(name)) for name in ("tried", "refused", "mended")}
-        return cls(findings=findings, **counters, **found)
+        return cls(findings=findings, **{**found, **counters})
 
     def save(self, path: Path, by: str) -> None:
         """Put the counts into a file, beside those of others."""

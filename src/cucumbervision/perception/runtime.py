@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -182,6 +183,8 @@ def open_network(
         path = Path(path)
         if not path.is_file():
             raise ModelError("there is no such file", source=source, remedy="check the path")
+    if not verified:
+        _refuse_external_weights(path if isinstance(path, bytes) else path.read_bytes(), source)
     for_openvino = runtime in ("auto", "openvino") and importlib.util.find_spec("openvino")
     if for_openvino and not verified:
         _check_graph(path, source)
@@ -199,6 +202,20 @@ def open_network(
     network = _open_onnxruntime(path, source, "onnxruntime", full_precision, why)
     _log.info("%s: %s, so ONNX Runtime runs it", source, fault)
     return network
+
+
+# ONNX, TensorProto.external_data: an entry with the key 'location', and its length in one or more
+# bytes. The runtimes would read the file that it names, wherever it lies.
+_EXTERNAL = re.compile(rb"\x0a(?:\x08|\x88[\x80]*\x00)location")
+
+
+def _refuse_external_weights(network: bytes, source: str) -> None:
+    if _EXTERNAL.search(network):
+        raise ModelError(
+            "its weights are in another file, which its hash does not cover",
+            source=source,
+            remedy="save it as one file: onnx.save(onnx.load(FILE), NEW_FILE)",
+        )
 
 
 def import_onnxruntime() -> Any:

@@ -15,6 +15,51 @@ import numpy as np
 from cucumbervision.errors import MissingExtraError, TrainingError
 from cucumbervision.perception.runtime import import_onnxruntime
 
+_LAYERS = ("torch.nn.modules.", "ultralytics.nn.")
+
+
+def require_layers(path: Path | str) -> list[Any]:
+    """Return the classes of a checkpoint's layers; refuse one whose loading would run other code.
+
+    A checkpoint is a pickle of the whole network. Which names it uses is seen without loading it.
+
+    Raises
+    ------
+    TrainingError
+        If it is no checkpoint, or uses a name that is no layer of PyTorch or Ultralytics.
+    """
+    from torch.nn import Module
+    from torch.serialization import get_unsafe_globals_in_checkpoint
+
+    layers, other = [], ""
+    try:
+        for name in get_unsafe_globals_in_checkpoint(path):
+            module, _, word = name.rpartition(".")
+            known = name.startswith(_LAYERS)
+            layer = getattr(importlib.import_module(module), word) if known else None
+            if isinstance(layer, type) and issubclass(layer, Module):
+                layers.append(layer)
+            else:
+                other = name
+    # Walking a broken pickle can raise anything.
+    except Exception as error:
+        raise _not_loadable(path, error) from error
+    if other:
+        raise TrainingError(
+            f"loading it would run {other}, which is no layer of a network",
+            source=path,
+            remedy="use weights from somebody whom you trust",
+        )
+    return layers
+
+
+def _not_loadable(path: Path | str, error: Exception) -> TrainingError:
+    return TrainingError(
+        f"these weights cannot be loaded ({error})",
+        source=path,
+        remedy="give a YOLO26 checkpoint (.pt)",
+    )
+
 
 def load_checkpoint(path: Path) -> Any:
     """Return what a checkpoint holds.
@@ -32,20 +77,17 @@ def load_checkpoint(path: Path) -> Any:
     Raises
     ------
     TrainingError
-        If the file is no checkpoint.
+        If the file is no checkpoint, or holds more than a network (`require_layers`).
     """
     import torch
 
+    layers = require_layers(path)
     try:
-        # A checkpoint that the user named; it keeps the whole network, not weights alone.
-        return torch.load(path, map_location="cpu", weights_only=False)
+        with torch.serialization.safe_globals(layers):
+            return torch.load(path, map_location="cpu", weights_only=True)
     # Unpickling a broken checkpoint can raise anything.
     except Exception as error:
-        raise TrainingError(
-            f"these weights cannot be loaded ({error})",
-            source=path,
-            remedy="give a YOLO26 checkpoint (.pt)",
-        ) from error
+        raise _not_loadable(path, error) from error
 
 
 def place_in(checkpoint: Path) -> dict[str, Any] | None:

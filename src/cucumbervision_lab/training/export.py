@@ -25,7 +25,7 @@ from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
-from cucumbervision_lab.training.checkpoint import import_ultralytics
+from cucumbervision_lab.training.checkpoint import import_ultralytics, require_layers
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
@@ -116,7 +116,11 @@ def export_yolo(
 def _load(checkpoint: Path | str) -> Any:
     ultralytics = import_ultralytics()
     try:
+        if Path(checkpoint).suffix == ".pt":
+            require_layers(checkpoint)
         return ultralytics.YOLO(str(checkpoint))
+    except TrainingError as error:
+        raise ModelError(error.message, source=checkpoint, remedy=error.remedy) from error
     # Unpickling a broken checkpoint can raise anything.
     except Exception as error:
         raise ModelError(

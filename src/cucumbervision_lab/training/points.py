@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from cucumbervision.perception.instances import KEYPOINT_NAMES
+from cucumbervision_lab.training.checkpoint import require_layers
 from cucumbervision_lab.training.cpu import losses_of
 from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 
@@ -92,6 +93,7 @@ def knows_points(weights: str) -> bool:
         return False
     from ultralytics.nn.tasks import load_checkpoint
 
+    require_layers(weights)
     network, _ = load_checkpoint(weights)
     shape = getattr(network.model[-1], "kpt_shape", (0,))
     return int(shape[0]) == len(KEYPOINT_NAMES)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.errors import TrainingError
+from cucumbervision_lab.training.checkpoint import require_layers
 from cucumbervision_lab.training.data import TASKS
 from cucumbervision_lab.training.plan import RunState
 
@@ -207,6 +208,7 @@ def _network(state: RunState, model: str) -> dict[str, Any]:
         return {"model": model, "pretrained": False}
     from ultralytics.nn.tasks import load_checkpoint
 
+    require_layers(model)
     try:
         network, _ = load_checkpoint(model)
     # Unpickling a broken checkpoint can raise anything.

@@ -11,8 +11,9 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:  # its import alone would ask the network
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
-from cucumbervision.errors import TrainingError
+from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision_lab.training.checkpoint import average_networks, import_ultralytics
+from cucumbervision_lab.training.export import export_yolo
 
 pytestmark = pytest.mark.train
 
@@ -57,7 +58,19 @@ def test_weights_are_averaged_by_the_share(tmp_path: Path) -> None:
     assert not (tmp_path / "mean.part").exists()
 
 
+class Runs:
+    """Unpickled, it makes a file."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, tuple[str, str]]:
+        return open, (self.path, "w")
+
+
 def test_what_is_no_pair_is_refused_by_name(tmp_path: Path) -> None:
+    import torch
+
     first, pose = write(tmp_path, "a.pt"), write(tmp_path, "pose.pt", "pose")
     with pytest.raises(TrainingError, match=r"not the network of a\.pt"):
         average_networks(first, pose, tmp_path / "mean.pt")
@@ -67,4 +80,11 @@ def test_what_is_no_pair_is_refused_by_name(tmp_path: Path) -> None:
     broken.write_bytes(b"no checkpoint")
     with pytest.raises(TrainingError, match="cannot be loaded"):
         average_networks(first, broken, tmp_path / "mean.pt")
+    hostile = tmp_path / "hostile.pt"
+    torch.save({"model": Runs(str(tmp_path / "ran"))}, hostile)
+    with pytest.raises(TrainingError, match=r"loading it would run .*open, which is"):
+        average_networks(first, hostile, tmp_path / "mean.pt")
+    with pytest.raises(ModelError, match=r"hostile\.pt: loading it would run"):
+        export_yolo(hostile, tmp_path / "out.onnx")
+    assert not (tmp_path / "ran").exists()
     assert not (tmp_path / "mean.pt").exists()

@@ -47,9 +47,7 @@ def test_pull_of_an_embedded_model_fetches_nothing(folder: Path) -> None:
     assert "mobile-sam-decoder.onnx" in result.output
     assert not (folder / "models").exists()
     error = call("pull", "mobile-sam", "--from", "x.pt").exception
-    assert (
-        str(error) == "the model mobile-sam lies in the package and takes no file; leave out --from"
-    )
+    assert str(error) == "the model mobile-sam is included in the package; omit --from"
 
 
 def test_export_writes_the_files(folder: Path) -> None:

@@ -45,7 +45,12 @@ from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.synthesis.appearance import Assets, Style
 from cucumbervision_lab.synthesis.frame import FrameOptions, draw_frame
 from cucumbervision_lab.synthesis.generate import label_frame
-from cucumbervision_lab.training.house import HousePlan, Judged, judge_on, train_house
+from cucumbervision_lab.training.house import (
+    DetectorScore,
+    HousePlan,
+    evaluate_detector,
+    train_house,
+)
 from cucumbervision_lab.training.settings import TrainOptions
 
 SKIN = {
@@ -245,7 +250,7 @@ def correct_house(out: Path, marks: Sequence[int]) -> list[Path]:
     return [path for path in sets if (path / "annotations.json").is_file()]
 
 
-def lines_of(name: str, judged: Sequence[Judged]) -> str:
+def lines_of(name: str, judged: Sequence[DetectorScore]) -> str:
     """Return a row of the table: recall and precision of each test."""
     return f"| {name} | " + " | ".join(f"{x.recall:.2f}, {x.precision:.2f}" for x in judged) + " |"
 
@@ -297,15 +302,19 @@ def main() -> None:
             init=asked.init,
             plan=plan,
             options=options,
-            say=lambda _: None,
+            log=lambda _: None,
         )
         if not table:
-            old = judge_on(Path(load_registry().resolve("cucumber-seg")["network"]), *tests)
+            old = evaluate_detector(
+                Path(load_registry().resolve("cucumber-seg")["network"]), *tests
+            )
             heads = " | ".join(f"{one.test} ({one.fruit})" for one in old)
             table += [f"| corrections | {heads} |", "|---" + "|--:" * len(old) + "|"]
             table.append(lines_of("0: as shipped", old))
         table.append(
-            lines_of(house.name.removeprefix("set-"), judge_on(run / "house-seg.onnx", *tests))
+            lines_of(
+                house.name.removeprefix("set-"), evaluate_detector(run / "house-seg.onnx", *tests)
+            )
         )
         print("\n".join(table), flush=True)
         print((run / "judgement.md").read_text(encoding="utf-8").splitlines()[-1], flush=True)

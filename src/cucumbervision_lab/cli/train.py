@@ -88,7 +88,7 @@ def network(
             per_epoch=per_epoch,
             resume=resume,
             options=options,
-            watcher=console,
+            callbacks=console,
         )
     console.close(trained)
 
@@ -138,9 +138,9 @@ def recipe(
             RecipeFolders(data, weights, out, test),
             tasks=(only,) if only else tuple(read.schedules),
             options=options,
-            watcher=console,
+            callbacks=console,
             workers=os.cpu_count() or 1,
-            say=console.say,
+            log=console.say,
         )
     for network in found.values():
         console.close(network)
@@ -197,9 +197,9 @@ def house(
                 workers=workers,
                 minutes=minutes,
             ),
-            watcher=console,
+            callbacks=console,
             workers=os.cpu_count() or 1,
-            say=console.say,
+            log=console.say,
         )
     if judged is None:
         show(f"The plan is not through yet: give the same command again, and {out} goes on")
@@ -244,10 +244,10 @@ def ends(
         )
     write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
     table = Table("fruit of scenes not learnt from", "ends identified", title=str(result.network))
-    for kind, share in result.right.items():
+    for kind, share in result.accuracy.items():
         table.add_row(kind, f"{100 * share:.1f} %")
-    sure = f"those at least 90 % sure ({100 * result.sure:.0f} % of all)"
-    table.add_row(sure, f"{100 * result.sure_right:.1f} %")
+    sure = f"those at least 90 % sure ({100 * result.confident_share:.0f} % of all)"
+    table.add_row(sure, f"{100 * result.confident_accuracy:.1f} %")
     Console(highlight=False).print(table)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints, their weighted mean, Ultralytics without telemetry, and the tables of a run."""
+"""Read, strip and average checkpoints; import Ultralytics offline; read and write CSV tables."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _LAYERS = ("torch.nn.modules.", "ultralytics.nn.")
 
 
 def require_layers(path: Path | str) -> list[Any]:
-    """Return the classes of a checkpoint's layers; refuse one whose loading would run other code.
+    """Return the layer classes of a checkpoint, and reject checkpoints that use other names.
 
-    A checkpoint is a pickle of the whole network. Which names it uses is seen without loading it.
+    A checkpoint is a pickle of the whole network. The names are read without loading it.
 
     Raises
     ------
     TrainingError
-        If it is no checkpoint, or uses a name that is no layer of PyTorch or Ultralytics.
+        If the file is not a checkpoint, or uses a name other than a PyTorch or Ultralytics layer.
     """
     from torch.nn import Module
     from torch.serialization import get_unsafe_globals_in_checkpoint
@@ -41,43 +41,43 @@ def require_layers(path: Path | str) -> list[Any]:
                 layers.append(layer)
             else:
                 other = name
-    # Walking a broken pickle can raise anything.
+    # Reading a damaged pickle can raise any exception.
     except Exception as error:
         raise _not_loadable(path, error) from error
     if other:
         raise TrainingError(
-            f"loading it would run {other}, which is no layer of a network",
+            f"loading it would run {other}, which is not a network layer",
             source=path,
-            remedy="use weights from somebody whom you trust",
+            remedy="use weights from a trusted source",
         )
     return layers
 
 
 def _not_loadable(path: Path | str, error: Exception) -> TrainingError:
     return TrainingError(
-        f"these weights cannot be loaded ({error})",
+        f"cannot load the weights ({error})",
         source=path,
         remedy="give a YOLO26 checkpoint (.pt)",
     )
 
 
 def load_checkpoint(path: Path) -> Any:
-    """Return what a checkpoint holds.
+    """Return the contents of a checkpoint.
 
     Parameters
     ----------
     path : Path
-        A YOLO26 checkpoint (.pt), as Ultralytics or `strip` wrote it.
+        A YOLO26 checkpoint (.pt), written by Ultralytics or by `strip_checkpoint`.
 
     Returns
     -------
     dict
-        Ultralytics' entries, 'model' and others, and `strip`'s 'place'.
+        The entries of Ultralytics ('model' and others) and, after `strip_checkpoint`, 'place'.
 
     Raises
     ------
     TrainingError
-        If the file is no checkpoint, or holds more than a network (`require_layers`).
+        If the file is not a checkpoint, or contains more than a network (`require_layers`).
     """
     import torch
 
@@ -90,61 +90,62 @@ def load_checkpoint(path: Path) -> Any:
         raise _not_loadable(path, error) from error
 
 
-def place_in(checkpoint: Path) -> dict[str, Any] | None:
-    """Return the place in a plan that `strip` wrote into a checkpoint, or None.
+def stored_run_state(checkpoint: Path) -> dict[str, Any] | None:
+    """Return the run state that `strip_checkpoint` stored in a checkpoint, or None.
 
     Raises
     ------
     TrainingError
-        If the file is no checkpoint.
+        If the file is not a checkpoint.
     """
-    kept = load_checkpoint(checkpoint)
-    found = kept.get("place") if isinstance(kept, dict) else None
-    return found if isinstance(found, dict) else None
+    entries = load_checkpoint(checkpoint)
+    state = entries.get("place") if isinstance(entries, dict) else None
+    return state if isinstance(state, dict) else None
 
 
-def strip(checkpoint: Path, out: Path, place: dict[str, Any]) -> None:
-    """Write a checkpoint without its optimiser, in half precision; replaces `out` whole.
+def strip_checkpoint(checkpoint: Path, out: Path, run_state: dict[str, Any]) -> None:
+    """Write a checkpoint in half precision and without optimiser state; replaces `out` atomically.
 
-    `place` says where in which plan it stands, so that another machine can go on from it. Of paths
-    on this machine only the names stay, and nothing of the folder's repository.
+    `run_state` is stored with the weights, so that another machine can resume the run. Paths are
+    reduced to file names and Git metadata is dropped: both describe the training machine.
     """
     import torch
     from ultralytics.utils.torch_utils import strip_optimizer
 
     part = out.with_suffix(".part")
     strip_optimizer(str(checkpoint), str(part))
-    kept = load_checkpoint(part)
-    kept.pop("git", None)
-    kept["train_args"] = _named(kept.get("train_args") or {})
-    network = kept["model"]
+    entries = load_checkpoint(part)
+    entries.pop("git", None)
+    entries["train_args"] = _without_folders(entries.get("train_args") or {})
+    network = entries["model"]
     for holder in ("args", "yaml"):
         value = getattr(network, holder, None)
         if isinstance(value, dict):
-            setattr(network, holder, _named(value))
+            setattr(network, holder, _without_folders(value))
     network.pt_path = None
-    kept["place"] = _named(place)
-    torch.save(kept, part)
+    entries["place"] = _without_folders(run_state)
+    torch.save(entries, part)
     part.replace(out)
 
 
-def _named(values: dict[str, Any]) -> dict[str, Any]:
-    """Return paths as their last name."""
+def _without_folders(values: dict[str, Any]) -> dict[str, Any]:
+    """Replace paths by their file names."""
     return {
         key: Path(value).name if isinstance(value, str) and "/" in value else value
         for key, value in values.items()
     }
 
 
-# Torch drops an operator's definition together with the library object that made it.
+# Torch removes an operator's definition when its Library object is garbage-collected.
 _libraries: list[Any] = []
 
 
 def _import_torchvision() -> None:
-    """Import torchvision, as Ultralytics does when it validates.
+    """Import torchvision, which Ultralytics needs for validation.
 
-    A torchvision whose operators were built for another torch cannot be imported; with its two
-    operators declared it can. Nothing here calls them: the exported head suppresses nothing.
+    A torchvision built for another torch fails to import because its operators are missing.
+    Declaring the two operators lets the import succeed. They are never called here, because the
+    one-to-one head needs no non-maximum suppression.
     """
     import torch
 
@@ -156,46 +157,46 @@ def _import_torchvision() -> None:
         _libraries.append(torch.library.Library("torchvision", "DEF"))
         for name in ("nms", "qnms"):
             _libraries[-1].define(f"{name}(Tensor dets, Tensor scores, float iou) -> Tensor")
-        # The failed import left parts behind that would be taken for whole ones.
+        # The failed import leaves partly initialised modules behind.
         for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
             del sys.modules[name]
         importlib.import_module("torchvision")
 
 
 def import_ultralytics() -> Any:
-    """Import Ultralytics with its telemetry, downloads and installs off.
+    """Import Ultralytics with telemetry, downloads and automatic installs disabled.
 
     Returns
     -------
     module
-        `ultralytics`.
+        The `ultralytics` package.
 
     Raises
     ------
     MissingExtraError
-        If it is not installed.
+        If Ultralytics is not installed.
     """
     os.environ["YOLO_OFFLINE"] = "1"
     os.environ["YOLO_AUTOINSTALL"] = "False"
     os.environ.setdefault("YOLO_VERBOSE", "False")
-    # Ultralytics imports it too, and would leave its telemetry on.
+    # Imported first, because Ultralytics would import it with telemetry enabled.
     import_onnxruntime()
     try:
-        # It sets how NumPy prints arrays, for everybody.
+        # Ultralytics changes NumPy's print options globally.
         with np.printoptions():
             _import_torchvision()
             import ultralytics
             from ultralytics.utils import SETTINGS, events
     except ImportError as error:
         raise MissingExtraError(error.name or "ultralytics", "train") from error
-    # In this process only: the user's own settings file stays as it is.
+    # `dict.__setitem__` changes the setting in this process only, not in the user's file.
     dict.__setitem__(SETTINGS, "sync", False)
     events.events.enabled = False
     return ultralytics
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a table; none where there is no file."""
+    """Return the rows of a CSV file, or an empty list if it does not exist."""
     if not path.is_file():
         return []
     with path.open(newline="", encoding="utf-8") as file:
@@ -203,7 +204,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a table whose columns are those of all rows; a kill leaves the old or the new one."""
+    """Write rows with the union of their columns as CSV; replaces the file atomically."""
     head = dict.fromkeys(key for row in rows for key in row)
     part = path.with_suffix(".part")
     with part.open("w", newline="", encoding="utf-8") as file:
@@ -216,63 +217,66 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def average_networks(first: Path, second: Path, out: Path, share: float = 0.5) -> Path:
     """Write the weighted mean of two checkpoints.
 
-    A network that was trained on keeps more of what it knew, and finds more on pictures unlike the
-    new ones, if its weights are averaged with those that it began with (Wortsman et al., "Robust
-    fine-tuning of zero-shot models", CVPR 2022).
+    Averaging the weights before and after fine-tuning reduces forgetting and improves accuracy on
+    pictures that differ from the fine-tuning data (Wortsman et al., "Robust fine-tuning of
+    zero-shot models", CVPR 2022).
 
     Parameters
     ----------
     first, second : Path
-        Checkpoints (.pt) of one network, the second trained on from the first or both from one.
+        Checkpoints (.pt) of the same architecture: `second` was fine-tuned from `first`, or both
+        were fine-tuned from a third one.
     out : Path
-        The checkpoint to write, in half precision; replaced whole.
+        The checkpoint to write, in half precision; replaced atomically.
     share : float
-        Of the second, 0 to 1.
+        Weight of `second`, 0 to 1.
 
     Returns
     -------
     Path
-        `out`. It holds no place in a plan: a training that begins with it begins a plan.
+        `out`. It stores no run state, so a training initialised with it starts a new run.
 
     Raises
     ------
     TrainingError
-        If a file is no checkpoint, the two differ in more than weights, or the share is no share.
+        If a file is not a checkpoint, the two architectures differ, or `share` is out of range.
     """
     import torch
 
     if not 0 <= share <= 1:
-        raise TrainingError(f"{share} is no share", remedy="give a number from 0 to 1")
-    one, other = _with_network(first), _with_network(second)
-    mine, theirs = (kept["model"].float().state_dict() for kept in (one, other))
-    shapes, other_shapes = ({k: v.shape for k, v in own.items()} for own in (mine, theirs))
-    if shapes != other_shapes:
         raise TrainingError(
-            f"it is not the network of {first.name}",
+            f"the share {share} is out of range", remedy="give a number from 0 to 1"
+        )
+    entries_1, entries_2 = _load_network(first), _load_network(second)
+    state_1, state_2 = (entries["model"].float().state_dict() for entries in (entries_1, entries_2))
+    shapes_1, shapes_2 = ({k: v.shape for k, v in state.items()} for state in (state_1, state_2))
+    if shapes_1 != shapes_2:
+        raise TrainingError(
+            f"its architecture differs from {first.name}",
             source=second,
-            remedy="give two checkpoints that were trained from the same one",
+            remedy="give two checkpoints that were trained from the same weights",
         )
     with torch.no_grad():
-        for key, value in theirs.items():
+        for key, value in state_2.items():
             if value.is_floating_point():
-                # In place: these are the second network's own weights.
-                value.copy_(torch.lerp(mine[key], value, share))
-    other["model"].half()
-    other.pop("place", None)
+                # The state dictionary refers to the network's own tensors: update them in place.
+                value.copy_(torch.lerp(state_1[key], value, share))
+    entries_2["model"].half()
+    entries_2.pop("place", None)
     part = out.with_suffix(".part")
-    torch.save(other, part)
+    torch.save(entries_2, part)
     part.replace(out)
     return out
 
 
-def _with_network(path: Path) -> dict[str, Any]:
-    """Return a checkpoint with a network in it."""
+def _load_network(path: Path) -> dict[str, Any]:
+    """Return the contents of a checkpoint that stores a network."""
     import_ultralytics()
-    kept = load_checkpoint(path)
-    if not (isinstance(kept, dict) and hasattr(kept.get("model"), "state_dict")):
+    entries = load_checkpoint(path)
+    if not (isinstance(entries, dict) and hasattr(entries.get("model"), "state_dict")):
         raise TrainingError(
-            "these weights cannot be loaded (no network is in them)",
+            "cannot load the weights (the file contains no network)",
             source=path,
-            remedy="give a YOLO26 checkpoint (.pt) as `train` writes it, network.pt",
+            remedy="give a YOLO26 checkpoint (.pt) such as network.pt written by `train`",
         )
-    return kept
+    return entries

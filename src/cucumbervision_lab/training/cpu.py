@@ -1,4 +1,4 @@
-"""Faster training on a processor: masks assigned at half the resolution, and bfloat16."""
+"""Faster training on the CPU: anchor assignment with half-size masks, and bfloat16."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 
-def losses_of(model: Any) -> list[Any]:
-    """Return the losses of the one-to-many and the one-to-one head, or the only one.
+def head_losses(model: Any) -> list[Any]:
+    """Return the losses of the one-to-many and one-to-one heads, or the single loss.
 
     Parameters
     ----------
     model : ultralytics.nn.tasks.BaseModel
-        With or without a criterion; it gets one.
+        Its criterion is created if missing.
     """
     if getattr(model, "criterion", None) is None:
         model.criterion = model.init_criterion()
@@ -24,58 +24,58 @@ def losses_of(model: Any) -> list[Any]:
 _FACTOR = 2
 
 
-def assign_coarsely(model: Any) -> None:
-    """Make a segmenting network's loss assign by masks of half the size in both directions.
+def assign_at_half_resolution(model: Any) -> None:
+    """Assign anchors with masks of half the height and width.
 
-    The masks that the network learns stay whole: only the choice of the anchors is coarser.
+    The mask loss keeps the full resolution; only the choice of anchors is coarser.
 
     Parameters
     ----------
     model : ultralytics.nn.tasks.SegmentationModel
-        With or without a criterion; it gets one.
+        Its criterion is created if missing.
     """
-    for loss in losses_of(model):
-        loss.assigner = _coarse(loss.assigner)
+    for loss in head_losses(model):
+        loss.assigner = _half_resolution(loss.assigner)
 
 
-def _coarse(assigner: Any) -> Any:
+def _half_resolution(assigner: Any) -> Any:
     from torch.nn.functional import avg_pool2d
     from ultralytics.utils.tal import SegTaskAlignedAssigner
 
-    class Coarse(SegTaskAlignedAssigner):  # type: ignore[misc]
-        """Sees masks and prototypes at half the size."""
+    class HalfResolutionAssigner(SegTaskAlignedAssigner):  # type: ignore[misc]
+        """Assigner that receives masks and prototypes at half the size."""
 
-        def forward(self, *seen: Any, **of_masks: Any) -> Any:
-            """Assign; `of_masks` are the prototypes, the true masks and their scale."""
-            if "proto" not in of_masks:
-                return super().forward(*seen, **of_masks)
-            rows = cells = slice(_FACTOR // 2, None, _FACTOR)
-            coarse = of_masks | {
-                "mask_scale": of_masks["mask_scale"] / _FACTOR,
-                "proto": avg_pool2d(of_masks["proto"], _FACTOR),
-                "gt_masks": of_masks["gt_masks"][..., rows, cells],
+        def forward(self, *args: Any, **masks: Any) -> Any:
+            """Assign anchors; `masks` has the prototypes, the true masks and their scale."""
+            if "proto" not in masks:
+                return super().forward(*args, **masks)
+            rows = columns = slice(_FACTOR // 2, None, _FACTOR)
+            coarse = masks | {
+                "mask_scale": masks["mask_scale"] / _FACTOR,
+                "proto": avg_pool2d(masks["proto"], _FACTOR),
+                "gt_masks": masks["gt_masks"][..., rows, columns],
             }
-            return super().forward(*seen, **coarse)
+            return super().forward(*args, **coarse)
 
     names = ("topk", "topk2", "num_classes", "alpha", "beta", "stride")
-    return Coarse(**{name: getattr(assigner, name) for name in names})
+    return HalfResolutionAssigner(**{name: getattr(assigner, name) for name in names})
 
 
 _FLAGS = ("avx512_bf16", "amx_bf16")
 
 
 def cpu_has_bfloat16(cpuinfo: str | None = None) -> bool:
-    """Return whether the processor computes in bfloat16 (AVX-512 BF16 or AMX).
+    """Return whether the CPU supports bfloat16 arithmetic (AVX-512 BF16 or AMX).
 
     Parameters
     ----------
     cpuinfo : str, optional
-        The system's description of it; Linux's /proc/cpuinfo without it.
+        Contents of /proc/cpuinfo; by default, the file is read.
 
     Returns
     -------
     bool
-        False where there is no such description.
+        False on systems without /proc/cpuinfo.
 
     Examples
     --------
@@ -88,15 +88,15 @@ def cpu_has_bfloat16(cpuinfo: str | None = None) -> bool:
     return not set(_FLAGS).isdisjoint(cpuinfo.split())
 
 
-def choose_precision(asked: str, device: str) -> str:
-    """Say in which precision a training runs.
+def choose_precision(requested: str, device: str) -> str:
+    """Return the floating-point precision of a training.
 
     Parameters
     ----------
-    asked : str
+    requested : str
         'auto', 'f32' or 'bf16'.
     device : str
-        'cpu', or anything else for a graphics card, where Ultralytics' own way is used.
+        'cpu' or a GPU number. On a GPU 'auto' is 'f32': Ultralytics handles mixed precision itself.
 
     Returns
     -------
@@ -108,37 +108,37 @@ def choose_precision(asked: str, device: str) -> str:
     >>> choose_precision("f32", "cpu")
     'f32'
     """
-    if asked != "auto":
-        return asked
+    if requested != "auto":
+        return requested
     return "bf16" if device == "cpu" and cpu_has_bfloat16() else "f32"
 
 
 def channels_last(model: Any) -> None:
-    """Keep a network's weights with the channels innermost, which is quicker on the CPU too.
+    """Convert a network's weights to the channels-last memory format, which is faster on CPUs.
 
     Parameters
     ----------
     model : torch.nn.Module
-        Its values stay as they are. Ultralytics writes files in the usual order again.
+        Changed in place; its values stay the same. Checkpoints are saved in the default format.
     """
     import torch
 
     model.to(memory_format=torch.channels_last)
 
 
-def narrow(model: Any) -> None:
-    """Run a network's layers in bfloat16 from here on, until `widen`.
+def enable_bfloat16(model: Any) -> None:
+    """Run a network's layers in bfloat16 until `disable_bfloat16`.
 
     Parameters
     ----------
     model : ultralytics.nn.tasks.BaseModel
-        On the CPU; its weights stay in float32, and so does what `predict` gives.
+        A network on the CPU. Weights and the output of `predict` stay float32.
     """
     model.predict = partial(_predict, model)
 
 
-def widen(model: Any) -> None:
-    """Undo `narrow`. Copies and files of a network are made from the plain one only."""
+def disable_bfloat16(model: Any) -> None:
+    """Undo `enable_bfloat16`; required before a network is copied or saved."""
     model.__dict__.pop("predict", None)
 
 
@@ -146,12 +146,12 @@ def _predict(model: Any, *args: Any, **kwargs: Any) -> Any:
     import torch
 
     with torch.autocast("cpu", torch.bfloat16):
-        given = type(model).predict(model, *args, **kwargs)
-    return _float32(given)
+        output = type(model).predict(model, *args, **kwargs)
+    return _float32(output)
 
 
 def _float32(value: Any) -> Any:
-    """Widen every bfloat16 tensor in nested lists, tuples and dictionaries."""
+    """Convert every bfloat16 tensor in nested lists, tuples and dictionaries to float32."""
     import torch
 
     if isinstance(value, torch.Tensor):

@@ -1,7 +1,4 @@
-"""Training data: checked, and a complete `data.yaml` for one class and five keypoints.
-
-A data set with faults is refused here, before any hour is spent.
-"""
+"""Check training data and write a complete `data.yaml` for one class and five keypoints."""
 
 from __future__ import annotations
 
@@ -17,32 +14,32 @@ from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 from cucumbervision_lab.datasets.yolo import load_data_yaml, write_yolo
 
 TASKS = {"seg": "segment", "pose": "pose"}
-"""Our tasks, and what Ultralytics calls them."""
+"""Task names of the commands, and their names in Ultralytics."""
 
 KEYPOINT_SIGMA = 0.05
-"""Tolerance of every keypoint in the object keypoint similarity, of the loss and of validation."""
+"""Standard deviation of every keypoint in object keypoint similarity (loss and validation)."""
 
 DATA_CARD = "data.md"
-"""Name of the data set's card in the run's folder."""
+"""File name of the data set's card in the run's folder."""
 
 _KEYPOINTS = 5
 
 
 def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Path:
-    """Check a data set, write its card into the run's folder, and its `data.yaml`.
+    """Check a data set, and write its card and `data.yaml` to the run's folder.
 
     Parameters
     ----------
     data : Path
-        A folder in the hub's form or COCO's, of which a YOLO copy is written into the run's
-        folder; or a YOLO folder or its data.yaml, read where it is.
+        A YOLO folder or its data.yaml, used in place; or a folder in COCO or hub format, which is
+        converted to YOLO format in the run's folder.
     task : str
         'seg' or 'pose'.
     run : Path
-        Folder of the training.
+        Folder of the training run.
     check : bool
-        Look for faults, and for the same picture in two splits. A set in another form than
-        YOLO's is read anyway, and then refused if it cannot be.
+        Look for faults and for duplicate pictures across splits. A set that must be converted is
+        always checked for faults.
 
     Returns
     -------
@@ -52,9 +49,9 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
     Raises
     ------
     DataSetError
-        If it is no data set, or has faults.
+        If the data set cannot be read or has faults.
     TrainingError
-        As `write_data_file`.
+        See `write_data_file`.
     """
     file = data / "data.yaml" if data.is_dir() else data
     if check or not file.is_file():
@@ -68,14 +65,14 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
 
 
 def data_card(dataset: DataSet, title: str) -> str:
-    """Return in Markdown whose pictures a set holds, how many and under which licence.
+    """Return a Markdown table of a data set's sources, licences and picture counts.
 
     Parameters
     ----------
     dataset : DataSet
-        What to describe.
+        The data set to describe.
     title : str
-        Heading.
+        Heading of the card.
 
     Examples
     --------
@@ -97,27 +94,27 @@ def data_card(dataset: DataSet, title: str) -> str:
     for (source, licence), own in sorted(groups.items()):
         fruit = [sum(not label.ignore for label in picture.labels) for picture in own]
         counts = len(own), np.count_nonzero(fruit), sum(fruit)
-        # A bar in a licence's text would end the cell.
+        # Escape the column separator.
         cells = (source.replace("|", "\\|"), licence.replace("|", "\\|"), *map(str, counts))
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def write_data_file(path: Path, task: str, run: Path) -> Path:
-    """Write the run's own `data.yaml`: absolute paths, one class, and the keypoints' tolerance.
+    """Write the run's `data.yaml` with absolute paths, one class and the keypoint sigmas.
 
-    Ultralytics reads `kpt_oks_sigmas` from it, for the loss and for validation; without it five
-    points get 0.2 each, four times as kind. `flip_idx` leaves the points in their order: none of
-    them is left or right.
+    Ultralytics reads `kpt_oks_sigmas` for the loss and for validation; its default for five points
+    is 0.2 each, four times as tolerant. `flip_idx` keeps the order of the keypoints, because none
+    of them is a left or right one.
 
     Parameters
     ----------
     path : Path
-        A data.yaml.
+        The data.yaml to read.
     task : str
         'seg' or 'pose'.
     run : Path
-        Folder of the training.
+        Folder of the training run.
 
     Returns
     -------
@@ -127,10 +124,10 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     Raises
     ------
     CaptureError, DataSetError
-        If there is no data.yaml, or it cannot be read.
+        If `path` does not exist or cannot be read.
     TrainingError
-        If it has no training or validation pictures, more classes than one, or (pose) other than
-        five keypoints.
+        If `path` lists no training or validation pictures, has more than one class, or, for
+        'pose', does not have five keypoints.
     """
     values = load_data_yaml(path)
     _check(values, task, path)
@@ -156,16 +153,18 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
 def _check(values: dict[str, Any], task: str, path: Path) -> None:
     for split in ("train", "val"):
         if not values.get(split):
-            raise TrainingError(f"names no {split} pictures", source=path, remedy="add them")
+            raise TrainingError(
+                f"the split {split} is missing", source=path, remedy=f"add {split} pictures"
+            )
     names = values.get("names") or []
     if len(names) != 1:
         raise TrainingError(
-            f"has {len(names)} classes, not one", source=path, remedy="keep the cucumbers only"
+            f"has {len(names)} classes, expected 1", source=path, remedy="keep only cucumbers"
         )
     shape = values.get("kpt_shape")
     if task == "pose" and (not shape or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):
         raise TrainingError(
-            f"has keypoints of shape {shape}, not [5, 3]",
+            f"has keypoints of shape {shape}, expected [5, 3]",
             source=path,
-            remedy="write the data set again for the task pose",
+            remedy="export the data set again for the task pose",
         )

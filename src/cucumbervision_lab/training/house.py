@@ -1,7 +1,8 @@
-"""Continue training the package's detector on a house's pictures, and compare it with the old one.
+"""Fine-tune the packaged detector on pictures of one greenhouse, and compare it with the old one.
 
-The shipped mixture is seen beside them, so that nothing is forgotten. Pictures of places that the
-set keeps back are never trained on; old and new are judged on them and on our tests.
+Training mixes in the sources of the packaged recipe to prevent forgetting. Held-out positions of
+the greenhouse are never used for training; both detectors are evaluated on them and on the tests
+of the package.
 """
 
 from __future__ import annotations
@@ -32,38 +33,38 @@ from cucumbervision_lab.training.recipe import Recipe, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, write_mixture
 from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources
-from cucumbervision_lab.training.train import TrainWatcher, train
+from cucumbervision_lab.training.train import TrainCallbacks, train
 
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
 _GAIN, _LOSS = 0.01, 0.02
-"""By how much F1 must rise on the house, and may fall on our tests."""
+"""Least gain of F1 on the greenhouse, and greatest loss on the other tests."""
 
 _TASK = "seg"
-_TEST_SEED = 77  # of no source of the recipe
+_TEST_SEED = 77  # not used by any source of the recipe
 
 
 @dataclass(frozen=True)
 class HousePlan:
-    """How a house's pictures are learnt.
+    """Options of fine-tuning on a greenhouse.
 
     Parameters
     ----------
     plan : str
-        As `parse_plan` reads it.
+        Plan in the format of `parse_plan`.
     share : float
-        Of the pictures seen that are the house's: half of them whole, half windows.
+        Share of greenhouse pictures in training, half of them whole and half windows.
     drawn : int
-        Frames drawn for each drawn source of the shipped mixture, at most.
+        Maximum number of frames for each synthetic source of the packaged recipe.
     windows : tuple of int
-        Sides of the windows cut out of the house's pictures, pixels.
+        Sides of the windows cut from greenhouse pictures, pixels.
     tested : int
-        Drawn frames, and audited photos, that old and new are judged on, at most.
+        Maximum number of synthetic frames, and of audited photos, in the comparison.
     per_epoch : int
         Pictures between two checkpoints.
     learning_rate, one_to_many : float
-        As `TrainOptions`: that head's share is small, since the network finds fruit already.
+        See `TrainOptions`. `one_to_many` is small, because the network already detects fruit.
     """
 
     plan: str = "640x6000"
@@ -77,17 +78,17 @@ class HousePlan:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What one network found of one test.
+class DetectorScore:
+    """Recall and precision of a detector on one test.
 
     Parameters
     ----------
     test : str
-        'house, kept back', 'drawn', 'photos' or 'photos at half size'.
+        'house, held out', 'drawn', 'photos' or 'photos at half size'.
     recall, precision : float
-        At the confidence that is asked by default; 0 where there was nothing to find.
+        At the default confidence threshold; 0 if undefined.
     fruit, finds : int
-        How many each is of.
+        Number of labelled fruit, and of detections.
     """
 
     test: str
@@ -97,9 +98,9 @@ class Judged:
     finds: int
 
     @classmethod
-    def of(cls, test: str, score: GroupScore) -> Judged:
-        """Make it of a score of the evaluation."""
-        # A share of nothing is no number, and would be better than nothing and worse than none.
+    def of(cls, test: str, score: GroupScore) -> DetectorScore:
+        """Create the score from a score of the evaluation."""
+        # An undefined recall or precision would be NaN, for which every comparison is False.
         (recall, fruit), (precision, finds) = (
             (one.value, one.count) if one is not None and one.count else (0.0, 0)
             for one in (score.recall, score.precision)
@@ -112,7 +113,7 @@ class Judged:
 
         Examples
         --------
-        >>> Judged("drawn", 0.5, 1.0, 10, 5).f1
+        >>> DetectorScore("drawn", 0.5, 1.0, 10, 5).f1
         0.6666666666666666
         """
         total = self.recall + self.precision
@@ -127,123 +128,123 @@ def train_house(
     init: Path = Path("checkpoints/cucumber-seg.pt"),
     plan: HousePlan | None = None,
     options: TrainOptions | None = None,
-    watcher: TrainWatcher | None = None,
+    callbacks: TrainCallbacks | None = None,
     workers: int = 1,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
 ) -> Path | None:
-    """Train the detector on from shipped weights, and judge it against the one in use.
+    """Fine-tune the detector on a greenhouse, and compare it with the one in use.
 
     Parameters
     ----------
     house : Path
-        A set of `data from-store`.
+        Data set of the greenhouse, written by `data from-store`.
     out : Path
         The run's folder: `data/`, `seg/` and, at the end, `house-seg.onnx` with its card,
-        `judgement.json` and `judgement.md`. The same call goes on after any interruption.
+        `judgement.json` and `judgement.md`. Call the function again to resume an interrupted run.
     photos : Path, optional
-        The folder of pictures of the shipped mixture; without it only its drawn frames are seen.
+        Folder of the photos of the packaged recipe; by default only its synthetic sources are used.
     init : Path
-        The weights to begin with.
+        Initial weights.
     plan : HousePlan, optional
-        How to learn.
+        Fine-tuning options.
     options : TrainOptions, optional
-        Of the machine: device, batch, threads, minutes.
-    watcher : TrainWatcher, optional
-        Is shown every batch and epoch.
+        Machine options: device, batch, threads, minutes.
+    callbacks : TrainCallbacks, optional
+        Called after every batch and epoch.
     workers : int
-        Processes that draw.
-    say : callable
-        Called with a line for each step.
+        Number of processes that draw synthetic frames.
+    log : callable
+        Called with a line of text for each step.
 
     Returns
     -------
     Path or None
-        `judgement.json`; None where the time was over before the plan was.
+        `judgement.json`, or None if the time limit was reached before the end of the plan.
 
     Raises
     ------
     TrainingError
-        If the set keeps nothing back or has nothing to train on, or the weights are missing.
+        If the set has no held-out or no training pictures, or the weights are missing.
     DataSetError, CaptureError, MissingExtraError
-        As `train`.
+        See `train`.
     """
     plan, options = plan or HousePlan(), options or TrainOptions()
-    _, held_back = kept_back(house)
+    _, held_out = held_out_pictures(house)
     run = out / _TASK
-    begun = RunState.exists(run)
-    if not begun and not init.is_file():
+    exists = RunState.exists(run)
+    if not exists and not init.is_file():
         raise TrainingError(
-            "there are no such weights, and none are fetched",
+            "weights not found; they are not downloaded automatically",
             source=init,
-            remedy="name the checkpoint of the package's detector with --init",
+            remedy="give the checkpoint of the packaged detector with --init",
         )
     recipe = house_recipe(read_recipe(PACKAGED), house, plan, photos=photos is not None)
     if photos is None:
-        say("no folder of photos is given: of the shipped mixture only drawn frames are seen")
+        log("no photo folder given: training uses only synthetic frames of the packaged recipe")
     data = photos or out / "no-photos"
-    built = build_sources(recipe, data, out / "data", workers, say)
+    built = build_sources(recipe, data, out / "data", workers, log)
     mixture = write_mixture(recipe, built, _TASK, run)
     train(
         _TASK,
         mixture,
         run,
-        init=None if begun else str(init),
+        init=None if exists else str(init),
         plan=plan.plan,
         per_epoch=plan.per_epoch,
-        resume=begun,
+        resume=exists,
         options=replace(
             options,
             learning_rate=plan.learning_rate,
             one_to_many=plan.one_to_many,
             freeze=options.freeze or -1,
-            check=False,  # a house's stops resemble each other
+            check=False,  # pictures of neighbouring stops are similar, so duplicates are expected
         ),
-        watcher=watcher,
+        callbacks=callbacks,
     )
     if not RunState.load(run).is_done:
         return None
-    say(f"judging old and new on {len(held_back)} pictures kept back, and on our tests")
-    return _judge(house, out, run, photos, plan, workers)
+    log(f"comparing both detectors on {len(held_out)} held-out pictures and on the other tests")
+    return _compare(house, out, run, photos, plan, workers)
 
 
-def kept_back(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]]:
-    """Return a house's set, and the pictures of it that nothing is trained on.
+def held_out_pictures(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]]:
+    """Return the data set of a greenhouse, and its held-out pictures.
 
     Raises
     ------
     TrainingError
-        If none is kept back, or none is to be trained on.
+        If no picture with fruit is held out, or none is for training.
     """
     dataset = read_coco(house)
-    held_back = (*dataset.in_split("val"), *dataset.in_split("test"))
-    for own, what in ((dataset.in_split("train"), "to train on"), (held_back, "kept back")):
+    held_out = (*dataset.in_split("val"), *dataset.in_split("test"))
+    for own, what in ((dataset.in_split("train"), "for training"), (held_out, "held out")):
         if not any(picture.shows_fruit for picture in own):
             raise TrainingError(
                 f"no picture with fruit is {what}",
                 source=house,
-                remedy="review more stops, and write the set again",
+                remedy="review more stops and export the set again",
             )
-    return dataset, held_back
+    return dataset, held_out
 
 
 def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) -> Recipe:
-    """Return a recipe of a house's pictures and the sources of another one beside them.
+    """Return a recipe that mixes greenhouse pictures with the sources of another recipe.
 
     Parameters
     ----------
     base : Recipe
-        The shipped mixture.
+        The packaged recipe.
     house : Path
-        The house's set.
+        Data set of the greenhouse.
     plan : HousePlan
-        What share the house has.
+        Fine-tuning options.
     photos : bool
-        Whether the shipped mixture's photos are at hand; else only what is drawn stays of it.
+        Whether the photos of `base` are available; otherwise only its synthetic sources are used.
 
     Returns
     -------
     Recipe
-        The house's pictures of split `val` are validated with.
+        Recipe whose validation set is the split `val` of the greenhouse.
     """
     beside = base.sources if photos else _drawn_only(base.sources)
     total = sum(source.weight for source in beside)
@@ -256,7 +257,7 @@ def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) ->
         )
         for source in beside
     )
-    # A source is built anew where what is written of it differs: so it follows the labels.
+    # A source is rebuilt if its definition changes: the checksum makes it follow the labels.
     content = zlib.crc32((house / ANNOTATIONS).read_bytes())
     folder, part = str(house.resolve()), plan.share / 2
     own = (
@@ -267,7 +268,7 @@ def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) ->
 
 
 def _drawn_only(sources: Sequence[Source]) -> tuple[Source, ...]:
-    """Return the sources that take no photo, nor are made of one."""
+    """Return the sources that do not depend on photos."""
     kept: dict[str, Source] = {}
     for source in sources:
         if source.kind not in ("photos", "set") and {*source.of, *source.paste} <= kept.keys():
@@ -275,21 +276,22 @@ def _drawn_only(sources: Sequence[Source]) -> tuple[Source, ...]:
     return tuple(kept.values())
 
 
-def _judge(
+def _compare(
     house: Path, out: Path, run: Path, photos: Path | None, plan: HousePlan, workers: int
 ) -> Path:
-    """Export the new network, judge both, and write what came of it."""
+    """Export the new network, evaluate both networks and write the comparison."""
     card = export_trained(run, out, "house-seg")
     new = out / card.file
-    old, _ = chosen_networks(None, new)  # what a command without options uses
+    old, _ = chosen_networks(None, new)  # the default detector of the commands
     if old is None:
-        raise TrainingError("there is no detector in use to judge against", source=new)
+        raise TrainingError("no detector is in use to compare with", source=new)
     drawn = _drawn_test(out, plan.tested, workers)
     scores = {
-        network: judge_on(network, house, drawn, photos, plan.tested) for network in (old, new)
+        network: evaluate_detector(network, house, drawn, photos, plan.tested)
+        for network in (old, new)
     }
     better, why = verdict(scores[old], scores[new])
-    table = judgement_table(scores[old], scores[new])
+    table = comparison_table(scores[old], scores[new])
     (out / "judgement.md").write_text(f"{table}\n\n{why}\n", encoding="utf-8")
     values = {
         "file": new.name,
@@ -310,7 +312,7 @@ def _judge(
 
 
 def _drawn_test(out: Path, frames: int, workers: int) -> Path:
-    """Draw the frames of our test, from a seed that no source is drawn from."""
+    """Draw the synthetic test frames with a seed that no source uses."""
     options = parse_options(
         frames=min(frames, 60),
         seed=_TEST_SEED,
@@ -322,77 +324,78 @@ def _drawn_test(out: Path, frames: int, workers: int) -> Path:
     return generate(options, out / "test", workers).folder
 
 
-def judge_on(
+def evaluate_detector(
     network: Path, house: Path, drawn: Path, photos: Path | None = None, most: int = 256
-) -> tuple[Judged, ...]:
-    """Judge a detector by what is reported with it: by boxes, beside the pose network in use.
+) -> tuple[DetectorScore, ...]:
+    """Evaluate the boxes that a detector reports together with the pose network in use.
 
     Parameters
     ----------
     network : Path
-        ONNX.
+        The ONNX file.
     house : Path
-        A house's set; what it keeps back is judged.
+        Data set of the greenhouse; its held-out pictures are evaluated.
     drawn : Path
-        A drawn set, all of which is judged.
+        Synthetic set, evaluated completely.
     photos : Path, optional
-        Folder of the audited photos; those of test scenes are judged.
+        Folder of the audited photos; those of test scenes are evaluated.
     most : int
-        Photos at most, evenly spread.
+        Maximum number of photos, evenly spaced.
     """
     networks = open_networks(*chosen_networks(network, None), None, ranked=False)
-    asked = networks.confidence
-    dataset, held_back = kept_back(house)
+    threshold = networks.confidence
+    dataset, held_out = held_out_pictures(house)
     test = read_coco(drawn)
     found = []
     for name, data, pictures in (
-        ("house, kept back", dataset, held_back),
+        ("house, held out", dataset, held_out),
         ("drawn", test, test.pictures),
     ):
         frames = [
             detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
             for one in pictures
         ]
-        score = overall(fruit_rows(frames, asked), found_rows(frames, asked))
-        found.append(Judged.of(name, score))
+        score = overall(fruit_rows(frames, threshold), found_rows(frames, threshold))
+        found.append(DetectorScore.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(tuple(audited_photos(photos)[0]), most), networks)
-        found.append(Judged.of("photos", result.scores[0][1]))
-        found.append(Judged.of("photos at half size", result.small[0][1]))
+        found.append(DetectorScore.of("photos", result.scores[0][1]))
+        found.append(DetectorScore.of("photos at half size", result.small[0][1]))
     return tuple(found)
 
 
-def verdict(old: Sequence[Judged], new: Sequence[Judged]) -> tuple[bool, str]:
-    """Return whether a network is better than another, and why, in a sentence.
+def verdict(old: Sequence[DetectorScore], new: Sequence[DetectorScore]) -> tuple[bool, str]:
+    """Return whether a network is better than another, and the reason as text.
 
-    Better is what has an F1 higher by 0.01 on the house, and none lower by more than 0.02 on our
-    tests.
+    A network is better if its F1 rises by at least 0.01 on the greenhouse and falls by at most 0.02
+    on every other test.
 
     Examples
     --------
-    >>> house, drawn = Judged("house, kept back", 0.4, 0.8, 50, 30), Judged("drawn", 0.9, 0.9, 9, 9)
+    >>> house = DetectorScore("house, held out", 0.4, 0.8, 50, 30)
+    >>> drawn = DetectorScore("drawn", 0.9, 0.9, 9, 9)
     >>> verdict([house, drawn], [replace(house, recall=0.8), drawn])
-    (True, 'on the house F1 rises from 0.533 to 0.800, and nothing is forgotten')
+    (True, 'F1 on the house rises from 0.533 to 0.800, and no other test gets worse')
     >>> verdict([house, drawn], [replace(house, recall=0.8), replace(drawn, recall=0.5)])
-    (False, 'on drawn F1 falls from 0.900 to 0.643')
+    (False, 'F1 on drawn falls from 0.900 to 0.643')
     """
     (house_old, *tests_old), (house_new, *tests_new) = old, new
     for before, after in zip(tests_old, tests_new, strict=True):
         if after.f1 < before.f1 - _LOSS:
-            return False, f"on {after.test} F1 falls from {before.f1:.3f} to {after.f1:.3f}"
+            return False, f"F1 on {after.test} falls from {before.f1:.3f} to {after.f1:.3f}"
     words = f"from {house_old.f1:.3f} to {house_new.f1:.3f}"
     if house_new.f1 < house_old.f1 + _GAIN:
-        return False, f"on the house F1 goes {words}, which is no gain of {_GAIN:g}"
-    return True, f"on the house F1 rises {words}, and nothing is forgotten"
+        return False, f"F1 on the house changes {words}, less than the gain of {_GAIN:g} required"
+    return True, f"F1 on the house rises {words}, and no other test gets worse"
 
 
-def judgement_table(old: Sequence[Judged], new: Sequence[Judged]) -> str:
-    """Return what old and new found, as a Markdown table.
+def comparison_table(old: Sequence[DetectorScore], new: Sequence[DetectorScore]) -> str:
+    """Return the scores of both detectors as a Markdown table.
 
     Examples
     --------
-    >>> one = Judged("drawn", 0.9, 0.8, 50, 40)
-    >>> print(judgement_table([one], [one]).splitlines()[-1])
+    >>> one = DetectorScore("drawn", 0.9, 0.8, 50, 40)
+    >>> print(comparison_table([one], [one]).splitlines()[-1])
     | drawn | 50 | 0.90 | 0.90 | 0.80 | 0.80 |
     """
     lines = [

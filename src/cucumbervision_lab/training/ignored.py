@@ -1,9 +1,9 @@
-"""Leave regions to ignore out of the loss.
+"""Exclude ignore regions from the training loss.
 
-Ultralytics knows fruit and background only. A heap behind a fruit is neither: its outlines lie in a
-folder `ignored` beside `labels`, travel through the augmentation as a second class, and are taken
-out of the batch again before the loss. Where no fruit was assigned to a cell of such a region,
-whatever is predicted there costs nothing.
+Ultralytics supports only foreground and background. Ignore regions, such as a heap of fruit that
+is not labelled one by one, are stored as outlines in a folder `ignored` next to `labels`. They are
+augmented as a second class and removed from the batch before the loss. A prediction inside an
+ignore region contributes nothing to the loss unless a fruit is assigned to it.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_IGNORED = 1  # the class that regions have while they are augmented; fruit are 0
-_CELL_PX = 4  # of the map of regions: Ultralytics' masks have this resolution, too
-_NO_FRUIT = -20.0  # a logit that costs nothing where no fruit is
+_IGNORED = 1  # class of ignore regions during augmentation; fruit are class 0
+_CELL_PX = 4  # cell size of the region map, equal to that of Ultralytics' masks
+_NO_FRUIT = -20.0  # a logit with zero loss on background
 
 
 def add_ignored(dataset: Any, task: str) -> None:
-    """Add the regions to ignore to a data set's labels.
+    """Add ignore regions to the labels of a data set, in place.
 
     Parameters
     ----------
     dataset : ultralytics.data.dataset.YOLODataset
-        As it was read; `write_yolo` wrote the regions beside its labels.
+        A data set written by `write_yolo`, which stores the regions next to the labels.
     task : str
         'segment' or 'pose'.
     """
@@ -51,12 +51,12 @@ def add_ignored(dataset: Any, task: str) -> None:
 
 
 def read_ignored(file: Path) -> list[NDArray[np.float32]]:
-    """Read the outlines of a picture's regions to ignore, none where there is no file.
+    """Read the ignore regions of a picture; an empty list if the file does not exist.
 
     Returns
     -------
     list of ndarray of float32, shape (K, 2)
-        u and v as shares of the picture's width and height.
+        Outlines, u and v relative to the picture's width and height.
     """
     if not file.is_file():
         return []
@@ -64,20 +64,20 @@ def read_ignored(file: Path) -> list[NDArray[np.float32]]:
     return [np.array(line.split(), np.float32).reshape(-1, 2) for line in lines if line.strip()]
 
 
-def take_out_ignored(batch: dict[str, Any]) -> dict[str, Any]:
-    """Take the regions to ignore out of a batch's labels, and give them as a map.
+def separate_ignored(batch: dict[str, Any]) -> dict[str, Any]:
+    """Move ignore regions from a batch's labels to a map.
 
     Parameters
     ----------
     batch : dict
-        Ultralytics', with `img`, `cls`, `bboxes`, `batch_idx` and perhaps `keypoints`, or `masks`
-        (numbers of fruit, from 1) and `sem_masks`.
+        A batch of Ultralytics with `img`, `cls`, `bboxes` and `batch_idx`; for poses `keypoints`,
+        for segmentation `masks` (instance numbers from 1) and `sem_masks`.
 
     Returns
     -------
     dict
-        With fruit only, and `ignored`: bool, shape (pictures, height / 4, width / 4), without the
-        places of fruit, which are their masks or, without masks, their boxes.
+        The batch with fruit only, and `ignored`: bool, shape (N, height / 4, width / 4). Pixels of
+        fruit are False; fruit are given by their masks or, for poses, by their boxes.
     """
     import torch
 
@@ -94,9 +94,9 @@ def take_out_ignored(batch: dict[str, Any]) -> dict[str, Any]:
         here = batch["batch_idx"] == picture
         out = ignored[here]
         if masks is None:
-            region[picture] = _between(batch["bboxes"][here], out, region[picture])
+            region[picture] = _draw_boxes(batch["bboxes"][here], out, region[picture])
             continue
-        # Number k + 1 of the map is row k; the rows that stay are counted anew.
+        # Mask value k + 1 refers to row k: renumber the remaining rows.
         new = torch.where(out, 0, torch.cumsum(~out, 0))
         number = masks[picture].long()
         own["masks"][picture] = torch.cat([new.new_zeros(1), new]).to(masks.dtype)[number]
@@ -107,8 +107,8 @@ def take_out_ignored(batch: dict[str, Any]) -> dict[str, Any]:
     return own | {"ignored": region}
 
 
-def _between(boxes: Any, out: Any, region: Any) -> Any:
-    """Return the boxes that are `out`, less the others, drawn into a map of the region's shape."""
+def _draw_boxes(boxes: Any, out: Any, region: Any) -> Any:
+    """Draw the ignored boxes (`out`) into a region map, then clear the boxes of fruit."""
     height, width = region.shape
     for wanted in (True, False):
         for cx, cy, w, h in boxes[out == wanted].tolist():
@@ -119,47 +119,48 @@ def _between(boxes: Any, out: Any, region: Any) -> Any:
 
 
 def ignore_regions(loss: Any) -> None:
-    """Leave out of a head's loss what a batch's map `ignored` marks; without one nothing changes.
+    """Patch the loss of a head to skip the cells marked in the batch's `ignored` map.
 
     Parameters
     ----------
     loss : ultralytics.utils.loss.v8DetectionLoss
-        Of one head, of segmentation or of poses.
+        Segmentation or pose loss of one head, changed in place. A batch without the map gives the
+        original loss.
     """
     import torch
 
     current: dict[str, Any] = {}
-    whole, score = loss.loss, loss.bce
+    original_loss, original_bce = loss.loss, loss.bce
 
     def with_regions(preds: Any, batch: dict[str, Any]) -> Any:
         current["region"] = batch.get("ignored")
-        return whole(preds, batch)
+        return original_loss(preds, batch)
 
-    def scored(found: Any, true: Any) -> Any:
-        cost, region = score(found, true), current["region"]
+    def masked_bce(predicted: Any, true: Any) -> Any:
+        cost, region = original_bce(predicted, true), current["region"]
         if region is None or not region.any():
             return cost
-        cells = [_of_stride(region, int(stride)) for stride in loss.stride]
-        left_out = torch.cat(cells, 1).unsqueeze(2) & (true.sum(2, keepdim=True) == 0)
-        return cost.masked_fill(left_out, 0.0)
+        cells = [_sample_at_stride(region, int(stride)) for stride in loss.stride]
+        skipped = torch.cat(cells, 1).unsqueeze(2) & (true.sum(2, keepdim=True) == 0)
+        return cost.masked_fill(skipped, 0.0)
 
-    loss.loss, loss.bce = with_regions, scored
+    loss.loss, loss.bce = with_regions, masked_bce
     if not hasattr(loss, "bcedice_loss"):
         return
-    shaded = loss.bcedice_loss
+    original_bcedice = loss.bcedice_loss
 
-    def shaded_outside(found: Any, true: Any) -> Any:
+    def masked_bcedice(predicted: Any, true: Any) -> Any:
         region = current["region"]
         if region is None or not region.any():
-            return shaded(found, true)
-        size = found.shape[-2:]
+            return original_bcedice(predicted, true)
+        size = predicted.shape[-2:]
         hidden = torch.nn.functional.interpolate(region[:, None].float(), size) > 0
-        return shaded(found.masked_fill(hidden, _NO_FRUIT), true)
+        return original_bcedice(predicted.masked_fill(hidden, _NO_FRUIT), true)
 
-    loss.bcedice_loss = shaded_outside
+    loss.bcedice_loss = masked_bcedice
 
 
-def _of_stride(region: Any, stride: int) -> Any:
-    """Return what lies at the centres of a stride's cells, shape (pictures, cells)."""
+def _sample_at_stride(region: Any, stride: int) -> Any:
+    """Return the region map at the anchor centres of a stride, shape (N, anchors)."""
     step = stride // _CELL_PX
     return region[:, step // 2 :: step, step // 2 :: step].flatten(1)

@@ -1,4 +1,4 @@
-"""The plan of a training, counted in pictures seen, and which of them is seen when."""
+"""Training plans counted in pictures, the state of a run, and sampling from weighted sources."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _FORM = re.compile(r"(\d+)\s*[x×]\s*(\d+)")
 
 @dataclass(frozen=True)
 class Part:
-    """Some pictures at one size.
+    """One stage of a plan: a number of pictures at one size.
 
     Parameters
     ----------
     size_px : int
         Side of the square training pictures; a multiple of 32.
     pictures : int
-        How many are seen.
+        Number of pictures.
     """
 
     size_px: int
@@ -40,19 +40,19 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """Which pictures are seen at which size.
+    """Training stages in order.
 
     Parameters
     ----------
     parts : tuple of Part
-        In their order.
+        Stages in order.
     per_epoch : int
-        Pictures between two checkpoints; each part has whole epochs.
+        Pictures between two checkpoints; each part is rounded up to whole epochs.
 
     Examples
     --------
     >>> plan = Plan((Part(448, 900), Part(640, 200)), per_epoch=100)
-    >>> plan.epochs, plan.size_at(8), plan.size_at(9), plan.end_of_part(8), plan.through(11)
+    >>> plan.epochs, plan.size_at(8), plan.size_at(9), plan.end_of_part(8), plan.progress(11)
     (11, 448, 640, 9, 1.0)
     """
 
@@ -61,24 +61,24 @@ class Plan:
 
     @property
     def epochs(self) -> int:
-        """How many epochs the whole plan has."""
+        """Total number of epochs."""
         return sum(self._epochs_of_parts())
 
     @property
     def text(self) -> str:
-        """As `parse_plan` reads it."""
+        """The plan in the format of `parse_plan`."""
         return ",".join(f"{part.size_px}x{part.pictures}" for part in self.parts)
 
     def size_at(self, epoch: int) -> int:
-        """Return the size of the pictures in an epoch, counted from 0."""
+        """Return the picture size in pixels of an epoch, counted from 0."""
         return self.parts[self._part_at(epoch)].size_px
 
     def end_of_part(self, epoch: int) -> int:
-        """Return the first epoch after the part that an epoch is in."""
+        """Return the number of the first epoch after the part that contains `epoch`."""
         return sum(self._epochs_of_parts()[: self._part_at(epoch) + 1])
 
-    def through(self, epochs: int) -> float:
-        """Return the share of the plan that this many epochs are, 0 to 1."""
+    def progress(self, epochs: int) -> float:
+        """Return the completed share of the plan after `epochs` epochs, 0 to 1."""
         return min(epochs / self.epochs, 1.0)
 
     def _epochs_of_parts(self) -> list[int]:
@@ -94,24 +94,24 @@ class Plan:
 
 
 def parse_plan(text: str, per_epoch: int = 500) -> Plan:
-    """Read a plan such as '448x80000,640x20000'.
+    """Parse a plan such as '448x80000,640x20000'.
 
     Parameters
     ----------
     text : str
-        Parts by commas, each the size in pixels, 'x', and how many pictures are seen.
+        Comma-separated parts, each 'size in pixels' x 'number of pictures'.
     per_epoch : int
         Pictures between two checkpoints.
 
     Returns
     -------
     Plan
-        In the order given.
+        Parts in the given order.
 
     Raises
     ------
     TrainingError
-        If it is not of that form, or a size is no multiple of 32.
+        If `text` does not have this format, or a size is not a multiple of 32.
 
     Examples
     --------
@@ -124,72 +124,72 @@ def parse_plan(text: str, per_epoch: int = 500) -> Plan:
         size_px, pictures = map(int, match.groups()) if match else (0, 0)
         if not size_px or not pictures or size_px % _STRIDE_PX:
             raise TrainingError(
-                f"no part of a plan is called {words.strip()!r}",
-                remedy="give sizes that are multiples of 32 and pictures: '448x80000,640x20000'",
+                f"invalid part of a plan: {words.strip()!r}",
+                remedy="give sizes (multiples of 32) and pictures, as in '448x80000,640x20000'",
             )
         parts.append(Part(size_px, pictures))
     return Plan(tuple(parts), per_epoch)
 
 
-def extend(known: Plan, epochs_done: int, wanted: Plan) -> Plan:
-    """Change what is still to come of a plan.
+def extend_plan(plan: Plan, completed_epochs: int, new_plan: Plan) -> Plan:
+    """Return a plan that replaces another one from the next epoch on.
 
     Parameters
     ----------
-    known : Plan
-        The plan so far.
-    epochs_done : int
-        How many of its epochs are through.
-    wanted : Plan
-        The whole plan wanted.
+    plan : Plan
+        Current plan.
+    completed_epochs : int
+        Number of its completed epochs.
+    new_plan : Plan
+        The complete new plan.
 
     Returns
     -------
     Plan
-        `wanted`, with the epochs of `known`.
+        `new_plan` with the epoch length of `plan`.
 
     Raises
     ------
     TrainingError
-        If an epoch that is through had another size in the plan wanted, or it ends before.
+        If the sizes of the completed epochs differ, or `new_plan` is shorter than them.
 
     Examples
     --------
-    >>> extend(parse_plan("448x1000"), 1, parse_plan("448x4000")).text
+    >>> extend_plan(parse_plan("448x1000"), 1, parse_plan("448x4000")).text
     '448x4000'
     """
-    new = Plan(wanted.parts, known.per_epoch)
-    same = all(new.size_at(k) == known.size_at(k) for k in range(epochs_done))
-    if epochs_done > new.epochs or not same:
+    new = Plan(new_plan.parts, plan.per_epoch)
+    same = all(new.size_at(k) == plan.size_at(k) for k in range(completed_epochs))
+    if completed_epochs > new.epochs or not same:
         raise TrainingError(
-            f"{epochs_done * known.per_epoch} pictures of the plan {known.text} are through",
-            remedy="give a plan that begins with them",
+            f"{completed_epochs * plan.per_epoch} pictures of the plan {plan.text} are completed",
+            remedy="give a plan that starts with them",
         )
     return new
 
 
 @dataclass(frozen=True)
 class RunState:
-    """All that a run's folder must know to go on.
+    """State needed to resume a training run.
 
     Parameters
     ----------
     task : str
         'seg' or 'pose'.
     data : str
-        Path of the data.yaml that it learns from.
+        Path of the data.yaml.
     init : str
-        Weights that it began with, or the .yaml of a network with random ones.
+        Initial weights (.pt), or a network definition (.yaml) for random weights.
     plan : Plan
-        What is to be seen.
+        The training plan.
     epochs : int
-        How many epochs are through.
+        Number of completed epochs.
     seed : int
-        Of the random numbers.
+        Random seed.
     seconds : float
-        Time spent in finished epochs, on whatever machine.
+        Time spent in completed epochs, on all machines.
     learning : dict
-        Options that must not change on the way: see `LEARNING` in `settings`.
+        Options that must not change during a run; see `FIXED_OPTIONS` in `settings`.
     """
 
     task: str
@@ -203,16 +203,16 @@ class RunState:
 
     @property
     def pictures(self) -> int:
-        """Pictures seen."""
+        """Number of pictures seen."""
         return self.epochs * self.plan.per_epoch
 
     @property
     def is_done(self) -> bool:
-        """Whether the whole plan is through."""
+        """Whether all epochs of the plan are completed."""
         return self.epochs >= self.plan.epochs
 
     def save(self, run: Path) -> None:
-        """Write it into the run's folder; a kill leaves the old or the new file, never half."""
+        """Write the state to the run's folder; replaces the file atomically."""
         run.mkdir(parents=True, exist_ok=True)
         part = run / f"{_STATE_FILE}.part"
         part.write_text(json.dumps(asdict(self), indent=2), encoding="utf-8")
@@ -220,63 +220,64 @@ class RunState:
 
     @classmethod
     def exists(cls, run: Path) -> bool:
-        """Return whether a folder holds a run."""
+        """Return whether a folder contains a training run."""
         return (run / _STATE_FILE).is_file()
 
     @classmethod
     def load(cls, run: Path) -> RunState:
-        """Read it from a run's folder.
+        """Read the state from a run's folder.
 
         Raises
         ------
         TrainingError
-            If the folder holds no run, or its file is broken.
+            If the folder contains no run, or its state file is invalid.
         """
         path = run / _STATE_FILE
         if not path.is_file():
             raise TrainingError(
-                "there is no training to go on with", source=run, remedy="leave out --resume"
+                "no training run to resume", source=run, remedy="omit --resume to start one"
             )
-        again = "begin in another folder with --init and this one's network.pt"
-        return cls.of(read_json(path, TrainingError, again), path, again)
+        remedy = "start a new run in another folder with --init and the network.pt of this one"
+        return cls.from_dict(read_json(path, TrainingError, remedy), path, remedy)
 
     @classmethod
-    def of(
-        cls, values: Any, source: object = "the training", remedy: str = "begin anew"
+    def from_dict(
+        cls, values: Any, source: object = "the run state", remedy: str = "start a new run"
     ) -> RunState:
-        """Make it of what `dataclasses.asdict` gave.
+        """Create the state from the output of `dataclasses.asdict`.
 
         Raises
         ------
         TrainingError
-            If a value is missing or of another type, or a part of the plan has no pictures.
+            If a value is missing or has the wrong type, or a picture count is out of range.
         """
         state = parse_model(cls, values, source=source, error=TrainingError, remedy=remedy)
         counts = (state.plan.per_epoch, *(part.pictures for part in state.plan.parts))
         if not all(0 < count < _TOO_MANY for count in counts):
-            fault = "its plan has a part without pictures, or with more than there are"
+            fault = "a picture count of its plan is zero or too large"
             raise TrainingError(fault, source=source, remedy=remedy)
         return state
 
 
-def sources_of(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.int64]]:
-    """Return which pictures lie in which source's folder.
+def group_by_source(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.int64]]:
+    """Group pictures by the source folder that contains them.
 
     Parameters
     ----------
     files : sequence of str
         Paths of all pictures.
     folders : sequence of str
-        Of the sources; none lies in another.
+        Folders of the sources; they must not be nested.
 
     Returns
     -------
     list of ndarray of int64
-        Indices into `files`, for each folder.
+        Indices into `files` for each folder.
 
     Examples
     --------
-    >>> [found.tolist() for found in sources_of(["a/1.jpg", "b/2.jpg", "a/3.jpg"], ["a", "b"])]
+    >>> files = ["a/1.jpg", "b/2.jpg", "a/3.jpg"]
+    >>> [group.tolist() for group in group_by_source(files, ["a", "b"])]
     [[0, 2], [1]]
     """
     parents = [Path(file).parents for file in files]
@@ -286,48 +287,49 @@ def sources_of(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.
     ]
 
 
-def pictures_of_epoch(
+def epoch_pictures(
     sources: Sequence[NDArray[np.int64]],
     weights: Sequence[float],
     count: int,
     epoch: int,
     seed: int = 0,
 ) -> NDArray[np.int64]:
-    """Choose the pictures of one epoch.
+    """Sample the pictures of one epoch from weighted sources.
 
     Parameters
     ----------
     sources : sequence of ndarray of int64
-        The pictures of each source.
+        Picture indices of each source.
     weights : sequence of float
-        Of the sources; a source without pictures has none.
+        Weight of each source; the weight of an empty source is ignored.
     count : int
-        How many pictures.
+        Number of pictures in the epoch.
     epoch : int
         Number of the epoch, from 0.
     seed : int
-        Of the random numbers.
+        Random seed.
 
     Returns
     -------
     ndarray of int64, shape (count,)
-        Shuffled. Every picture of a source has its epoch before one comes again.
+        Shuffled picture indices. Across epochs, every picture of a source is used once before any
+        is used again.
 
     Examples
     --------
     >>> a, b = np.arange(4), np.arange(4, 6)
-    >>> first = pictures_of_epoch([a, b], [0.5, 0.5], 4, 0)
-    >>> second = pictures_of_epoch([a, b], [0.5, 0.5], 4, 1)
+    >>> first = epoch_pictures([a, b], [0.5, 0.5], 4, 0)
+    >>> second = epoch_pictures([a, b], [0.5, 0.5], 4, 1)
     >>> sorted([*first.tolist(), *second.tolist()])
     [0, 1, 2, 3, 4, 4, 5, 5]
     """
     shares = np.array([w if len(s) else 0.0 for s, w in zip(sources, weights, strict=True)])
     shares = shares / shares.sum()
-    # Positions in endless streams of the sources, so that no epoch need know those before it.
+    # Ranges in an endless shuffled stream per source, so that an epoch needs no history.
     bounds = np.rint(np.outer([epoch, epoch + 1], shares) * count).astype(int)
     bounds[1, shares.argmax()] += count - int((bounds[1] - bounds[0]).sum())
     chosen = [
-        _stream(source, low, high, (seed, number))
+        _stream_range(source, low, high, (seed, number))
         for number, (source, low, high) in enumerate(zip(sources, *bounds, strict=True))
         if high > low
     ]
@@ -335,10 +337,10 @@ def pictures_of_epoch(
     return np.random.default_rng([seed, len(sources), epoch]).permutation(found)
 
 
-def _stream(
+def _stream_range(
     source: NDArray[np.int64], low: int, high: int, seed: tuple[int, int]
 ) -> NDArray[np.int64]:
-    """Return a stretch of an endless row of shuffled rounds through a source."""
+    """Return items `low` to `high` of an endless stream of shuffled passes through a source."""
     size = len(source)
     rounds = range(low // size, (high - 1) // size + 1)
     row = np.concatenate([np.random.default_rng([*seed, k]).permutation(source) for k in rounds])
@@ -346,14 +348,14 @@ def _stream(
 
 
 class MixtureSampler:
-    """Gives torch's loader the pictures of one epoch after the other.
+    """Torch sampler that yields the pictures of consecutive epochs.
 
     Parameters
     ----------
     sources, weights, count, seed
-        As `pictures_of_epoch`.
+        See `epoch_pictures`.
     epoch : int
-        With which to begin.
+        First epoch.
     """
 
     def __init__(
@@ -373,5 +375,5 @@ class MixtureSampler:
 
     def __iter__(self) -> Iterator[int]:
         epoch, self._epoch = self._epoch, self._epoch + 1
-        row = pictures_of_epoch(self._sources, self._weights, self._count, epoch, self._seed)
+        row = epoch_pictures(self._sources, self._weights, self._count, epoch, self._seed)
         yield from row.tolist()

@@ -1,8 +1,8 @@
-"""How a network learns the five points: the tolerance narrows, and visibility is learnt too.
+"""Keypoint training: decreasing OKS sigma, box-aware anchor assignment and visibility.
 
-Ultralytics' YOLO26 chooses the anchors that learn a fruit by the similarity of its points (OKS)
-alone. With the tolerance that a length needs, 0.05, a network that does not know the points yet
-scores nothing anywhere, and learns neither points nor boxes.
+Ultralytics' YOLO26 assigns anchors by object keypoint similarity (OKS) alone. With the sigma that
+length measurement needs, 0.05, an untrained network has an OKS near zero everywhere, so it learns
+neither keypoints nor boxes.
 """
 
 from __future__ import annotations
@@ -11,59 +11,59 @@ from typing import Any
 
 from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision_lab.training.checkpoint import require_layers
-from cucumbervision_lab.training.cpu import losses_of
+from cucumbervision_lab.training.cpu import head_losses
 from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 
-_HIDDEN = 1.5  # COCO: 1 is hidden, 2 seen
-_KINDEST = 4.0
-_STRICT_FROM = 0.7
+_VISIBLE_ABOVE = 1.5  # COCO visibility: 1 is hidden, 2 is visible
+_FIRST_FACTOR = 4.0
+_CONSTANT_FROM = 0.7
 
 
-def tolerance_at(progress: float) -> float:
-    """Return the keypoints' tolerance (OKS sigma) while learning.
+def keypoint_sigma_at(progress: float) -> float:
+    """Return the OKS sigma of the keypoints during training.
 
-    It falls evenly in its logarithm from 0.2, Ultralytics' own for five points, to the 0.05 that
-    is asked for, which holds for the last three tenths. A network that knows the points already
-    begins there.
+    Sigma decreases exponentially from 0.2, Ultralytics' default for five points, to 0.05, and
+    stays constant over the last 30 % of the plan.
 
     Parameters
     ----------
     progress : float
-        Share of the plan that is through, 0 to 1.
+        Completed share of the plan, 0 to 1.
 
     Examples
     --------
-    >>> [round(tolerance_at(t), 3) for t in (0.0, 0.35, 0.7, 1.0)]
+    >>> [round(keypoint_sigma_at(t), 3) for t in (0.0, 0.35, 0.7, 1.0)]
     [0.2, 0.1, 0.05, 0.05]
     """
-    return float(KEYPOINT_SIGMA * _KINDEST ** max(0.0, 1.0 - progress / _STRICT_FROM))
+    return float(KEYPOINT_SIGMA * _FIRST_FACTOR ** max(0.0, 1.0 - progress / _CONSTANT_FROM))
 
 
-def order_by_place(keypoints: Any, width: float, height: float) -> Any:
-    """Order every fruit's points by where they lie in the picture.
+def order_by_position(keypoints: Any, width: float, height: float) -> Any:
+    """Order the keypoints of every fruit by their position in the picture.
 
-    Which of a cucumber's ends is the stem's takes a network hours to see; meanwhile it learns the
-    mean of both answers, and the points nowhere. Ordered by place there is one answer. The order
-    changes where a fruit lies along the falling diagonal, which few do: most hang or lie level.
+    Telling the stem end from the blossom end takes hours of training. Until then, a network
+    regresses the mean of both orders, which is the centre of the fruit. Ordering by position
+    removes the ambiguity. The order flips for fruit along the falling diagonal, which are rare:
+    most fruit hang or lie level.
 
     Parameters
     ----------
     keypoints : torch.Tensor, shape (N, 5, 3)
-        x, y as shares of the picture, and visibility; 0 is not labelled.
+        x and y relative to the picture size, and visibility (0 is not labelled).
     width, height : float
-        Of the picture, pixels.
+        Size of the picture, pixels.
 
     Returns
     -------
     torch.Tensor, shape (N, 5, 3)
-        The last point further right and up than the first. A fruit with only one labelled point
-        has none any more: nothing says which it is.
+        The last keypoint is further right and up than the first. A fruit with a single labelled
+        keypoint loses it, because its index is ambiguous.
 
     Examples
     --------
     >>> import torch
     >>> hanging = torch.tensor([[[0.5, 0.1 * k, 2.0] for k in range(1, 6)]])
-    >>> order_by_place(hanging, 640, 640)[0, :, 1].tolist()[0], hanging[0, 0, 1].item()
+    >>> order_by_position(hanging, 640, 640)[0, :, 1].tolist()[0], hanging[0, 0, 1].item()
     (0.5, 0.10000000149011612)
     """
     import torch
@@ -81,13 +81,13 @@ def order_by_place(keypoints: Any, width: float, height: float) -> Any:
     return torch.where(alone[:, None, None], torch.zeros_like(ordered), ordered)
 
 
-def knows_points(weights: str) -> bool:
-    """Return whether a checkpoint's network was trained for the five points already.
+def has_keypoint_head(weights: str) -> bool:
+    """Return whether a checkpoint's network has a head for five keypoints.
 
     Parameters
     ----------
     weights : str
-        A .pt file that Ultralytics can load; a .yaml knows nothing.
+        Path of a .pt file that Ultralytics can load; False for a .yaml.
     """
     if not weights.endswith(".pt"):
         return False
@@ -99,84 +99,84 @@ def knows_points(weights: str) -> bool:
     return int(shape[0]) == len(KEYPOINT_NAMES)
 
 
-def set_tolerance(model: Any, sigma: float) -> None:
-    """Set the tolerance with which loss and assignment judge all points.
+def set_keypoint_sigma(model: Any, sigma: float) -> None:
+    """Set the OKS sigma of all keypoints in the loss and in anchor assignment.
 
     Parameters
     ----------
     model : ultralytics.nn.tasks.PoseModel
-        After `learn_to_assign` and `learn_to_see`.
+        A network after `assign_by_boxes_and_keypoints` and `learn_visibility`.
     sigma : float
-        Of the object keypoint similarity.
+        Standard deviation in object keypoint similarity.
     """
-    for loss in losses_of(model):
-        located = getattr(loss.keypoint_loss, "located", loss.keypoint_loss)
-        located.sigmas.fill_(sigma)
+    for loss in head_losses(model):
+        keypoint_loss = getattr(loss.keypoint_loss, "original", loss.keypoint_loss)
+        keypoint_loss.sigmas.fill_(sigma)
         loss.assigner.sigmas.fill_(sigma)
 
 
-def learn_to_assign(model: Any) -> None:
-    """Choose anchors by the mean of the box's overlap and the points' similarity.
+def assign_by_boxes_and_keypoints(model: Any) -> None:
+    """Assign anchors by the mean of box overlap and object keypoint similarity.
 
-    It is what Ultralytics does with boxes and masks; the points alone say nothing until they are
-    nearly right.
+    Ultralytics does the same with boxes and masks. Keypoints alone are uninformative until they
+    are nearly correct.
 
     Parameters
     ----------
     model : ultralytics.nn.tasks.PoseModel
-        With or without a criterion; it gets one.
+        Its criterion is created if missing.
     """
     from ultralytics.utils.tal import PoseTaskAlignedAssigner, TaskAlignedAssigner
 
     class MeanOverlapAssigner(PoseTaskAlignedAssigner):  # type: ignore[misc]
-        """Its overlap is the mean of two."""
+        """Assigner whose overlap is the mean of box and keypoint overlap."""
 
-        # Ultralytics lets a fruit's area choose the level: the points have no scale of their own.
-        # Boxes have one, and a long thin fruit is larger than its area says.
+        # Ultralytics selects the pyramid level by area, because keypoints have no extent. Boxes
+        # have one, and a long thin fruit is larger than its area suggests.
         select_candidates_in_gts = TaskAlignedAssigner.select_candidates_in_gts
 
         def pair_overlaps(
             self, indices: Any, gt_bboxes: Any, pd_bboxes: Any, pd_kpts: Any, gt_kpts: Any
         ) -> Any:
-            """Return the overlap of each candidate."""
+            """Return the overlap of each candidate anchor."""
             points = super().pair_overlaps(indices, gt_bboxes, pd_bboxes, pd_kpts, gt_kpts)
             boxes = TaskAlignedAssigner.pair_overlaps(self, indices, gt_bboxes, pd_bboxes)
             return (points + boxes) / 2
 
     names = ("topk", "topk2", "num_classes", "alpha", "beta", "stride")
-    for loss in losses_of(model):
+    for loss in head_losses(model):
         own = {name: getattr(loss.assigner, name) for name in names}
-        # A tensor of its own: the loss may change its tolerance apart.
+        # Cloned, so that changing the sigmas of the loss does not change the assigner's.
         loss.assigner = MeanOverlapAssigner(loss.keypoint_loss.sigmas.clone(), **own)
 
 
-def learn_to_see(model: Any) -> None:
-    """Train a keypoint's confidence to tell points that are seen from points that are hidden.
+def learn_visibility(model: Any) -> None:
+    """Train keypoint confidence to separate visible from hidden keypoints.
 
-    Ultralytics' tells labelled points from others: a hidden end whose place is labelled would look
-    like a seen one. A fruit none of whose points is labelled teaches nothing of them.
+    Ultralytics separates labelled from unlabelled keypoints, so a hidden end with a labelled
+    position would count as visible. Fruit without labelled keypoints do not contribute.
     """
-    for loss in losses_of(model):
-        _judge_seen(loss)
+    for loss in head_losses(model):
+        _patch_visibility_loss(loss)
 
 
-def _judge_seen(loss: Any) -> None:
-    located, judged = loss.keypoint_loss, loss.bce_pose
-    # The loss asks for the place first, with all that is labelled, then for the confidence.
-    truth: list[Any] = []
+def _patch_visibility_loss(loss: Any) -> None:
+    keypoint_loss, bce = loss.keypoint_loss, loss.bce_pose
+    # The position loss is always called before the confidence loss and receives visibility.
+    visibilities: list[Any] = []
 
-    def locate(found: Any, true: Any, labelled: Any, area: Any) -> Any:
-        truth[:] = [true[..., 2]]
-        return located(found, true, labelled, area)
+    def position_loss(predicted: Any, true: Any, labelled: Any, area: Any) -> Any:
+        visibilities[:] = [true[..., 2]]
+        return keypoint_loss(predicted, true, labelled, area)
 
-    def judge(confidence: Any, _: Any) -> Any:
-        (visibility,) = truth
+    def visibility_loss(confidence: Any, _: Any) -> Any:
+        (visibility,) = visibilities
         known = (visibility > 0).any(dim=1)
         if not known.any():
             return confidence.sum() * 0
-        return judged(confidence[known], (visibility[known] > _HIDDEN).float())
+        return bce(confidence[known], (visibility[known] > _VISIBLE_ABOVE).float())
 
-    # Others ask the one for its tolerances, and set them.
-    locate.sigmas = located.sigmas  # type: ignore[attr-defined]
-    locate.located = located  # type: ignore[attr-defined]
-    loss.keypoint_loss, loss.bce_pose = locate, judge
+    # Ultralytics and `set_keypoint_sigma` read and write the sigmas of the keypoint loss.
+    position_loss.sigmas = keypoint_loss.sigmas  # type: ignore[attr-defined]
+    position_loss.original = keypoint_loss  # type: ignore[attr-defined]
+    loss.keypoint_loss, loss.bce_pose = position_loss, visibility_loss

@@ -1,4 +1,4 @@
-"""A trained network's card, and adding a network to the package."""
+"""Model cards, and adding an exported network to the package."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WHAT = {
 }
 
 MAKERS = ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
-"""Whom every card names."""
+"""Credits of every card."""
 
 _LIMITS = (
     "One class. Zucchini may count as cucumbers; other long fruit, leaves and stems should not, "
@@ -43,40 +43,40 @@ _LIMITS = (
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What is said of one exported network.
+    """Description of an exported network.
 
     Parameters
     ----------
     name : str
-        What commands call it.
+        Name of the model in commands.
     task : str
         'segment', 'pose' or 'ends'.
     file : str
         Name of the ONNX file.
     sha256 : str
-        Of that file.
+        SHA-256 of the ONNX file.
     size_bytes : int
-        Of that file.
+        Size of the ONNX file.
     checkpoint_sha256 : str
-        Of the checkpoint that it was exported from.
+        SHA-256 of the exported checkpoint.
     began_with : str
-        Weights that the training began with.
+        Initial weights of the training.
     plan : str
-        Stages, as in '320x8,640x2'; empty where only a checkpoint is known.
+        Training plan, as in '320x8,640x2'; empty if only the checkpoint is known.
     command : str
-        What trained it, without the paths of the machine.
+        Training command, without local paths.
     metrics : mapping of str to float
-        Of the chosen epoch, on the validation pictures.
+        Validation metrics of the exported epoch.
     evaluation : mapping
-        A later evaluation's result, with its own command.
+        Results of a separate evaluation, including its command.
     data : str
-        The data set's card, in Markdown.
+        Card of the data set, in Markdown.
     licence : str
         SPDX identifier.
     credits, limits : tuple of str
-        A sentence each.
+        Credits and known limitations, one sentence each.
     versions : mapping of str to str
-        Of torch and Ultralytics.
+        Versions of torch and Ultralytics.
     """
 
     name: str
@@ -98,14 +98,14 @@ class ModelCard:
 
 
 def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
-    """Write a card for people (.md) and for programs (.json).
+    """Write a card as Markdown (.md) and JSON (.json).
 
     Parameters
     ----------
     card : ModelCard
-        The card; a metric that is no number, since there was nothing to judge it by, is left out.
+        The card; metrics that are not finite are omitted.
     out : Path
-        Folder; the files are named as the network.
+        Folder; the files are named after the network.
 
     Returns
     -------
@@ -123,27 +123,27 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
 
 
 def read_card(path: Path) -> ModelCard:
-    """Read a card's JSON file.
+    """Read a card from its JSON file.
 
     Raises
     ------
     TrainingError
-        If it cannot be read.
+        If the file cannot be read or is invalid.
     """
     values = read_json(path, TrainingError, "export the network again")
     card = parse_model(
         ModelCard, values, source=path, error=TrainingError, remedy="export the network again"
     )
-    fault = "" if card.task in _WHAT else f"no task is called {card.task!r}"
+    fault = "" if card.task in _WHAT else f"unknown task {card.task!r}"
     if not 0 < card.size_bytes < _TOO_LARGE:
-        fault = "its size_bytes is no file's size"
+        fault = "size_bytes is out of range"
     if fault:
         raise TrainingError(fault, source=path, remedy="export the network again")
     return card
 
 
 def card_markdown(card: ModelCard) -> str:
-    """Put a card into Markdown.
+    """Return a card as Markdown.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def card_markdown(card: ModelCard) -> str:
     lines += ["", "## Limits", "", *(f"- {limit}" for limit in card.limits)]
     lines += ["", "## Credits", "", *(f"- {credit}" for credit in card.credits)]
     if card.data:
-        # The data set's own headings go one level down.
+        # Headings of the data card become one level lower.
         data = [f"#{line}" if line.startswith("#") else line for line in card.data.splitlines()]
         lines += ["", *data]
     return "\n".join(lines).rstrip() + "\n"
@@ -186,7 +186,7 @@ def _table(metrics: Mapping[str, float]) -> list[str]:
 
 _TOO_LARGE = 2**40
 MOST_BYTES = 45_000_000
-"""What all networks in the package may weigh together."""
+"""Maximum total size of the packaged networks."""
 
 _TITLES = {
     "segment": "YOLO26 for cucumbers: boxes and masks",
@@ -200,35 +200,35 @@ _ENTRY = re.compile(r"^\[\[models\]\]$", re.MULTILINE)
 
 
 def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Path, ...]:
-    """Copy a network and its card into the package, and write its registry entry.
+    """Copy an exported network and its card into the package, and update the registry.
 
     Parameters
     ----------
     exported : Path
-        Folder that `export_trained` wrote.
+        Folder written by `export_trained`.
     name : str
-        The network's name. One of that name in the package is replaced.
+        Name of the network; a packaged network with this name is replaced.
     package : Path, optional
-        Folder of `models.toml` and `weights/`; the installed package's without it.
+        Folder of `models.toml` and `weights/`; by default that of the installed package.
 
     Returns
     -------
     tuple of Path
-        What was written.
+        The written files.
 
     Raises
     ------
     ModelHashError
-        If the file is not the one that its card describes.
+        If the network's hash differs from its card.
     TrainingError
-        If the card cannot be read, the weights together would exceed `MOST_BYTES`, or the
-        folder cannot be written.
+        If the card cannot be read, the total size would exceed `MOST_BYTES`, or the folder is
+        not writable.
     """
     card = read_card(exported / f"{name}.json")
     network = exported / card.file
     if not network.is_file() or file_sha256(network) != card.sha256:
         raise ModelHashError(
-            "is not the file that its card describes", source=network, remedy="export it again"
+            "does not match the hash in its card", source=network, remedy="export it again"
         )
     package = package or Path(registry.__file__).parent
     weights, toml = package / "weights", package / "models.toml"
@@ -236,9 +236,9 @@ def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Pat
     total = sum(p.stat().st_size for p in others) + card.size_bytes
     if total > MOST_BYTES:
         raise TrainingError(
-            f"the package's weights would be {total / 1e6:.1f} MB together",
+            f"the packaged weights would take {total / 1e6:.1f} MB in total",
             source=network,
-            remedy=f"stay under {MOST_BYTES / 1e6:.0f} MB: publish a smaller one",
+            remedy=f"publish a smaller network; the limit is {MOST_BYTES / 1e6:.0f} MB",
         )
     try:
         files = [network, exported / f"{name}.md", exported / f"{name}.json"]
@@ -254,13 +254,13 @@ def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Pat
 
 
 def with_entry(toml: str, card: ModelCard) -> str:
-    """Replace a network's entry in a registry's text, or add it; all else stays as it is."""
+    """Return the text of `models.toml` with the network's entry added or replaced."""
     starts = [match.start() for match in _ENTRY.finditer(toml)] + [len(toml)]
     head, blocks = toml[: starts[0]], [toml[a:b] for a, b in pairwise(starts)]
     own, line = registry_entry(card), f"name = {json.dumps(card.name)}"
     same = [k for k, block in enumerate(blocks) if line in block.splitlines()]
     if same:
-        # The last entry ends the file, the others are parted by an empty line.
+        # Entries are separated by an empty line; the last one ends the file.
         blocks[same[0]] = own if same[0] == len(blocks) - 1 else f"{own}\n"
     else:
         blocks.append(f"\n{own}")
@@ -268,7 +268,7 @@ def with_entry(toml: str, card: ModelCard) -> str:
 
 
 def registry_entry(card: ModelCard) -> str:
-    """Return a network's entry as `models.toml` has it.
+    """Return a network's entry for `models.toml`.
 
     Examples
     --------

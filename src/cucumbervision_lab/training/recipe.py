@@ -1,4 +1,4 @@
-"""Training recipes: sources of pictures, their mixture and the plans, read from a TOML file."""
+"""Training recipes: picture sources with weights, and training schedules, from a TOML file."""
 
 from __future__ import annotations
 
@@ -11,47 +11,47 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.plan import parse_plan
 
 _KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets", "d435-colors")
-"""What a source can be made of; see `Source`."""
+"""Kinds of sources; see `Source`."""
 
 ORIGINAL = ("photos", "set", "drawn")
-"""Those that are not made of others."""
+"""Kinds of sources that are not derived from other sources."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where some of the pictures come from.
+    """A source of training pictures.
 
     Parameters
     ----------
     name : str
-        Folder that it is built in, and how others name it.
+        Name of the source and of its folder.
     kind : str
-        'photos': the audited photos found below a folder, with masks by SAM; 'set': a labelled
-        set, with masks by SAM where it has boxes only; 'drawn': by `synth`, with fruit of
-        another source pasted in if `paste` names one; 'montage': fruit of `paste` on the
-        fruitless photos of `of`; 'windows' and 'sheets': cut out of, and shrunk from, `of`;
-        'd435-colors': the pictures of `of`, as a D435 sees them in a greenhouse.
+        'photos': the audited photos below a folder, with masks by SAM. 'set': a labelled set, with
+        masks by SAM if it has boxes only. 'drawn': synthetic frames from `synth`, optionally with
+        pasted fruit of the source `paste`. 'montage': fruit of `paste` on the photos without fruit
+        of `of`. 'windows': crops of `of`. 'sheets': mosaics of downscaled pictures of `of`.
+        'd435-colors': pictures of `of` with the colours of a D435 in a greenhouse.
     weight : float
-        Share of the pictures seen; 0 for what others are made of only.
+        Share of this source in the training pictures; 0 for a source that others are derived from.
     folder : str
-        Of 'photos' and 'set', below the recipe's data folder.
+        Folder of 'photos' and 'set', relative to the data folder.
     of, paste : tuple of str
         Names of earlier sources.
     count : int
-        Of frames, montages or sheets.
+        Number of frames, montages or sheets.
     size : tuple of int
-        Width and height of frames and montages; the sides of windows; the side of sheets.
+        Width and height of frames and montages; sides of windows; side of sheets; pixels.
     shares : str
-        Of 'drawn': weights of hanging, bench and crate.
+        For 'drawn': weights of hanging, bench and crate scenes.
     hard : bool
-        Of 'drawn': as `synth --hard`.
+        For 'drawn': see `synth --hard`.
     most : int
-        Of 'photos' and 'set': pictures of one scene at most.
+        For 'photos' and 'set': maximum number of pictures per scene.
     seed : int
-        Of the random numbers.
+        Random seed.
     validate : int
-        How many of its pictures to validate with; of 'photos' and 'set' all of their split `val`,
-        if it is not 0.
+        Number of validation pictures. For 'photos' and 'set', any value but 0 uses the whole split
+        `val`.
     """
 
     name: str
@@ -71,20 +71,20 @@ class Source:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How one network is trained.
+    """Training schedule of one network.
 
     Parameters
     ----------
     init : str
-        Weights to begin with, below the folder of the recipe's weights.
+        Initial weights, relative to the weights folder.
     plan : str
-        As `parse_plan` reads it.
+        Plan in the format of `parse_plan`.
     per_epoch : int
         Pictures between two checkpoints.
     validate_every, judge_every : int
-        Epochs between two validations, and between two points of the curve.
+        Epochs between two validations, and between two points of the accuracy curve.
     learning_rate, one_to_many, freeze
-        As `TrainOptions`.
+        See `TrainOptions`.
     """
 
     init: str
@@ -99,37 +99,37 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All of it.
+    """A training recipe.
 
     Parameters
     ----------
     sources : tuple of Source
-        In the order in which they are built.
+        Sources in build order.
     schedules : dict of str to Schedule
-        By task, 'seg' and 'pose'.
+        Schedules by task, 'seg' and 'pose'.
     """
 
     sources: tuple[Source, ...]
     schedules: dict[str, Schedule] = field(default_factory=dict)
 
     def source(self, name: str) -> Source:
-        """Return a source by its name."""
+        """Return the source called `name`."""
         return next(source for source in self.sources if source.name == name)
 
 
 def read_recipe(path: Path) -> Recipe:
-    """Read a recipe.
+    """Read a recipe from a TOML file.
 
     Parameters
     ----------
     path : Path
-        A TOML file: a table `[seg]`, `[pose]` or both, as `Schedule`, and `[[source]]` tables as
-        `Source`.
+        A file with a table `[seg]`, `[pose]` or both (see `Schedule`), and `[[source]]` tables (see
+        `Source`).
 
     Raises
     ------
     TrainingError
-        If it cannot be read, or a name, a plan or a kind is not known; with what is wrong.
+        If the file cannot be read, or a key, name, plan or kind is invalid.
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -143,7 +143,7 @@ def read_recipe(path: Path) -> Recipe:
         schedules = {task: Schedule(**table) for task, table in values.items()}
         for task, schedule in schedules.items():
             if task not in ("seg", "pose"):
-                raise ValueError(f"no task is called {task!r}")
+                raise ValueError(f"unknown task {task!r}")
             parse_plan(schedule.plan, schedule.per_epoch)
         _check(sources)
     except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
@@ -154,7 +154,7 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def _typed(kind: type, table: dict[str, Any]) -> dict[str, Any]:
-    """Make tuples of lists, and of single names where several may be given."""
+    """Convert lists, and single values of tuple fields, to tuples."""
     many = {one.name for one in fields(kind) if str(one.type).startswith("tuple")}
     return {
         key: tuple(value if isinstance(value, list) else [value]) if key in many else value
@@ -166,16 +166,16 @@ def _check(sources: tuple[Source, ...]) -> None:
     known: set[str] = set()
     for source in sources:
         if source.kind not in _KINDS:
-            raise ValueError(f"{source.name}: no kind is called {source.kind!r}")
+            raise ValueError(f"{source.name}: unknown kind {source.kind!r}")
         if source.name in known:
-            raise ValueError(f"two sources are called {source.name!r}")
+            raise ValueError(f"duplicate source {source.name!r}")
         for other in (*source.of, *source.paste):
             if other not in known:
-                raise ValueError(f"{source.name}: no source before it is called {other!r}")
+                raise ValueError(f"{source.name}: no earlier source is called {other!r}")
         if source.kind not in ORIGINAL and not source.of:
-            raise ValueError(f"{source.name}: say of which source it is made")
+            raise ValueError(f"{source.name}: 'of' is missing")
         known.add(source.name)
     if not sum(source.weight for source in sources) > 0:
         raise ValueError("no source has a weight")
     if not any(source.validate for source in sources):
-        raise ValueError("no source has pictures to validate with")
+        raise ValueError("no source has validation pictures")

@@ -1,4 +1,4 @@
-"""Train networks by one recipe, from folders of pictures, with their accuracy over time."""
+"""Train networks from a recipe, and record their accuracy curve during training."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source
 from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources
-from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainWatcher, train
+from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainCallbacks, train
 
 PACKAGED = Path(__file__).with_name("recipe.toml")
-"""The recipe that the package's networks are trained by."""
+"""The recipe of the packaged networks."""
 
 
 @dataclass(frozen=True)
 class RecipeFolders:
-    """Where a recipe finds and puts things.
+    """Input and output folders of a recipe.
 
     Parameters
     ----------
     data : Path
-        The folder of pictures.
+        Folder of the pictures.
     weights : Path
-        Folder of the weights that the recipe begins with, or goes on from.
+        Folder of the initial weights.
     out : Path
-        The run's folder: `data/`, and `seg/` and `pose/` with a training each.
+        The run's folder: `data/`, and one training run each in `seg/` and `pose/`.
     test : Path, optional
-        A drawn set whose test split the curve is judged by, beside the real photos.
+        Synthetic set whose test split is evaluated for the accuracy curve, in addition to photos.
     """
 
     data: Path
@@ -60,44 +60,46 @@ def run_recipe(
     *,
     tasks: tuple[str, ...] = ("seg", "pose"),
     options: TrainOptions | None = None,
-    watcher: TrainWatcher | None = None,
+    callbacks: TrainCallbacks | None = None,
     workers: int = 1,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
 ) -> dict[str, Path]:
-    """Build the sources, then train one network after the other, each from where it stands.
+    """Build the sources, then train or resume one network after the other.
 
     Parameters
     ----------
     recipe : Recipe
-        Which pictures, and the plans.
+        Sources and schedules.
     folders : RecipeFolders
-        Where everything is.
+        Input and output folders.
     tasks : tuple of str
-        Those of 'seg' and 'pose' to train, in this order.
+        Tasks to train in this order, 'seg' and 'pose'.
     options : TrainOptions, optional
-        Of the machine: device, batch, threads, minutes. How to learn stands in the recipe.
-    watcher : TrainWatcher, optional
-        Is shown every batch and epoch.
+        Machine options: device, batch, threads, minutes. The recipe sets the others.
+    callbacks : TrainCallbacks, optional
+        Called after every batch and epoch.
     workers : int
-        Processes that draw.
-    say : callable
-        Called with a line for each step.
+        Number of processes that draw synthetic frames.
+    log : callable
+        Called with a line of text for each step.
 
     Returns
     -------
     dict of str to Path
-        The newest weights of each task.
+        Latest weights of each task.
 
     Raises
     ------
     TrainingError, DataSetError, CaptureError
-        If something that the recipe needs is missing.
+        If pictures, weights or schedules that the recipe needs are missing.
     """
     given = options or TrainOptions()
     unknown = [task for task in tasks if task not in recipe.schedules]
     if unknown:
-        raise TrainingError(f"the recipe has no plan for {unknown[0]}", remedy="add its table")
-    built = build_sources(recipe, folders.data, folders.out / "data", workers, say)
+        raise TrainingError(
+            f"the recipe has no schedule for {unknown[0]}", remedy=f"add a table [{unknown[0]}]"
+        )
+    built = build_sources(recipe, folders.data, folders.out / "data", workers, log)
     found = {}
     for task in tasks:
         schedule, run = recipe.schedules[task], folders.out / task
@@ -108,67 +110,70 @@ def run_recipe(
             one_to_many=schedule.one_to_many,
             freeze=schedule.freeze if given.freeze == 0 else given.freeze,
             validate_every=schedule.validate_every,
-            # Half of a mixture are windows and sheets of other pictures: they resemble each other.
+            # Windows and sheets are crops of other sources, so duplicates are expected.
             check=False,
         )
-        begun = RunState.exists(run)
-        say(f"{'going on with' if begun else 'beginning'} {task}: {schedule.plan}")
+        exists = RunState.exists(run)
+        log(f"{'resuming' if exists else 'starting'} {task}: {schedule.plan}")
         found[task] = train(
             task,
             data,
             run,
-            init=None if begun else str(folders.weights / schedule.init),
+            init=None if exists else str(folders.weights / schedule.init),
             plan=schedule.plan,
             per_epoch=schedule.per_epoch,
-            resume=begun,
+            resume=exists,
             options=own,
-            watcher=_Judged(watcher, Curve(task, folders.data, folders.test, run), recipe),
+            callbacks=_CurveCallbacks(
+                callbacks, Curve(task, folders.data, folders.test, run), recipe
+            ),
         )
     return found
 
 
-class _Judged:
-    """Adds a point to the curve every few epochs."""
+class _CurveCallbacks:
+    """Callbacks that evaluate the network every few epochs, and forward to other callbacks."""
 
-    def __init__(self, watcher: TrainWatcher | None, curve: Curve, recipe: Recipe) -> None:
-        self._watcher, self._curve = watcher, curve
+    def __init__(self, callbacks: TrainCallbacks | None, curve: Curve, recipe: Recipe) -> None:
+        self._callbacks, self._curve = callbacks, curve
         schedule = recipe.schedules[curve.task]
         self._every = schedule.judge_every * schedule.per_epoch
 
     def batch(self, fraction: float, size_px: int) -> None:
-        """Pass it on."""
-        if self._watcher:
-            self._watcher.batch(fraction, size_px)
+        """Forward the progress."""
+        if self._callbacks:
+            self._callbacks.batch(fraction, size_px)
 
     def epoch(self, report: EpochReport) -> None:
-        """Pass it on, and judge the network if it is time."""
-        if self._watcher:
-            self._watcher.epoch(report)
+        """Forward the report, and evaluate the network if due."""
+        if self._callbacks:
+            self._callbacks.epoch(report)
         if report.pictures % self._every == 0 or report.pictures >= report.of:
             self._curve.judge(self._curve.run / NETWORK, report.pictures)
 
 
 def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Path) -> Path:
-    """Write the sources as Ultralytics reads them, and one `data.yaml` with their weights.
+    """Export the sources in YOLO format, and write a `data.yaml` with their weights.
 
     Parameters
     ----------
     recipe : Recipe
-        Of the sources and their weights.
+        Sources and their weights.
     built : mapping of str to Path
-        The sets, by source.
+        Folders of the built sources, by name.
     task : str
         'seg' or 'pose'.
     run : Path
-        The training's folder.
+        Folder of the training run.
 
     Returns
     -------
     Path
-        The data.yaml: `train` and `val` are lists of folders, `weights` belongs to `train`.
+        The data.yaml: `train` and `val` are lists of folders, `weights` has a weight for each
+        folder of `train`.
     """
     yaml = import_module("yaml")
-    run = run.resolve()  # Ultralytics takes relative folders from the file's own
+    run = run.resolve()  # Ultralytics resolves relative paths against the folder of the YAML file
     values: dict[str, Any] = {"train": [], "weights": [], "val": []}
     cards = ["# Mixture", "", "| source | of the pictures seen |", "|---|--:|"]
     cards += [f"| {one.name} | {one.weight:.0%} |" for one in recipe.sources if one.weight]
@@ -194,7 +199,7 @@ def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Pat
 
 
 def _write_source(source: Source, built: Path, task: str, folder: Path) -> None:
-    """Write one source as Ultralytics reads it, with its card, unless it is there already."""
+    """Export a source in YOLO format with its card, unless the export is up to date."""
     card = folder / DATA_CARD
     labels = built / "annotations.json"
     if card.is_file() and card.stat().st_mtime >= labels.stat().st_mtime:
@@ -205,23 +210,23 @@ def _write_source(source: Source, built: Path, task: str, folder: Path) -> None:
     card.write_text(data_card(dataset, source.name), encoding="utf-8")
 
 
-_DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines
-_FRAMES = 40
+_PLOTTED = ("photos all", "half all: recall", "drawn")  # prefixes of the plotted columns
+_TEST_FRAMES = 40
 
 
 class Curve:
-    """Judges a network again and again and keeps the points.
+    """Accuracy curve of a training run.
 
     Parameters
     ----------
     task : str
         'seg' or 'pose'.
     photos : Path
-        Folder of the audited photos; those of test scenes are judged.
+        Folder of the audited photos; those of test scenes are evaluated.
     drawn : Path, optional
-        A drawn set; 40 pictures of its test split are judged.
+        Synthetic set; 40 pictures of its test split are evaluated.
     run : Path
-        Gets `curve.csv` and `curve.png`.
+        Folder for `curve.csv` and `curve.png`.
     """
 
     def __init__(self, task: str, photos: Path, drawn: Path | None, run: Path) -> None:
@@ -229,20 +234,20 @@ class Curve:
         self._photos, self._drawn = photos, drawn
 
     def judge(self, network: Path, pictures: int) -> dict[str, float]:
-        """Judge a checkpoint and add it to the curve.
+        """Evaluate a checkpoint and add a point to the curve.
 
         Parameters
         ----------
         network : Path
             A checkpoint (.pt).
         pictures : int
-            That it has seen.
+            Number of pictures it has been trained on.
 
         Returns
         -------
         dict of str to float
-            Recall and precision on photos, by test and at half the size, at the confidence that
-            is asked by default; mAP on drawn frames: of boxes and masks, or of boxes and points.
+            Recall and precision on photos, by test and at half size, at the default confidence
+            threshold; mAP on synthetic frames, of boxes and of masks or keypoints.
         """
         onnx = export_yolo(network, self.run / "curve.onnx", dynamic=True, half=True)
         point = self._on_photos(onnx) | self._on_drawn(onnx)
@@ -256,7 +261,7 @@ class Curve:
         return point
 
     def _networks(self, onnx: Path, *, ranked: bool) -> Networks:
-        """Load a checkpoint: a detector beside the pose network in use, a pose network alone."""
+        """Load a detector with the pose network in use, or a pose network alone."""
         pair = chosen_networks(onnx, None) if self.task == "seg" else (None, onnx)
         return open_networks(*pair, None, ranked=ranked)
 
@@ -278,7 +283,7 @@ class Curve:
         if self._drawn is None:
             return {}
         networks = self._networks(onnx, ranked=True)
-        held_out = read_held_out(self._drawn, "test", _FRAMES)
+        held_out = read_held_out(self._drawn, "test", _TEST_FRAMES)
         frames = []
         for picture in held_out.pictures:
             color = read_color(held_out.data.path(picture))
@@ -297,14 +302,14 @@ class Curve:
 
 
 def draw_curve(table: Path, out: Path) -> None:
-    """Draw the curve's CSV file as a PNG.
+    """Plot the curve's CSV file as a PNG.
 
     Parameters
     ----------
     table : Path
         `curve.csv`.
     out : Path
-        The file to write; nothing is written where matplotlib is missing.
+        The file to write; skipped if matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -315,7 +320,7 @@ def draw_curve(table: Path, out: Path) -> None:
     axes = figure.add_subplot()
     seen = [int(row["pictures"]) / 1000 for row in rows]
     keys = dict.fromkeys(key for row in rows for key in row)
-    names = [key for key in keys if key.startswith(_DRAWN)]
+    names = [key for key in keys if key.startswith(_PLOTTED)]
     for name in names:
         axes.plot(seen, [float(row.get(name) or "nan") for row in rows], marker=".", label=name)
     axes.set(xlabel="pictures seen, thousands", ylabel="share", ylim=(0, 1))

@@ -1,4 +1,4 @@
-"""Options of a training, and the settings of Ultralytics that follow from them."""
+"""Training options, and the Ultralytics settings derived from them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cucumbervision_lab.training.checkpoint import require_layers
 from cucumbervision_lab.training.data import TASKS
 from cucumbervision_lab.training.plan import RunState
 
-LEARNING = ("learning_rate", "one_to_many", "by_place", "overrides")
-"""Options that a run keeps from its beginning; the others are the machine's, and may change."""
+FIXED_OPTIONS = ("learning_rate", "one_to_many", "by_place", "overrides")
+"""Options that stay fixed during a run; the others depend on the machine and may change."""
 
 _AUGMENTATION: dict[str, Any] = {
-    # Fruit hang or lie at any angle, and none of the five points is left or right.
+    # Fruit hang or lie at any angle, and no keypoint is a left or right one.
     "degrees": 45.0,
     "flipud": 0.5,
     "fliplr": 0.5,
@@ -30,10 +30,10 @@ _AUGMENTATION: dict[str, Any] = {
     "erasing": 0.0,
 }
 
-# Without outlines a turned box is the box about the old one's corners: far too wide for thin fruit.
-# And fruit hang by the stem: which end is up says much of which end it is, as long as the pictures
-# are not turned over. Scenes that were drawn hold turned cameras and lying fruit themselves.
-_POINTS: dict[str, Any] = {"degrees": 0.0, "flipud": 0.0}
+# Without outlines, a rotated box is the bounding box of the old corners: far too wide for thin
+# fruit. Flips upside down would hide that fruit hang by the stem, which helps to identify the ends.
+# Synthetic scenes already contain rotated cameras and lying fruit.
+_POSE_AUGMENTATION: dict[str, Any] = {"degrees": 0.0, "flipud": 0.0}
 
 
 _BATCH = 8
@@ -46,40 +46,40 @@ _WITHOUT_MOSAIC = 0.1
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How to train.
+    """Training options.
 
     Parameters
     ----------
     batch : int
-        Pictures at a time; 0: 8 on the processor, 64 on a card. The learning rate is for 8, and
-        grows with the root of it.
+        Batch size; 0 selects 8 on the CPU and 64 on a GPU. The learning rate refers to a batch of
+        8 and grows with the square root of the batch size.
     device : str
-        'auto' (a graphics card where there is one), 'cpu', or a card's number.
+        'auto' (a GPU if available), 'cpu', or a GPU number.
     precision : str
         'auto', 'f32' or 'bf16'; see `choose_precision`.
     freeze : int
-        Layers from the front that stay as they are; 10 is the whole backbone; -1: 6 on the
-        processor, where they take most of the time and learn least, none on a card.
+        Number of layers to freeze, from the input; 10 is the whole backbone. -1 selects 6 on the
+        CPU, where the first layers take most of the time and change least, and 0 on a GPU.
     seed : int
-        Of the random numbers.
+        Random seed.
     threads, workers : int
-        Threads of torch (0: as many as there are cores), and processes that load pictures.
+        Number of torch threads (0 uses all cores), and of processes that load pictures.
     minutes : float, optional
-        End after the epoch in which this time has passed; `resume` goes on.
+        Time limit; training stops after the epoch that exceeds it and can be resumed.
     validate_every : int
         Epochs between two validations.
     learning_rate : float
-        At the beginning of the plan, by AdamW.
+        Initial learning rate of AdamW.
     one_to_many : float
-        Share of the loss that is the one-to-many head's at the beginning of the plan. A network
-        that finds fruit already needs less of it than a new one.
+        Initial share of the one-to-many head in the loss. A pretrained detector needs a smaller
+        share than a new network.
     by_place : bool
-        Learn points from a fruit's lower left end to its upper right one, and leave it to `ends`
-        which of them is the stem's; else from blossom to stem.
+        Order keypoints from the lower-left end of a fruit to the upper-right end; the `ends`
+        network then identifies the stem end. If False, from the blossom end to the stem end.
     check : bool
-        Refuse a data set with faults or with the same picture in two splits.
+        Reject data sets with faults or with duplicate pictures across splits.
     overrides : mapping
-        Further settings of Ultralytics, which win.
+        Further Ultralytics settings; they take precedence.
     """
 
     batch: int = 0
@@ -98,21 +98,21 @@ class TrainOptions:
     overrides: Mapping[str, Any] | None = None
 
     def batch_on(self, device: str) -> int:
-        """Return the pictures at a time on a device."""
+        """Return the batch size on a device."""
         return self.batch or (_BATCH if device == "cpu" else _BATCH_ON_CARD)
 
     def frozen_on(self, device: str) -> int:
-        """Return the layers that stay as they are on a device."""
+        """Return the number of frozen layers on a device."""
         return self.freeze if self.freeze >= 0 else _FROZEN if device == "cpu" else 0
 
 
 def rate_at(progress: float) -> float:
-    """Return the learning rate as a share of the first one.
+    """Return the learning rate relative to the initial one.
 
     Parameters
     ----------
     progress : float
-        Share of the plan that is through, 0 to 1.
+        Completed share of the plan, 0 to 1.
 
     Examples
     --------
@@ -123,14 +123,14 @@ def rate_at(progress: float) -> float:
 
 
 def one_to_many_at(progress: float, first: float) -> float:
-    """Return the one-to-many head's share of the loss.
+    """Return the share of the one-to-many head in the loss.
 
     Parameters
     ----------
     progress : float
-        Share of the plan that is through, 0 to 1.
+        Completed share of the plan, 0 to 1.
     first : float
-        The share at its beginning.
+        Share at the beginning of the plan.
 
     Examples
     --------
@@ -143,30 +143,30 @@ def one_to_many_at(progress: float, first: float) -> float:
 def trainer_settings(
     state: RunState, model: str, out: Path, options: TrainOptions, device: str
 ) -> dict[str, Any]:
-    """Return Ultralytics' settings from the epoch on that a run has come to.
+    """Return the Ultralytics settings to continue a run from its current epoch.
 
     Parameters
     ----------
     state : RunState
-        The run.
+        State of the run.
     model : str
-        The network that it goes on from.
+        Checkpoint or network definition to start from.
     out : Path
         The run's folder.
     options : TrainOptions
-        How to train.
+        Training options.
     device : str
-        From `choose_device`.
+        Device from `choose_device`.
 
     Returns
     -------
     dict
-        The overrides of Ultralytics' trainer.
+        Overrides for the Ultralytics trainer.
 
     Raises
     ------
     TrainingError
-        If the weights to begin with cannot be loaded.
+        If the weights cannot be loaded.
     """
     epochs, batch = state.plan.epochs, options.batch_on(device)
     return {
@@ -187,23 +187,23 @@ def trainer_settings(
         "warmup_epochs": 0.0,
         "nbs": max(_BATCH, batch),
         "close_mosaic": max(1, round(_WITHOUT_MOSAIC * epochs)),
-        # Resumed, it would draw the same chances again.
+        # A resumed run would otherwise repeat the random augmentations of its start.
         "seed": state.seed + state.epochs,
         "deterministic": False,
         "amp": device != "cpu",
         "exist_ok": True,
-        # Validate the head that is shipped: one to one, without suppression. Of its 300 rows
-        # those under 0.01 would cost a mask each and change nothing.
+        # Validate the one-to-one head, which is exported, without suppression. Each of its 300
+        # rows costs a mask; rows below 0.01 do not change the metrics.
         "nms": False,
         "conf": 0.01,
         **_AUGMENTATION,
-        **(_POINTS if state.task == "pose" else {}),
+        **(_POSE_AUGMENTATION if state.task == "pose" else {}),
         **(options.overrides or {}),
     }
 
 
 def _network(state: RunState, model: str) -> dict[str, Any]:
-    """Say which network and weights a training goes on from."""
+    """Return the settings 'model' and 'pretrained': network definition and initial weights."""
     if not model.endswith(".pt"):
         return {"model": model, "pretrained": False}
     from ultralytics.nn.tasks import load_checkpoint
@@ -214,7 +214,7 @@ def _network(state: RunState, model: str) -> dict[str, Any]:
     # Unpickling a broken checkpoint can raise anything.
     except Exception as error:
         raise TrainingError(
-            f"Ultralytics cannot load these weights ({error})",
+            f"Ultralytics cannot load the weights ({error})",
             source=model,
             remedy="give a YOLO26 checkpoint (.pt)",
         ) from error
@@ -224,16 +224,16 @@ def _network(state: RunState, model: str) -> dict[str, Any]:
     return {"model": f"yolo26{scale}-{state.task}.yaml", "pretrained": model}
 
 
-def choose_device(asked: str) -> str:
-    """Return the device to train on: 'auto' is the first CUDA card, or the CPU without one.
+def choose_device(requested: str) -> str:
+    """Return the device to train on.
 
     Parameters
     ----------
-    asked : str
-        'auto', 'cpu' or a card's number.
+    requested : str
+        'auto', 'cpu' or a GPU number. 'auto' selects the first CUDA GPU, or the CPU.
     """
     import torch
 
-    if asked != "auto":
-        return asked
+    if requested != "auto":
+        return requested
     return "0" if torch.cuda.is_available() else "cpu"

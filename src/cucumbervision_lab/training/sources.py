@@ -1,4 +1,4 @@
-"""Build a recipe's sources: every one a labelled set in a folder of its own, built once."""
+"""Build the sources of a recipe, each as a labelled set in a folder of its own."""
 
 from __future__ import annotations
 
@@ -34,33 +34,33 @@ _MOST_HIDDEN = 0.05
 
 
 def build_sources(
-    recipe: Recipe, data: Path, out: Path, workers: int = 1, say: Callable[[str], None] = print
+    recipe: Recipe, data: Path, out: Path, workers: int = 1, log: Callable[[str], None] = print
 ) -> dict[str, Path]:
-    """Build what is missing of a recipe's sources.
+    """Build the sources of a recipe that are missing or out of date.
 
     Parameters
     ----------
     recipe : Recipe
-        What to build.
+        The recipe.
     data : Path
-        The folder of pictures that the recipe's folders lie in; assets for drawn frames are found
-        below its `backgrounds`, `textures` and `hdri*`.
+        Folder that contains the picture folders of the recipe. Assets for synthetic frames are read
+        from its `backgrounds`, `textures` and `hdri*`.
     out : Path
-        Gets a folder a source. One that is complete stays as it is.
+        Folder for the built sources, one subfolder each.
     workers : int
-        Processes that draw.
-    say : callable
-        Called with a line for each source.
+        Number of processes that draw synthetic frames.
+    log : callable
+        Called with a line of text for each source.
 
     Returns
     -------
     dict of str to Path
-        The sets, by source.
+        Folders of the sets, by source name.
 
     Raises
     ------
     TrainingError, DataSetError, CaptureError
-        If a folder lacks what a source needs.
+        If the pictures of a source are missing or unusable.
     """
     built: dict[str, Path] = {}
     for source in recipe.sources:
@@ -68,7 +68,7 @@ def build_sources(
         done = folder / "built.json"
         wanted = repr(source)
         if not (done.is_file() and done.read_text(encoding="utf-8") == wanted):
-            say(f"building {source.name}")
+            log(f"building {source.name}")
             _build(source, built, data, folder, workers)
             done.write_text(wanted, encoding="utf-8")
         built[source.name] = folder
@@ -93,7 +93,7 @@ def _build(
 
 
 def _photos(source: Source, data: Path, folder: Path) -> DataSet:
-    """Gather real pictures, without those of test scenes, and draw masks where there are none."""
+    """Collect real pictures except test scenes, and segment fruit that have no mask."""
     from cucumbervision.perception.networks import open_segmenter
 
     place = data / source.folder
@@ -104,10 +104,12 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
         found = read_coco(place)
         pictures = list(found.pictures)
     kept = [p for p in pictures if p.split in ("train", "val")]
-    few = _few_of_each(kept, source.most)
-    if not few:
-        raise TrainingError("has no pictures to train on", source=place, remedy="name another")
-    plain = tuple(replace(p, extras={}) for p in few)
+    limited = _limit_per_scene(kept, source.most)
+    if not limited:
+        raise TrainingError(
+            "contains no training pictures", source=place, remedy="give another folder"
+        )
+    plain = tuple(replace(p, extras={}) for p in limited)
     known = _known_labels(folder)
     plain = tuple(replace(p, labels=known.get(_identity(p), p.labels)) for p in plain)
     boxed = replace(found, pictures=plain, refused=())
@@ -116,7 +118,7 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
 
 
 def _known_labels(folder: Path) -> dict[tuple[object, ...], tuple[Label, ...]]:
-    """Return the labels whose masks were drawn when the folder was built before."""
+    """Return the labels with masks from an earlier build of the folder."""
     if not (folder / "annotations.json").is_file():
         return {}
     return {_identity(p): p.labels for p in read_coco(folder).pictures if p.labels}
@@ -127,8 +129,8 @@ def _identity(picture: LabelledPicture) -> tuple[object, ...]:
     return picture.source, picture.width, picture.height, boxes
 
 
-def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[LabelledPicture]:
-    """Keep so many pictures of a scene at most, evenly spread: near-duplicates teach little."""
+def _limit_per_scene(pictures: Sequence[LabelledPicture], most: int) -> list[LabelledPicture]:
+    """Keep at most `most` evenly spaced pictures per scene, because near-duplicates add little."""
     scenes: dict[str, list[LabelledPicture]] = defaultdict(list)
     for picture in pictures:
         scenes[picture.scene or picture.file].append(picture)
@@ -140,20 +142,20 @@ def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[Labelle
 
 
 def with_axis_points(dataset: DataSet) -> DataSet:
-    """Add keypoints along the axis of its mask to every whole fruit that has none.
+    """Add keypoints along the mask's axis to every complete fruit that has none.
 
-    Where the stem's end is unknown, the order follows from how the fruit lies, which
-    the label's extras say: good for a network that learns points by place, not for `train ends`.
+    If the stem end is unknown, the keypoints are ordered by position, and the label's extras note
+    this. Such labels suit pose networks with `by_place`, but not `train ends`.
 
     Parameters
     ----------
     dataset : DataSet
-        With masks.
+        Data set with masks.
 
     Returns
     -------
     DataSet
-        Fruit that are hidden, cut off, round or bent too much have no points as before.
+        Fruit that are hidden, cut off, round or strongly bent stay without keypoints.
     """
     pictures = tuple(
         replace(p, labels=tuple(_with_points(label) for label in p.labels))
@@ -211,7 +213,7 @@ def _drawn(
 
 
 def _assets(data: Path, folder: Path) -> Path | None:
-    """Gather what frames are painted with, without the photos of test scenes."""
+    """Link the assets for synthetic frames into `folder`, except photos of test scenes."""
     files = [
         path
         for pattern in _ASSETS
@@ -286,7 +288,7 @@ def _d435_colors(source: Source, of: DataSet, folder: Path) -> DataSet:
 
 
 def _first(dataset: DataSet, split: str, count: int) -> tuple[LabelledPicture, ...]:
-    """Return so many pictures of a split, evenly spread."""
+    """Return `count` evenly spaced pictures of a split."""
     own = dataset.in_split(split)
     places = np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)
     return tuple(own[k] for k in np.unique(places))

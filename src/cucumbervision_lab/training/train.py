@@ -1,4 +1,4 @@
-"""Train YOLO26 for cucumbers by one plan, which can be killed, resumed, moved and prolonged."""
+"""Train YOLO26 for cucumbers; runs can be resumed, moved to another machine and extended."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.checkpoint import (
     import_ultralytics,
     load_checkpoint,
-    place_in,
     read_rows,
-    strip,
+    stored_run_state,
+    strip_checkpoint,
     write_rows,
 )
 from cucumbervision_lab.training.cpu import choose_precision
 from cucumbervision_lab.training.data import TASKS, prepare_data
-from cucumbervision_lab.training.plan import RunState, extend, parse_plan
-from cucumbervision_lab.training.points import knows_points
+from cucumbervision_lab.training.plan import RunState, extend_plan, parse_plan
+from cucumbervision_lab.training.points import has_keypoint_head
 from cucumbervision_lab.training.settings import (
-    LEARNING,
+    FIXED_OPTIONS,
     TrainOptions,
     choose_device,
     trainer_settings,
 )
 from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
-_SOUND_BATCH = 4
+_LEAST_NORM_BATCH = 4
 
 _DEFAULT_PLAN = "448x16000,640x4000"
-"""The plan where none is given."""
+"""Default plan."""
 
 NETWORK = "network.pt"
-"""In a run's folder: the newest weights and their place in the plan, without the optimiser."""
+"""File in a run's folder with the latest weights and the run state, without optimiser state."""
 
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What one epoch came to.
+    """Progress and metrics after an epoch.
 
     Parameters
     ----------
     pictures, of : int
-        Seen so far, and in the whole plan.
+        Number of pictures seen so far, and in the whole plan.
     size_px : int
-        Of the pictures.
+        Size of the training pictures.
     seconds : float
-        That the epoch took.
+        Duration of the epoch.
     metrics : mapping of str to float
-        Ultralytics' losses, and its metrics where the epoch was validated.
+        Ultralytics' losses and, if the epoch was validated, its metrics.
     """
 
     pictures: int
@@ -62,22 +62,22 @@ class EpochReport:
     metrics: Mapping[str, float]
 
 
-class TrainWatcher(Protocol):
-    """Who is shown how a training goes on."""
+class TrainCallbacks(Protocol):
+    """Progress callbacks of a training."""
 
     def batch(self, fraction: float, size_px: int) -> None:
-        """Show that this share of an epoch is through."""
+        """Report the completed share of the current epoch."""
 
     def epoch(self, report: EpochReport) -> None:
-        """Show what an epoch came to; `NETWORK` holds its weights by then."""
+        """Report a completed epoch, after its weights have been written to `NETWORK`."""
 
 
-class _Silent:
+class _NoCallbacks:
     def batch(self, fraction: float, size_px: int) -> None:
-        """Show nothing."""
+        """Do nothing."""
 
     def epoch(self, report: EpochReport) -> None:
-        """Show nothing."""
+        """Do nothing."""
 
 
 def train(
@@ -90,68 +90,68 @@ def train(
     per_epoch: int = 500,
     resume: bool = False,
     options: TrainOptions | None = None,
-    watcher: TrainWatcher | None = None,
+    callbacks: TrainCallbacks | None = None,
 ) -> Path:
-    """Train a network for one task by one plan.
+    """Train a network for one task.
 
     Parameters
     ----------
     task : str
         'seg' or 'pose'.
     data : Path, optional
-        A data set's folder or data.yaml; to resume, only where it lies elsewhere now.
+        Folder or data.yaml of a data set. When resuming, needed only if the data set has moved.
     out : Path
         The run's folder: `state.json`, `metrics.csv`, `weights/last.pt` and `network.pt`.
     init : str, optional
-        Weights to begin with (.pt, also of the other task: what fits is taken), or an
-        Ultralytics .yaml for random ones. A `network.pt` of an unfinished run for the same task
-        resumes that run, unless another plan is given.
+        Initial weights (.pt), or an Ultralytics .yaml for random weights. From a checkpoint of
+        the other task, matching layers are used. The `network.pt` of an unfinished run for the
+        same task resumes that run, unless another plan is given.
     plan : str, optional
-        As `parse_plan` reads it. To prolong a run, give the longer plan.
+        Plan in the format of `parse_plan`. To extend a run, give a longer plan.
     per_epoch : int
         Pictures between two checkpoints.
     resume : bool
-        Go on with the run in `out`.
+        Resume the run in `out`.
     options : TrainOptions, optional
-        How to train. A run that is resumed keeps its own `LEARNING`.
-    watcher : TrainWatcher, optional
-        Is shown every batch and epoch.
+        Training options. A resumed run keeps its `FIXED_OPTIONS`.
+    callbacks : TrainCallbacks, optional
+        Called after every batch and epoch.
 
     Returns
     -------
     Path
-        `out / NETWORK`; it exists once an epoch is through.
+        `out / NETWORK`; the file exists after the first epoch.
 
     Raises
     ------
     TrainingError
-        If the plan, the data, the weights or the folder cannot be used.
+        If the plan, the data, the weights or the folder are invalid.
     DataSetError
-        If the data set has faults; with the list of them.
+        If the data set has faults; the error lists them.
     MissingExtraError
         If the extra `train` is not installed.
     """
-    options, watcher = options or TrainOptions(), watcher or _Silent()
+    options, callbacks = options or TrainOptions(), callbacks or _NoCallbacks()
     if task not in TASKS:
-        raise TrainingError(f"no task is called {task!r}", remedy="use seg or pose")
+        raise TrainingError(f"unknown task {task!r}", remedy="use seg or pose")
     out = out.resolve()
     import_ultralytics()
     if resume:
-        state = _resumed(task, out, plan)
+        state = _resume_state(task, out, plan)
         if data is not None:
             written = prepare_data(data, task, out, check=options.check)
             state = replace(state, data=str(written))
     else:
-        state = _begun(task, data, out, init, plan, per_epoch, options)
+        state = _new_state(task, data, out, init, plan, per_epoch, options)
     options = replace(options, **state.learning)
     state.save(out)
     end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
     while not state.is_done and (end is None or time.monotonic() < end):
-        state = _run_part(state, out, options, watcher, end)
+        state = _run_part(state, out, options, callbacks, end)
     return out / NETWORK
 
 
-def _begun(
+def _new_state(
     task: str,
     data: Path | None,
     out: Path,
@@ -162,44 +162,48 @@ def _begun(
 ) -> RunState:
     if RunState.exists(out):
         raise TrainingError(
-            "there is a training already", source=out, remedy="add --resume, or choose another"
+            "already contains a training run",
+            source=out,
+            remedy="add --resume, or choose another folder",
         )
     if data is None:
-        raise TrainingError("no data set is given", remedy="name its folder or its data.yaml")
-    wanted = parse_plan(plan or _DEFAULT_PLAN, per_epoch)
+        raise TrainingError("no data set given", remedy="give its folder or its data.yaml")
+    new_plan = parse_plan(plan or _DEFAULT_PLAN, per_epoch)
     weights = str(init or f"yolo26n-{task}.pt")
-    place = None
+    saved = None
     if weights.endswith(".pt"):
         path = Path(weights).resolve()
         if not path.is_file():
             raise TrainingError(
-                "there are no such weights, and none are fetched",
+                "weights not found; they are not downloaded automatically",
                 source=weights,
-                remedy=f"download them from Ultralytics, or begin with --init yolo26n-{task}.yaml",
+                remedy=f"download them from Ultralytics, or use --init yolo26n-{task}.yaml",
             )
-        weights, place = str(path), place_in(path)
+        weights, saved = str(path), stored_run_state(path)
     written = str(prepare_data(data, task, out, check=options.check))
-    if place is not None and place["task"] == task and not RunState.of(place).is_done:
-        state = replace(RunState.of(place), data=written, init=weights)
-        if plan is None or state.plan == wanted:
+    if saved is not None and saved["task"] == task and not RunState.from_dict(saved).is_done:
+        state = replace(RunState.from_dict(saved), data=written, init=weights)
+        if plan is None or state.plan == new_plan:
             return state
-    learning = {name: getattr(options, name) for name in LEARNING}
-    return RunState(task, written, weights, wanted, seed=options.seed, learning=learning)
+    fixed = {name: getattr(options, name) for name in FIXED_OPTIONS}
+    return RunState(task, written, weights, new_plan, seed=options.seed, learning=fixed)
 
 
-def _resumed(task: str, out: Path, plan: str | None) -> RunState:
+def _resume_state(task: str, out: Path, plan: str | None) -> RunState:
     state = RunState.load(out)
     if state.task != task:
         raise TrainingError(
-            f"it is a training for {state.task}, not {task}", source=out, remedy="name its task"
+            f"is a training run for {state.task}, not {task}",
+            source=out,
+            remedy=f"use train {state.task}",
         )
     last = _last(out)
     if last.is_file():
-        # One killed between its checkpoint and its state has come an epoch further than it says.
-        state = replace(state, epochs=_epochs_done(last))
+        # If the run was killed between the checkpoint and the state file, the state lags by one.
+        state = replace(state, epochs=_completed_epochs(last))
     if plan is None:
         return state
-    return replace(state, plan=extend(state.plan, state.epochs, parse_plan(plan)))
+    return replace(state, plan=extend_plan(state.plan, state.epochs, parse_plan(plan)))
 
 
 def _last(out: Path) -> Path:
@@ -207,26 +211,28 @@ def _last(out: Path) -> Path:
 
 
 def _run_part(
-    state: RunState, out: Path, options: TrainOptions, watcher: TrainWatcher, end: float | None
+    state: RunState, out: Path, options: TrainOptions, callbacks: TrainCallbacks, end: float | None
 ) -> RunState:
-    """Train to the end of the plan's part, or until the time is over."""
+    """Train until the end of the current part of the plan, or until the time limit."""
     last = _last(out)
     device = choose_device(options.device)
     model = str(last) if last.is_file() else state.init
-    link = _Link(state, out, watcher, end)
+    recorder = _RunRecorder(state, out, callbacks, end)
     trainer = make_trainer(
         TASKS[state.task],
         trainer_settings(state, model, out, options, device),
-        link,
+        recorder,
         TrainerSettings(
             plan=state.plan,
             epochs=state.epochs,
             seed=state.seed,
             one_to_many=options.one_to_many,
             validate_every=options.validate_every,
-            # Two or three pictures tell too little of a layer's mean and spread.
-            still_norms=options.batch_on(device) < _SOUND_BATCH and state.init.endswith(".pt"),
-            strict=state.task == "pose" and knows_points(state.init),
+            # Mean and variance of a layer cannot be estimated from two or three pictures.
+            freeze_batch_norm=(
+                options.batch_on(device) < _LEAST_NORM_BATCH and state.init.endswith(".pt")
+            ),
+            final_sigma=state.task == "pose" and has_keypoint_head(state.init),
             by_place=state.task == "pose" and options.by_place,
         ),
         threads=options.threads or os.cpu_count() or 1,
@@ -234,21 +240,21 @@ def _run_part(
         bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
     )
     trainer.train()
-    return link.state
+    return recorder.state
 
 
-class _Link:
-    """Turns the trainer's callbacks into reports, the CSV file, the state and `NETWORK`."""
+class _RunRecorder:
+    """Trainer callbacks that save the run's state, metrics and weights, and report progress."""
 
     def __init__(
-        self, state: RunState, out: Path, watcher: TrainWatcher, end: float | None
+        self, state: RunState, out: Path, callbacks: TrainCallbacks, end: float | None
     ) -> None:
         self.state = state
-        self._out, self._watcher, self._end = out, watcher, end
+        self._out, self._callbacks, self._end = out, callbacks, end
 
     def batch(self, done: int, total: int) -> None:
         plan = self.state.plan
-        self._watcher.batch(done / total, plan.size_at(self.state.epochs))
+        self._callbacks.batch(done / total, plan.size_at(self.state.epochs))
 
     def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
         plan = self.state.plan
@@ -261,14 +267,14 @@ class _Link:
         )
         self.state = replace(self.state, epochs=number, seconds=self.state.seconds + seconds)
         self.state.save(self._out)
-        strip(_last(self._out), self._out / NETWORK, asdict(self.state))
+        strip_checkpoint(_last(self._out), self._out / NETWORK, asdict(self.state))
         _append(self._out / "metrics.csv", report, self.state.seconds)
-        self._watcher.epoch(report)
+        self._callbacks.epoch(report)
         return self._end is not None and time.monotonic() > self._end
 
 
 def _append(path: Path, report: EpochReport, seconds: float) -> None:
-    """Add an epoch's row."""
+    """Append the row of an epoch."""
     row = {
         "pictures": report.pictures,
         "size_px": report.size_px,
@@ -279,5 +285,5 @@ def _append(path: Path, report: EpochReport, seconds: float) -> None:
     write_rows(path, [*read_rows(path), row])
 
 
-def _epochs_done(checkpoint: Path) -> int:
+def _completed_epochs(checkpoint: Path) -> int:
     return int(load_checkpoint(checkpoint)["epoch"]) + 1

@@ -1,6 +1,6 @@
-"""Ultralytics' trainer with one plan, a mixture of sources, files written whole, and bfloat16.
+"""Ultralytics trainer with a multi-size plan, weighted sources, atomic checkpoints and bfloat16.
 
-Nothing of Ultralytics is forked: one subclass of its trainer, and its callbacks.
+Implemented as a subclass of Ultralytics' trainer and with its callbacks; nothing is forked.
 """
 
 from __future__ import annotations
@@ -14,15 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cucumbervision.perception.yolo import BY_PLACE
-from cucumbervision_lab.training.cpu import assign_coarsely, channels_last, losses_of, narrow, widen
-from cucumbervision_lab.training.ignored import add_ignored, ignore_regions, take_out_ignored
-from cucumbervision_lab.training.plan import MixtureSampler, sources_of
+from cucumbervision_lab.training.cpu import (
+    assign_at_half_resolution,
+    channels_last,
+    disable_bfloat16,
+    enable_bfloat16,
+    head_losses,
+)
+from cucumbervision_lab.training.ignored import add_ignored, ignore_regions, separate_ignored
+from cucumbervision_lab.training.plan import MixtureSampler, group_by_source
 from cucumbervision_lab.training.points import (
-    learn_to_assign,
-    learn_to_see,
-    order_by_place,
-    set_tolerance,
-    tolerance_at,
+    assign_by_boxes_and_keypoints,
+    keypoint_sigma_at,
+    learn_visibility,
+    order_by_position,
+    set_keypoint_sigma,
 )
 from cucumbervision_lab.training.settings import one_to_many_at, rate_at
 
@@ -31,43 +37,43 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.training.plan import Plan
 
-_OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
-_WARM_STEPS = 100  # without the optimiser's memory
-_AVERAGED_STEPS = 500  # by the weights' moving average; Ultralytics' is 10,000
+_INTEGRATIONS = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
+_WARMUP_STEPS = 100  # for an optimiser without restored state
+_EMA_STEPS = 500  # time constant of the weights' moving average; Ultralytics uses 10,000
 
 
-class Watcher(Protocol):
-    """Callbacks of a training."""
+class TrainerCallbacks(Protocol):
+    """Callbacks of the trainer."""
 
     def batch(self, done: int, total: int) -> None:
-        """Tell that `done` of an epoch's `total` batches are through."""
+        """Report that `done` of the `total` batches of an epoch are completed."""
 
     def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
-        """Tell what an epoch, counted from 1, came to. True ends the training after it."""
+        """Report a completed epoch, counted from 1; return True to stop the training."""
 
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """Where in a plan a trainer begins, and how it learns.
+    """Position in the plan and training options of a trainer.
 
     Parameters
     ----------
     plan : Plan
         The whole plan.
     epochs : int
-        How many of its epochs are through.
+        Number of completed epochs.
     seed : int
-        Of the order of pictures.
+        Random seed of the picture order.
     one_to_many : float
-        The one-to-many head's share of the loss at the plan's beginning.
+        Initial share of the one-to-many head in the loss.
     validate_every : int
         Epochs between two validations.
-    still_norms : bool
-        Keep the statistics of batch norm as they are; for very small batches.
-    strict : bool
-        Judge points by the final tolerance from the beginning.
+    freeze_batch_norm : bool
+        Keep the batch norm statistics fixed; for very small batches.
+    final_sigma : bool
+        Use the final keypoint sigma from the beginning; for pretrained keypoint heads.
     by_place : bool
-        Learn points in the order in which they lie in the picture.
+        Order keypoints by their position in the picture.
     """
 
     plan: Plan
@@ -75,81 +81,81 @@ class TrainerSettings:
     seed: int = 0
     one_to_many: float = 0.8
     validate_every: int = 1
-    still_norms: bool = False
-    strict: bool = False
+    freeze_batch_norm: bool = False
+    final_sigma: bool = False
     by_place: bool = False
 
 
 def make_trainer(
     task: str,
     overrides: dict[str, Any],
-    watcher: Watcher,
+    callbacks: TrainerCallbacks,
     settings: TrainerSettings,
     *,
     threads: int,
     workers: int,
     bfloat16: bool,
 ) -> Any:
-    """Build the trainer of what is left of a plan's part.
+    """Create the trainer for the rest of the current part of a plan.
 
     Parameters
     ----------
     task : str
         'segment' or 'pose'.
     overrides : dict
-        Ultralytics' own settings.
-    watcher : Watcher
-        Called with every batch and epoch.
+        Ultralytics settings.
+        callbacks : TrainerCallbacks
+        Called after every batch and epoch.
     settings : TrainerSettings
-        Where in the plan it begins.
+        Position in the plan and options.
     threads, workers : int
-        Threads of torch, and processes that load pictures.
+        Number of torch threads, and of processes that load pictures.
     bfloat16 : bool
         Run the network's layers in bfloat16 on the CPU.
 
     Returns
     -------
     ultralytics.engine.trainer.BaseTrainer
-        Ready for `train()`; it stops at the end of the plan's part.
+        Trainer whose `train()` stops at the end of the current part.
     """
     from ultralytics.models.yolo.pose import PoseTrainer
     from ultralytics.models.yolo.segment import SegmentationTrainer
     from ultralytics.utils import SETTINGS
 
-    for name in _OUTSIDE:
+    for name in _INTEGRATIONS:
         dict.__setitem__(SETTINGS, name, False)
     base: Any = {"segment": SegmentationTrainer, "pose": PoseTrainer}[task]
 
     class Training(_PlannedTraining, base):  # type: ignore[misc]
-        """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
+        """Trainer; Ultralytics attaches integrations to class names that contain 'Trainer'."""
 
     trainer = Training(overrides=overrides)
     trainer.settings = settings
     if settings.by_place:
-        trainer.add_callback("on_train_start", _say_by_place)
-    # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
+        trainer.add_callback("on_train_start", _store_keypoint_order)
+    # Ultralytics disables data loading workers on the CPU.
     trainer.args.workers = workers
-    _listen(trainer, watcher, threads)
-    trainer.add_callback("on_train_start", _average_sooner)
-    trainer.add_callback("on_train_epoch_start", _share_of_heads)
+    _add_progress_callbacks(trainer, callbacks, threads)
+    trainer.add_callback("on_train_start", _set_ema_decay)
+    trainer.add_callback("on_train_epoch_start", _set_loss_shares)
     trainer.add_callback("on_train_batch_start", _warm_up)
     if task == "pose":
-        trainer.add_callback("on_train_start", lambda t: learn_to_assign(t.model))
-        trainer.add_callback("on_train_start", lambda t: learn_to_see(t.model))
-        trainer.add_callback("on_train_epoch_start", _be_stricter)
+        trainer.add_callback("on_train_start", lambda t: assign_by_boxes_and_keypoints(t.model))
+        trainer.add_callback("on_train_start", lambda t: learn_visibility(t.model))
+        trainer.add_callback("on_train_epoch_start", _set_keypoint_sigma)
     if overrides["device"] == "cpu":
         trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
         if task == "segment":
-            trainer.add_callback("on_train_start", lambda t: assign_coarsely(t.model))
-    trainer.add_callback("on_train_start", _leave_out_ignored)
+            trainer.add_callback("on_train_start", lambda t: assign_at_half_resolution(t.model))
+    trainer.add_callback("on_train_start", _skip_ignored_regions)
     if bfloat16:
-        trainer.add_callback("on_train_epoch_start", lambda t: narrow(t.model))
-        trainer.add_callback("on_train_epoch_end", lambda t: widen(t.model))
+        trainer.add_callback("on_train_epoch_start", lambda t: enable_bfloat16(t.model))
+        trainer.add_callback("on_train_epoch_end", lambda t: disable_bfloat16(t.model))
     return trainer
 
 
 class _PlannedTraining:
-    """Overrides of Ultralytics' trainer: one plan for the whole training, files written whole."""
+    """Overrides of Ultralytics' trainer: schedule over the whole plan, atomic checkpoints."""
 
     args: Any
     data: dict[str, Any]
@@ -161,25 +167,25 @@ class _PlannedTraining:
     wdir: Path
     last: Path
     best: Path
-    cold_steps: int = _WARM_STEPS
+    warmup_steps: int = _WARMUP_STEPS
 
     def _setup_scheduler(self) -> None:
-        """Lower the learning rate over the plan."""
+        """Decrease the learning rate over the whole plan."""
         import torch
 
-        self.lf = lambda epoch: rate_at(self.settings.plan.through(epoch))
+        self.lf = lambda epoch: rate_at(self.settings.plan.progress(epoch))
         self.scheduler = torch.optim.lr_scheduler.LambdaLR(self.optimizer, self.lf)
 
     def resume_training(self, ckpt: dict[str, Any] | None) -> None:
-        """Go on where the plan stands, with the optimiser's memory if the checkpoint has it."""
+        """Resume at the current epoch, with the optimiser state if the checkpoint contains it."""
         self.start_epoch = self.settings.epochs
         if self.settings.epochs and ckpt and ckpt.get("optimizer"):
             self._load_checkpoint_state(ckpt)  # type: ignore[attr-defined]
-            self.cold_steps = 0
+            self.warmup_steps = 0
 
     def _model_train(self) -> None:
         super()._model_train()  # type: ignore[misc]
-        if self.settings.still_norms:
+        if self.settings.freeze_batch_norm:
             import torch
 
             for module in self.model.modules():
@@ -187,12 +193,12 @@ class _PlannedTraining:
                     module.eval()
 
     def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
-        """Bring a batch to the device, points in the order to be learnt."""
-        ready: dict[str, Any] = take_out_ignored(super().preprocess_batch(batch))  # type: ignore[misc]
+        """Move a batch to the device, separate ignore regions and order the keypoints."""
+        ready: dict[str, Any] = separate_ignored(super().preprocess_batch(batch))  # type: ignore[misc]
         return _ordered(ready) if self.settings.by_place else ready
 
     def get_validator(self) -> Any:
-        """Judge points in the order that was learnt."""
+        """Return a validator that orders keypoints as in training."""
         validator = super().get_validator()  # type: ignore[misc]
         if self.settings.by_place:
             prepare = validator.preprocess
@@ -202,7 +208,7 @@ class _PlannedTraining:
     def get_dataloader(
         self, dataset_path: Any, batch_size: int = 16, rank: int = 0, mode: str = "train"
     ) -> Any:
-        """Load the pictures, mixed by the sources' weights, without Ultralytics' own bar."""
+        """Return a loader that samples sources by weight; hides Ultralytics' progress bar."""
         with redirect_stdout(StringIO()):
             if mode != "train":
                 return super().get_dataloader(dataset_path, batch_size, rank, mode)  # type: ignore[misc]
@@ -214,7 +220,7 @@ class _PlannedTraining:
         dataset = self.build_dataset(folders, "train", batch)  # type: ignore[attr-defined]
         add_ignored(dataset, self.args.task)
         parts = folders if isinstance(folders, list) else [folders]
-        sources = sources_of(dataset.im_files, [str(part) for part in parts])
+        sources = group_by_source(dataset.im_files, [str(part) for part in parts])
         workers = self.args.workers
         return InfiniteDataLoader(
             dataset=dataset,
@@ -234,40 +240,40 @@ class _PlannedTraining:
         )
 
     def save_model(self) -> bool:
-        """Write `last.pt`."""
+        """Write `last.pt` atomically; `best.pt` is not kept."""
         last, best = self.last, self.best
         self.last, self.best = self.wdir / "last.part", self.wdir / "best.part"
         try:
             saved = bool(super().save_model())  # type: ignore[misc]
             self.last.replace(last)
-            # Validation sees few pictures: of a plan that is one, the end is the best.
+            # The validation set is too small to select an epoch; the last epoch of a plan is used.
             self.best.unlink(missing_ok=True)
         finally:
             self.last, self.best = last, best
         return saved
 
     def final_eval(self) -> None:
-        """Leave out the validation of an epoch that was validated already."""
+        """Skip the final validation: the last epoch has already been validated."""
 
 
 def _ordered(batch: dict[str, Any]) -> dict[str, Any]:
     height, width = batch["img"].shape[2:]
-    return batch | {"keypoints": order_by_place(batch["keypoints"], width, height)}
+    return batch | {"keypoints": order_by_position(batch["keypoints"], width, height)}
 
 
-def _leave_out_ignored(trainer: Any) -> None:
-    for loss in losses_of(trainer.model):
+def _skip_ignored_regions(trainer: Any) -> None:
+    for loss in head_losses(trainer.model):
         ignore_regions(loss)
 
 
-def _say_by_place(trainer: Any) -> None:
-    # Exports store it for users of the points.
+def _store_keypoint_order(trainer: Any) -> None:
+    # Stored in the exported file, so that users know the order of the keypoints.
     for network in (trainer.model, trainer.ema.ema):
         network.keypoint_order = BY_PLACE
 
 
-def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
-    began = 0.0
+def _add_progress_callbacks(trainer: Any, callbacks: TrainerCallbacks, threads: int) -> None:
+    started = 0.0
     done = 0
 
     def start(_: Any) -> None:
@@ -276,21 +282,21 @@ def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
         torch.set_num_threads(threads)
 
     def epoch_start(_: Any) -> None:
-        nonlocal began, done
-        began, done = time.monotonic(), 0
+        nonlocal started, done
+        started, done = time.monotonic(), 0
 
     def batch_end(t: Any) -> None:
         nonlocal done
         done += 1
-        watcher.batch(done, len(t.train_loader))
+        callbacks.batch(done, len(t.train_loader))
 
     def epoch_end(t: Any) -> None:
         rows = dict(t.label_loss_items(t.tloss))
         if t.args.val:
             rows |= {**t.metrics, "fitness": t.fitness}
         numbers = {key: float(value) for key, value in rows.items()}
-        over = watcher.epoch(t.epoch + 1, numbers, time.monotonic() - began)
-        if over or t.epoch + 1 >= t.settings.plan.end_of_part(t.epoch):
+        stop = callbacks.epoch(t.epoch + 1, numbers, time.monotonic() - started)
+        if stop or t.epoch + 1 >= t.settings.plan.end_of_part(t.epoch):
             t.stop = True
 
     trainer.add_callback("on_train_start", start)
@@ -299,13 +305,13 @@ def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
     trainer.add_callback("on_fit_epoch_end", epoch_end)
 
 
-def _average_sooner(trainer: Any) -> None:
-    """Average the weights over hundreds of steps."""
-    trainer.ema.decay = lambda step: (1 - 1 / _AVERAGED_STEPS) * (1 - math.exp(-step / 200))
+def _set_ema_decay(trainer: Any) -> None:
+    """Set a shorter time constant for the moving average of the weights."""
+    trainer.ema.decay = lambda step: (1 - 1 / _EMA_STEPS) * (1 - math.exp(-step / 200))
 
 
-def _share_of_heads(trainer: Any) -> None:
-    """Lower the one-to-many head's share of the loss over the plan; say when to validate."""
+def _set_loss_shares(trainer: Any) -> None:
+    """Set the loss shares of the two heads, and whether this epoch is validated."""
     settings, model = trainer.settings, trainer.model
     last = settings.plan.end_of_part(trainer.epoch)
     trainer.args.val = (
@@ -315,22 +321,22 @@ def _share_of_heads(trainer: Any) -> None:
         model.criterion = model.init_criterion()
     loss = model.criterion
     if hasattr(loss, "o2m"):
-        loss.o2m = one_to_many_at(settings.plan.through(trainer.epoch), settings.one_to_many)
+        loss.o2m = one_to_many_at(settings.plan.progress(trainer.epoch), settings.one_to_many)
         loss.o2o = loss.total - loss.o2m
 
 
 def _warm_up(trainer: Any) -> None:
-    """Raise the learning rate over the first steps of an optimiser without a memory."""
-    if not trainer.cold_steps:
+    """Warm up the learning rate if the optimiser state was not restored."""
+    if not trainer.warmup_steps:
         return
-    trainer.cold_steps -= 1
-    share = trainer.lf(trainer.epoch) * (1 - trainer.cold_steps / _WARM_STEPS)
+    trainer.warmup_steps -= 1
+    share = trainer.lf(trainer.epoch) * (1 - trainer.warmup_steps / _WARMUP_STEPS)
     for group in trainer.optimizer.param_groups:
         group["lr"] = group["initial_lr"] * share
 
 
-def _be_stricter(trainer: Any) -> None:
-    """Lower the points' tolerance over the plan."""
+def _set_keypoint_sigma(trainer: Any) -> None:
+    """Set the keypoint sigma for the current progress."""
     settings = trainer.settings
-    progress = 1.0 if settings.strict else settings.plan.through(trainer.epoch)
-    set_tolerance(trainer.model, tolerance_at(progress))
+    progress = 1.0 if settings.final_sigma else settings.plan.progress(trainer.epoch)
+    set_keypoint_sigma(trainer.model, keypoint_sigma_at(progress))

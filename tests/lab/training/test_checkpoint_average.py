@@ -72,13 +72,13 @@ def test_what_is_no_pair_is_refused_by_name(tmp_path: Path) -> None:
     import torch
 
     first, pose = write(tmp_path, "a.pt"), write(tmp_path, "pose.pt", "pose")
-    with pytest.raises(TrainingError, match=r"not the network of a\.pt"):
+    with pytest.raises(TrainingError, match=r"architecture differs from a\.pt"):
         average_networks(first, pose, tmp_path / "mean.pt")
-    with pytest.raises(TrainingError, match=r"1\.5 is no share"):
+    with pytest.raises(TrainingError, match=r"share 1\.5 is out of range"):
         average_networks(first, first, tmp_path / "mean.pt", 1.5)
     broken = tmp_path / "broken.pt"
     broken.write_bytes(b"no checkpoint")
-    with pytest.raises(TrainingError, match="cannot be loaded"):
+    with pytest.raises(TrainingError, match="cannot load the weights"):
         average_networks(first, broken, tmp_path / "mean.pt")
     hostile = tmp_path / "hostile.pt"
     torch.save({"model": Runs(str(tmp_path / "ran"))}, hostile)

@@ -6,7 +6,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
-from cucumbervision_lab.training.cpu import assign_coarsely  # noqa: E402
+from cucumbervision_lab.training.cpu import assign_at_half_resolution  # noqa: E402
 
 pytestmark = pytest.mark.train
 
@@ -20,7 +20,7 @@ def heads() -> tuple[list[Any], list[Any]]:
     model.criterion = model.init_criterion()
     losses = [model.criterion.one2many, model.criterion.one2one]
     whole = [loss.assigner for loss in losses]
-    assign_coarsely(model)
+    assign_at_half_resolution(model)
     return whole, [loss.assigner for loss in losses]
 
 

@@ -13,8 +13,8 @@ from cucumbervision_lab.training.cpu import (
     channels_last,
     choose_precision,
     cpu_has_bfloat16,
-    narrow,
-    widen,
+    disable_bfloat16,
+    enable_bfloat16,
 )
 
 pytestmark = pytest.mark.train
@@ -41,7 +41,7 @@ def test_layers_are_narrow_and_all_else_is_wide() -> None:
     plain = SegmentationModel("yolo26n-seg.yaml", nc=1, verbose=False).train()
     half = copy.deepcopy(plain)
     channels_last(half)
-    narrow(half)
+    enable_bfloat16(half)
     picture = torch.rand(4, 3, 96, 96)
     seen = []
     half.model[0].conv.register_forward_hook(lambda m, given, out: seen.append(out.dtype))
@@ -56,7 +56,7 @@ def test_layers_are_narrow_and_all_else_is_wide() -> None:
     narrowed["scores"].sum().backward()
     first = half.model[0].conv.weight
     assert first.dtype == first.grad.dtype == torch.float32
-    widen(half)
+    disable_bfloat16(half)
     half(picture)
     assert seen[-1] == torch.float32
     assert "predict" not in vars(half)

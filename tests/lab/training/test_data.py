@@ -59,8 +59,8 @@ def test_labels_beyond_the_picture_are_refused(seg_set: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("text", "task", "fault"),
     [
-        ("train: a\nnames: [cucumber]\n", "seg", "names no val pictures"),
-        ("train: a\nval: b\nnames: [cucumber, leaf]\n", "seg", "has 2 classes, not one"),
+        ("train: a\nnames: [cucumber]\n", "seg", "split val is missing"),
+        ("train: a\nval: b\nnames: [cucumber, leaf]\n", "seg", "has 2 classes, expected 1"),
         ("train: a\nval: b\nnames: [cucumber]\n", "pose", r"keypoints of shape None"),
         ("train: a\nval: b\nnames: [cucumber]\nkpt_shape: [17, 3]\n", "pose", r"shape \[17, 3\]"),
         ("- 1\n", "seg", "is no data set's YAML"),

@@ -80,9 +80,9 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     pictures: DataSet, tmp_path: Path
 ) -> None:
     result = train_ends(collect_strips([pictures]), tmp_path / "ends.onnx", epochs=25)
-    assert result.right["all"] > 0.9
-    assert result.right["2 ends in sight"] == result.right["all"]
-    assert (result.strips, result.judged) == (70, 10)
+    assert result.accuracy["all"] > 0.9
+    assert result.accuracy["2 ends in sight"] == result.accuracy["all"]
+    assert (result.train_count, result.val_count) == (70, 10)
     classifier, rng = EndClassifier(tmp_path / "ends.onnx"), np.random.default_rng(99)
     right = 0
     for number in range(30):
@@ -98,7 +98,7 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     again = read_card(tmp_path / "ends.json")
     assert again == card
     assert again.sha256 == file_sha256(tmp_path / "ends.onnx")
-    assert again.metrics["right, all"] == result.right["all"]
+    assert again.metrics["right, all"] == result.accuracy["all"]
 
 
 def test_too_few_scenes_are_refused(pictures: DataSet) -> None:

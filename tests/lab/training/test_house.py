@@ -17,10 +17,10 @@ from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.outcomes import found_rows, fruit_rows, overall
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.training.house import (
+    DetectorScore,
     HousePlan,
-    Judged,
+    held_out_pictures,
     house_recipe,
-    kept_back,
     train_house,
     verdict,
 )
@@ -30,7 +30,10 @@ from cucumbervision_lab.training.run_recipe import PACKAGED
 from cucumbervision_lab.training.settings import TrainOptions
 
 CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
-HOUSE, DRAWN = Judged("house, kept back", 0.5, 0.5, 40, 40), Judged("drawn", 0.9, 0.9, 50, 50)
+HOUSE, DRAWN = (
+    DetectorScore("house, held out", 0.5, 0.5, 40, 40),
+    DetectorScore("drawn", 0.9, 0.9, 50, 50),
+)
 
 
 @pytest.fixture
@@ -78,13 +81,13 @@ def test_a_source_follows_the_labels(house: Path) -> None:
 
 
 def test_a_set_that_keeps_nothing_back_is_refused(house: Path) -> None:
-    dataset, held_back = kept_back(house)
-    assert [picture.split for picture in held_back] == ["val", "test"]
-    for split, what in (("train", "kept back"), ("test", "to train on")):
+    dataset, held_out = held_out_pictures(house)
+    assert [picture.split for picture in held_out] == ["val", "test"]
+    for split, what in (("train", "held out"), ("test", "for training")):
         pictures = tuple(replace(picture, split=split) for picture in dataset.pictures)
         write_coco(replace(dataset, pictures=pictures), house)
         with pytest.raises(TrainingError, match=what):
-            kept_back(house)
+            held_out_pictures(house)
 
 
 @pytest.mark.parametrize(
@@ -101,8 +104,8 @@ def test_better_is_better_on_the_house_and_not_worse_elsewhere(
 
 def test_a_network_that_finds_nothing_is_no_better() -> None:
     frames = [Frame("a.jpg", "s", 60, 60, (TrueFruit(np.array([0.0, 0, 50, 10])),))]
-    blind = Judged.of("house", overall(fruit_rows(frames, 0.3), found_rows(frames, 0.3)))
-    assert blind == Judged("house", 0.0, 0.0, 1, 0)
+    blind = DetectorScore.of("house", overall(fruit_rows(frames, 0.3), found_rows(frames, 0.3)))
+    assert blind == DetectorScore("house", 0.0, 0.0, 1, 0)
     assert verdict([HOUSE, DRAWN], [blind, DRAWN])[0] is False
     assert verdict([HOUSE, DRAWN], [HOUSE, blind])[0] is False
 
@@ -118,18 +121,18 @@ def test_a_house_trains_on_is_judged_and_goes_on_after_an_interruption(
     said: list[str] = []
     plan = HousePlan("64x16", drawn=2, windows=(64,), tested=2, per_epoch=8)
     quick = TrainOptions(batch=4, threads=1, precision="f32", minutes=0.0)
-    begin = partial(train_house, house, out, init=CHECKPOINT, plan=plan, say=said.append)
+    begin = partial(train_house, house, out, init=CHECKPOINT, plan=plan, log=said.append)
     assert begin(options=quick) is None
     assert not RunState.load(out / "seg").is_done
     judged = begin(options=replace(quick, minutes=None))
     assert judged is not None
-    assert any("only drawn frames" in line for line in said)
+    assert any("only synthetic frames" in line for line in said)
     state = RunState.load(out / "seg")
     assert (state.pictures, state.is_done) == (16, True)
     values = json.loads(judged.read_text())
     shipped = load_registry().get("cucumber-seg").files[0].sha256
     assert values["old"] == shipped != values["new"]
-    assert [one["test"] for one in values["scores"]["new"]] == ["house, kept back", "drawn"]
+    assert [one["test"] for one in values["scores"]["new"]] == ["house, held out", "drawn"]
     assert next(one["fruit"] for one in values["scores"]["old"]) == 2
     assert values["why"] in (out / "judgement.md").read_text()
     if values["better"]:

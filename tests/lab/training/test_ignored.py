@@ -20,7 +20,7 @@ from cucumbervision_lab.training.ignored import (
     add_ignored,
     ignore_regions,
     read_ignored,
-    take_out_ignored,
+    separate_ignored,
 )
 
 pytestmark = pytest.mark.train
@@ -49,7 +49,7 @@ def test_regions_are_written_beside_the_labels_and_joined_to_them(
     assert len(label["segments"]) == fruit + 1
     batch = read.collate_fn([read[0]])
     batch["img"] = batch["img"].float()
-    own = take_out_ignored(batch)
+    own = separate_ignored(batch)
     assert own["ignored"].any()
     assert own["cls"].unique().tolist() == [0.0]
     assert not (own["ignored"] & (own["masks"] > 0)).any()
@@ -86,7 +86,7 @@ def test_fruit_that_stay_in_a_batch_are_counted_anew() -> None:
     masks = torch.zeros(2, 8, 8, dtype=torch.uint8)
     masks[0] = 2
     masks[0, 1:3, 1:3], masks[0, 5:7, 5:7] = 1, 3
-    own = take_out_ignored(_batch(masks=masks, sem_masks=(masks == 2).float()))
+    own = separate_ignored(_batch(masks=masks, sem_masks=(masks == 2).float()))
     assert own["batch_idx"].tolist() == [0, 0]
     assert own["bboxes"][:, 0].tolist() == [0.25, 0.75]
     assert own["masks"][0, 1:3, 1:3].unique().tolist() == [1]
@@ -99,7 +99,7 @@ def test_fruit_that_stay_in_a_batch_are_counted_anew() -> None:
 def test_without_masks_fruit_keep_their_boxes() -> None:
     import torch
 
-    own = take_out_ignored(_batch(keypoints=torch.ones(3, 5, 3)))
+    own = separate_ignored(_batch(keypoints=torch.ones(3, 5, 3)))
     assert own["keypoints"].shape == (2, 5, 3)
     assert own["ignored"][0].sum() == 64 - 8
 

@@ -10,12 +10,12 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
 from cucumbervision_lab.training.points import (  # noqa: E402
-    knows_points,
-    learn_to_assign,
-    learn_to_see,
-    order_by_place,
-    set_tolerance,
-    tolerance_at,
+    assign_by_boxes_and_keypoints,
+    has_keypoint_head,
+    keypoint_sigma_at,
+    learn_visibility,
+    order_by_position,
+    set_keypoint_sigma,
 )
 
 pytestmark = pytest.mark.train
@@ -31,7 +31,7 @@ def network() -> Any:
 @pytest.fixture(scope="module")
 def losses() -> list[Any]:
     model = network()
-    learn_to_see(model)
+    learn_visibility(model)
     return [model.criterion.one2many, model.criterion.one2one]
 
 
@@ -67,7 +67,7 @@ def test_a_fruit_without_labelled_points_teaches_nothing_of_them(losses: list[An
 
 
 def test_the_tolerance_falls_to_what_is_asked_for_and_stays() -> None:
-    falling = [tolerance_at(k / 20) for k in range(21)]
+    falling = [keypoint_sigma_at(k / 20) for k in range(21)]
     assert falling[0] == pytest.approx(0.2)
     assert all(a >= b for a, b in itertools.pairwise(falling))
     assert falling[14:] == pytest.approx([0.05] * 7)
@@ -75,14 +75,14 @@ def test_the_tolerance_falls_to_what_is_asked_for_and_stays() -> None:
 
 def test_tolerance_reaches_loss_and_assignment() -> None:
     model = network()
-    learn_to_assign(model)
-    learn_to_see(model)
+    assign_by_boxes_and_keypoints(model)
+    learn_visibility(model)
     loss = model.criterion.one2one
     found, true = torch.zeros(1, 17, 3), torch.zeros(1, 17, 3)
     found[..., 0] = 1.0  # each is one pixel off, in a box of 100 square pixels
     seen = torch.ones(1, 17, dtype=torch.bool)
     for sigma in (0.2, 0.05):
-        set_tolerance(model, sigma)
+        set_keypoint_sigma(model, sigma)
         expected = 1 - math.exp(-1 / (2 * 100 * (2 * sigma) ** 2))
         got = float(loss.keypoint_loss(found, true, seen, torch.full((1, 1), 100.0)))
         assert got == pytest.approx(expected, rel=1e-5)
@@ -91,8 +91,8 @@ def test_tolerance_reaches_loss_and_assignment() -> None:
 
 def test_an_anchor_with_the_right_box_counts_though_its_points_are_wrong() -> None:
     model = network()
-    learn_to_assign(model)
-    set_tolerance(model, 0.05)
+    assign_by_boxes_and_keypoints(model)
+    set_keypoint_sigma(model, 0.05)
     box = torch.tensor([[[10.0, 10.0, 50.0, 30.0]]])
     found = torch.cat([box, box + 100], dim=1)  # the second is beside it
     points = torch.zeros(1, 1, 17, 3)
@@ -109,7 +109,7 @@ def test_an_anchor_with_the_right_box_counts_though_its_points_are_wrong() -> No
 
 def test_only_a_network_of_five_points_knows_them(tmp_path: Path) -> None:
     ultralytics = import_ultralytics()
-    assert not knows_points("yolo26n-pose.yaml")
+    assert not has_keypoint_head("yolo26n-pose.yaml")
     for kind, points, known in (("pose", 17, False), ("pose", 5, True), ("seg", 0, False)):
         net = ultralytics.YOLO(f"yolo26n-{kind}.yaml")
         if points == 5:
@@ -117,7 +117,7 @@ def test_only_a_network_of_five_points_knows_them(tmp_path: Path) -> None:
                 "yolo26n-pose.yaml", nc=1, data_kpt_shape=(5, 3), verbose=False
             )
         net.save(tmp_path / "net.pt")
-        assert knows_points(str(tmp_path / "net.pt")) is known
+        assert has_keypoint_head(str(tmp_path / "net.pt")) is known
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_points_run_from_the_lower_left_to_the_upper_right(
         points[0, :, axis] = 0.5 + torch.linspace(-0.5, 0.5, 5) * ahead[axis]
     points[0, :, 2] = torch.tensor([2.0, 2.0, 1.0, 2.0, 1.0])
     expected = points.flip(1) if turned else points
-    assert torch.equal(order_by_place(points, 640, 640), expected)
+    assert torch.equal(order_by_position(points, 640, 640), expected)
 
 
 def test_the_pictures_shape_counts_and_points_outside_do_not() -> None:
@@ -152,7 +152,7 @@ def test_the_pictures_shape_counts_and_points_outside_do_not() -> None:
     points[1, :2, 0] = 0.5
     points[1, :2, 1] = torch.tensor([0.5, 0.9])
     points[1, :2, 2] = 2.0
-    ordered = order_by_place(points, 640, 320)
+    ordered = order_by_position(points, 640, 320)
     assert torch.equal(ordered[0], points[0].flip(0))
     assert ordered[1, :, 2].tolist() == [0.0, 0.0, 0.0, 2.0, 2.0]
     assert ordered[1, 3:, 1].tolist() == pytest.approx([0.9, 0.5])
@@ -161,4 +161,4 @@ def test_the_pictures_shape_counts_and_points_outside_do_not() -> None:
 def test_one_point_alone_says_nothing_of_the_order() -> None:
     points = torch.zeros(2, 5, 3)
     points[0, 1] = torch.tensor([0.5, 0.5, 2.0])
-    assert torch.equal(order_by_place(points, 64, 64), torch.zeros(2, 5, 3))
+    assert torch.equal(order_by_position(points, 64, 64), torch.zeros(2, 5, 3))

@@ -72,7 +72,7 @@ RECIPE = Recipe(
 def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     pytest.importorskip("onnxruntime")
     data = a_house(tmp_path_factory.mktemp("data"))
-    return build_sources(RECIPE, data, tmp_path_factory.mktemp("out"), say=lambda _: None)
+    return build_sources(RECIPE, data, tmp_path_factory.mktemp("out"), log=lambda _: None)
 
 
 def test_sources_are_built_from_one_another(built: dict[str, Path]) -> None:
@@ -102,7 +102,7 @@ def test_sources_are_built_from_one_another(built: dict[str, Path]) -> None:
 def test_what_is_built_stays(built: dict[str, Path]) -> None:
     before = {name: (f / "annotations.json").stat().st_mtime_ns for name, f in built.items()}
     said: list[str] = []
-    build_sources(RECIPE, Path("nowhere"), built["photos"].parent, say=said.append)
+    build_sources(RECIPE, Path("nowhere"), built["photos"].parent, log=said.append)
     assert said == []
     after = {name: (f / "annotations.json").stat().st_mtime_ns for name, f in built.items()}
     assert before == after
@@ -155,9 +155,9 @@ def test_one_command_trains_and_goes_on(
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "seg.pt")
     folders = RecipeFolders(tmp_path, tmp_path, tmp_path / "out")
     short = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, minutes=0.0001)
-    first = run_recipe(RECIPE, folders, tasks=("seg",), options=short, say=lambda _: None)
+    first = run_recipe(RECIPE, folders, tasks=("seg",), options=short, log=lambda _: None)
     assert first == {"seg": tmp_path / "out/seg" / NETWORK}
-    run_recipe(RECIPE, folders, tasks=("seg",), options=short, say=lambda _: None)
+    run_recipe(RECIPE, folders, tasks=("seg",), options=short, log=lambda _: None)
     rows = read_rows(tmp_path / "out/seg/metrics.csv")
     assert [int(row["pictures"]) for row in rows] == [12, 24]
     # Only the second epoch is validated, and the end of the plan is judged.
@@ -197,13 +197,13 @@ def test_packaged_recipe_is_half_real() -> None:
     ("text", "fault"),
     [
         ("", "no source has a weight"),
-        ("[[source]]\nname='a'\nkind='films'", "no kind is called 'films'"),
-        ("[[source]]\nname='a'\nkind='sheets'\nof='b'", "no source before it is called 'b'"),
-        ("[[source]]\nname='a'\nkind='windows'", "say of which source"),
-        ("[[source]]\nname='a'\nkind='set'\nweight=1", "to validate with"),
+        ("[[source]]\nname='a'\nkind='films'", "unknown kind 'films'"),
+        ("[[source]]\nname='a'\nkind='sheets'\nof='b'", "no earlier source is called 'b'"),
+        ("[[source]]\nname='a'\nkind='windows'", "'of' is missing"),
+        ("[[source]]\nname='a'\nkind='set'\nweight=1", "validation pictures"),
         ("[[source]]\nname='a'\nkind='set'\nwait=1", "wait"),
-        ("[detect]\ninit='a.pt'\nplan='64x8'", "no task is called 'detect'"),
-        ("[seg]\ninit='a.pt'\nplan='65x8'", "no part of a plan"),
+        ("[detect]\ninit='a.pt'\nplan='64x8'", "unknown task 'detect'"),
+        ("[seg]\ninit='a.pt'\nplan='65x8'", "invalid part of a plan"),
         ("[seg", "cannot be read"),
     ],
 )

@@ -19,7 +19,7 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
-from cucumbervision_lab.training.checkpoint import import_ultralytics, place_in, read_rows
+from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, stored_run_state
 from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
 from cucumbervision_lab.training.plan import RunState, parse_plan
@@ -67,7 +67,7 @@ def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         plan="64x16",
         per_epoch=8,
         options=QUICK,
-        watcher=notes,
+        callbacks=notes,
     )
     assert [(r.pictures, r.of, r.size_px) for r in notes.epochs] == [(8, 16, 64), (16, 16, 64)]
     # Eight pictures, four at a time.
@@ -88,7 +88,7 @@ def test_parts_of_a_plan_follow_each_other(seg_run: Path) -> None:
     assert (seg_run / "weights/last.pt").is_file()
     assert (seg_run / NETWORK).stat().st_size < 7e6  # stripped of its optimiser
     assert list(seg_run.rglob("*.part")) == []
-    place = place_in(seg_run / NETWORK)
+    place = stored_run_state(seg_run / NETWORK)
     assert place is not None
     assert (place["epochs"], place["init"]) == (3, "yolo26n-seg.yaml")
     assert Path(place["data"]).name == place["data"]  # no path of this machine
@@ -133,7 +133,7 @@ def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> 
     done = rows(run)[-1][0]
     short = TrainOptions(**{**vars(QUICK), "minutes": 0.0001})
     notes = Notes()
-    train("seg", None, run, resume=True, options=short, watcher=notes)
+    train("seg", None, run, resume=True, options=short, callbacks=notes)
     # The row follows the checkpoint: a kill between the two leaves an epoch without its row.
     assert [r.pictures for r in notes.epochs] in ([done + 8], [done + 16])
     assert notes.epochs[0].of == 328
@@ -158,7 +158,7 @@ def test_another_machine_goes_on_in_the_same_plan(seg_set: Path, tmp_path: Path)
         with (run / "results.csv").open() as file:
             return float(list(csv.DictReader(file, skipinitialspace=True))[-1]["lr/pg0"])
 
-    train("seg", seg_set, there, init=str(network), options=QUICK, watcher=Looks())
+    train("seg", seg_set, there, init=str(network), options=QUICK, callbacks=Looks())
     # It went on at the second epoch of three; the rate has fallen as if nothing had been between,
     # but for the first steps of an optimiser that remembers nothing: 2 of 100 there, then 4.
     assert [(pictures, of) for pictures, _, of in seen] == [(16, 24), (24, 24)]
@@ -255,7 +255,7 @@ def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
             plan="64x24",
             per_epoch=8,
             options=options,
-            watcher=notes,
+            callbacks=notes,
         )
         losses[precision] = [
             sum(v for k, v in r.metrics.items() if k.startswith("train/")) for r in notes.epochs
@@ -267,19 +267,19 @@ def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="there is a training already"):
+    with pytest.raises(TrainingError, match="already contains a training run"):
         train("seg", seg_set, seg_run)
-    with pytest.raises(TrainingError, match="is a training for seg, not pose"):
+    with pytest.raises(TrainingError, match="is a training run for seg, not pose"):
         train("pose", None, seg_run, resume=True)
-    with pytest.raises(TrainingError, match="no data set is given"):
+    with pytest.raises(TrainingError, match="no data set given"):
         train("seg", None, tmp_path / "new")
-    with pytest.raises(TrainingError, match=r"gone\.pt: there are no such weights"):
+    with pytest.raises(TrainingError, match=r"gone\.pt: weights not found"):
         train("seg", seg_set, tmp_path / "new", init=str(tmp_path / "gone.pt"))
-    with pytest.raises(TrainingError, match="no task is called"):
+    with pytest.raises(TrainingError, match="unknown task"):
         train("detect", seg_set, tmp_path / "new")
     bad = tmp_path / "bad.pt"
     bad.write_bytes(b"none")
-    with pytest.raises(TrainingError, match=r"bad\.pt: these weights cannot be loaded"):
+    with pytest.raises(TrainingError, match=r"bad\.pt: cannot load the weights"):
         train("seg", seg_set, tmp_path / "new", init=str(bad), plan="64x8")
 
 
@@ -332,10 +332,10 @@ def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_named(seg_run: Path, tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="cannot name a network"):
+    with pytest.raises(TrainingError, match="invalid model name"):
         export_trained(seg_run, tmp_path, "Tiny Seg")
-    with pytest.raises(TrainingError, match="there are no weights yet"):
+    with pytest.raises(TrainingError, match="no epoch has completed yet"):
         export_trained(tmp_path, tmp_path, "tiny")
     (tmp_path / "bad.pt").write_bytes(b"none")
-    with pytest.raises((TrainingError, ModelError), match=r"bad\.pt: Ultralytics cannot load it"):
+    with pytest.raises((TrainingError, ModelError), match=r"bad\.pt: cannot load the weights"):
         export_trained(tmp_path / "bad.pt", tmp_path, "tiny")

@@ -1,4 +1,4 @@
-"""Faults of a data set: files, labels, classes, splits and scenes on both sides of a split."""
+"""Check data sets for invalid files, labels, classes and splits, and for leakage across splits."""
 
 from __future__ import annotations
 
@@ -24,30 +24,32 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-_SURE_CORNERS = 25  # two photos of different scenes shared at most 31, then of the same place
-_SURE_COLOR = 0.2
+# Stricter than when scenes are searched. Photos of different scenes share at most 31 corners, and
+# those were taken at the same place.
+_LEAK_CORNERS = 25
+_LEAK_COLOR = 0.2
 _SLACK_PX = 0.51
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault of a data set.
+    """A fault of a data set.
 
     Parameters
     ----------
     kind : str
         'label', 'picture', 'class', 'polygon', 'split' or 'leak'.
     where : str
-        File, with the line or annotation.
+        File, and line or annotation.
     fault : str
-        What is wrong.
+        Description of the fault.
     remedy : str
-        What to do.
+        How to correct it.
 
     Examples
     --------
-    >>> print(Finding("class", "data.yaml", "'leaf' has no label", "leave it out"))
-    data.yaml: 'leaf' has no label; leave it out
+    >>> print(Finding("class", "data.yaml", "'leaf' has no label", "remove it"))
+    data.yaml: 'leaf' has no label; remove it
     """
 
     kind: str
@@ -60,12 +62,12 @@ class Finding:
 
 
 def require_clean(findings: Sequence[Finding], source: object) -> None:
-    """Refuse a data set that has faults.
+    """Raise an error if a data set has faults.
 
     Raises
     ------
     DataSetError
-        With the first of them, and how many there are.
+        With the first fault and the number of further ones.
     """
     if findings:
         more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
@@ -75,12 +77,12 @@ def require_clean(findings: Sequence[Finding], source: object) -> None:
 
 
 def open_dataset(path: Path, names: Sequence[str] = ()) -> DataSet:
-    """Read a data set of either kind: the hub form or COCO, else YOLO.
+    """Read a data set in COCO or YOLO format.
 
     Raises
     ------
     DataSetError
-        If it is neither.
+        If the format is not recognised.
     """
     return read_coco(path) if _is_coco(path) else read_yolo(path, names)
 
@@ -89,7 +91,7 @@ def _is_coco(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() == ".json"
     if not path.is_dir():
-        raise DataSetError("there is no such folder", source=path, remedy="check the path")
+        raise DataSetError("folder not found", source=path, remedy="check the path")
     return (
         (path / ANNOTATIONS).is_file()
         or any(path.glob(ROBOFLOW))
@@ -109,24 +111,25 @@ def check_folder(
     Parameters
     ----------
     path : Path
-        Hub form, COCO or YOLO.
+        Data set in COCO or YOLO format.
     names : sequence of str
-        Classes, where the set does not name them.
+        Class names, if the data set has none.
     duplicates : bool
-        Also look at every picture for copies across splits, which takes a hundredth of a second
-        a picture.
+        Also compare the pictures to find duplicates across splits, about 10 ms per picture.
     progress : callable, optional
-        Called with 1 after each picture looked at.
+        Called with 1 after each compared picture.
 
     Returns
     -------
     dataset : DataSet
+        The data set.
     findings : list of Finding
+        Its faults.
 
     Raises
     ------
     DataSetError
-        If it is no data set at all.
+        If the folder contains no data set.
     """
     dataset = open_dataset(path, names)
     return dataset, check_dataset(dataset, duplicates=duplicates, progress=progress)
@@ -138,18 +141,19 @@ def check_dataset(
     duplicates: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> list[Finding]:
-    """Find all faults of a data set that a reader gave or a program made.
+    """Find all faults of a data set.
 
     Parameters
     ----------
     dataset : DataSet
+        Data set to check.
     duplicates, progress
-        As in `check_folder`.
+        See `check_folder`.
 
     Returns
     -------
     list of Finding
-        What the reader refused first.
+        Faults found by the reader come first.
     """
     findings = [_refusal(error) for error in dataset.refused]
     bad: set[str] = set()
@@ -177,8 +181,10 @@ def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[Find
         yield Finding("picture", picture.file, error.message, error.remedy)
     else:
         if size != (picture.width, picture.height):
-            fault = f"is {size[0]}x{size[1]}, its labels are for {picture.width}x{picture.height}"
-            yield Finding("picture", picture.file, fault, "label this very picture")
+            fault = (
+                f"is {size[0]}x{size[1]}, but its labels are for {picture.width}x{picture.height}"
+            )
+            yield Finding("picture", picture.file, fault, "restore the labelled picture")
     for k, label in enumerate(picture.labels):
         for fault in _label_faults(label, picture, len(dataset.categories)):
             yield Finding("label", f"{picture.file}, label {k + 1}", fault, "correct it")
@@ -186,7 +192,7 @@ def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[Find
             yield Finding(
                 "split",
                 f"{picture.file}, label {k + 1}",
-                "a mask that a network drew is in test, where only people's or drawn truth counts",
+                "the test split contains a pseudo-label",
                 "move its scene to train",
             )
 
@@ -196,7 +202,7 @@ def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> It
     if not np.isfinite(label.box).all() or x2 <= x1 or y2 <= y1:
         yield "its box has no area"
     elif min(x1, y1) < -_SLACK_PX or x2 > picture.width or y2 > picture.height:
-        yield f"its box reaches beyond the picture of {picture.width}x{picture.height}"
+        yield f"its box extends beyond the picture of {picture.width}x{picture.height}"
     if not 0 <= label.category < categories:
         yield f"its category {label.category} has no name"
     for code in (label.mask_code, label.amodal_code):
@@ -211,7 +217,7 @@ def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> It
         seen = points[points[:, 2] > 0, :2]
         limit = np.array([picture.width, picture.height]) - 1 + _SLACK_PX
         if (seen < -_SLACK_PX).any() or (seen > limit).any():
-            yield "a keypoint marked as visible lies outside the picture"
+            yield "a labelled keypoint lies outside the picture"
 
 
 def _class_faults(dataset: DataSet) -> Iterator[Finding]:
@@ -219,7 +225,7 @@ def _class_faults(dataset: DataSet) -> Iterator[Finding]:
     for k, name in enumerate(dataset.categories):
         if k not in used:
             fault = f"the class '{name}' has no label"
-            yield Finding("class", str(dataset.folder), fault, "leave it out or label some")
+            yield Finding("class", str(dataset.folder), fault, "remove the class or label it")
 
 
 def _split_faults(dataset: DataSet) -> Iterator[Finding]:
@@ -227,10 +233,10 @@ def _split_faults(dataset: DataSet) -> Iterator[Finding]:
     for split in ("train", "val"):
         if used - {""} and split not in used:
             yield Finding(
-                "split", str(dataset.folder), f"no picture is in {split}", "split the set anew"
+                "split", str(dataset.folder), f"no picture is in {split}", "split the set again"
             )
     for split in sorted(used - {"", *SPLITS}):
-        fault = f"there is no split called '{split}'"
+        fault = f"unknown split '{split}'"
         yield Finding("split", str(dataset.folder), fault, "use train, val and test")
 
 
@@ -255,13 +261,13 @@ def _duplicate_leaks(
     pictures: Sequence[LabelledPicture],
     progress: Callable[[int], None] | None,
 ) -> list[Finding]:
-    parted = [p for p in pictures if p.split]
-    if len({p.split for p in parted}) < 2:
+    assigned = [p for p in pictures if p.split]
+    if len({p.split for p in assigned}) < 2:
         return []
     prints: list[Fingerprint] = []
     readable: list[LabelledPicture] = []
     findings: list[Finding] = []
-    for picture in parted:
+    for picture in assigned:
         try:
             prints += take_fingerprints([dataset.path(picture)], progress)
         except CucumberVisionError as error:
@@ -294,12 +300,12 @@ def _copies_across(
 def _views_across(
     pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
 ) -> list[tuple[int, int]]:
-    """Find near-duplicates among pictures whose scenes have no name."""
-    loose = [k for k, p in enumerate(pictures) if not p.scene]
+    """Find near-duplicates across splits among pictures without a scene name."""
+    unnamed = [k for k, p in enumerate(pictures) if not p.scene]
     pairs = views_of_one_scene(
-        [prints[k] for k in loose],
-        color=_SURE_COLOR,
-        corners=_SURE_CORNERS,
-        wanted=lambda i, j: pictures[loose[i]].split != pictures[loose[j]].split,
+        [prints[k] for k in unnamed],
+        color=_LEAK_COLOR,
+        corners=_LEAK_CORNERS,
+        wanted=lambda i, j: pictures[unnamed[i]].split != pictures[unnamed[j]].split,
     )
-    return [(loose[i], loose[j]) for i, j in pairs]
+    return [(unnamed[i], unnamed[j]) for i, j in pairs]

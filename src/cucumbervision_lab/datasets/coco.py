@@ -1,8 +1,8 @@
-"""The hub form: a folder of pictures with one `annotations.json`, which is COCO and more.
+"""Read and write data sets in COCO format, with additional keys in `annotations.json`.
 
-COCO counts from the picture's corner, `Label` from the first pixel's centre: half a pixel is
-added on writing and taken off on reading. What COCO has no key for stands beside its keys, so that
-other tools read the file as plain COCO with keypoints.
+The origin of COCO is the picture's corner, that of `Label` the centre of the first pixel: half a
+pixel is added when writing and subtracted when reading. Other tools ignore the additional keys
+and read the file as COCO with keypoints.
 """
 
 from __future__ import annotations
@@ -47,28 +47,28 @@ ROBOFLOW = "_annotations.coco.json"
 
 _FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
 _KEYPOINTS = 5
-_FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)  # of wrong types
+# Raised by values of the wrong type.
+_FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)
 
 
 def read_coco(path: Path) -> DataSet:
-    """Read a hub folder, a COCO file, or a Roboflow export of COCO.
+    """Read a data set in COCO format.
 
     Parameters
     ----------
     path : Path
-        A folder with `annotations.json`; a folder whose train/, valid/ and test/ hold
-        `_annotations.coco.json`; or a COCO file, whose pictures lie beside it or in images/.
+        A folder with `annotations.json`; a Roboflow export with `_annotations.coco.json` in train/,
+        valid/ and test/; or a COCO file with pictures in its folder or in images/.
 
     Returns
     -------
     DataSet
-        Annotations that cannot be used are in `refused`, everything else in `pictures`.
-        Crowd regions become labels to ignore.
+        Invalid annotations are listed in `refused`. Crowd regions become ignored labels.
 
     Raises
     ------
     DataSetError
-        If there is no such file, or it is no COCO.
+        If the file does not exist or is not in COCO format.
     """
     sources = _find(path)
     files = [read_json(file) for file, _ in sources]
@@ -110,7 +110,7 @@ def _find(path: Path) -> list[tuple[Path, str]]:
 
 
 def _category_indices(data: Mapping[str, Any], names: list[str]) -> dict[int, int]:
-    """Return the index of each category id, and add new names."""
+    """Return the index of each category id, and append new names to `names`."""
     categories = [c for c in data.get("categories", []) if isinstance(c, dict) and "id" in c]
     used = {a.get("category_id") for a in data.get("annotations", []) if isinstance(a, dict)}
     parents = {c.get("supercategory") for c in categories}
@@ -161,7 +161,7 @@ def picture_of(
     split: str = "",
     root: Path | None = None,
 ) -> tuple[LabelledPicture, list[CucumberVisionError]]:
-    """Make one picture of COCO's keys.
+    """Create a labelled picture from COCO entries.
 
     Parameters
     ----------
@@ -172,33 +172,34 @@ def picture_of(
     ids : mapping of int to int
         Index of each category id.
     file : Path
-        The JSON file, for errors, and where the search for the picture starts.
+        The JSON file, for error messages and to locate the picture.
     split : str
-        Of the pictures that name none.
+        Split of a picture without the key 'split'.
     root : Path, optional
-        The set's folder; without it file names are taken as they are.
+        Folder of the data set; if omitted, the file name is not resolved.
 
     Returns
     -------
     picture : LabelledPicture
+        The picture with its valid annotations.
     refused : list of DataSetError
-        Annotations that cannot be used.
+        Errors of the invalid annotations.
 
     Raises
     ------
     KeyError, TypeError, ValueError, OverflowError
-        If the picture's own keys are missing or wrong.
+        If keys of the image are missing or invalid.
     """
     width, height = int(image["width"]), int(image["height"])
     name = str(image["file_name"]).replace("\\", "/")
     if min(width, height) < 1 or width * height > MOST_PIXELS:
-        raise ValueError(f"its size {width}x{height} is no picture")
+        raise ValueError(f"its size {width}x{height} is out of range")
     labels: list[Label] = []
     refused: list[CucumberVisionError] = []
     for i, item in enumerate(annotations):
         try:
             if not isinstance(item, dict):
-                raise TypeError("is no object")
+                raise TypeError("is not an object")
             labels.append(_label(item, ids, width, height))
         except _FAULTS as error:
             number = item.get("id", i) if isinstance(item, dict) else i
@@ -233,7 +234,7 @@ def _place(name: str, folder: Path, root: Path) -> str:
 
 def _fault(file: Path, where: str, what: object) -> DataSetError:
     if isinstance(what, KeyError):
-        what = f"has no {what}"
+        what = f"key {what} is missing"
     return DataSetError(f"{where}: {what}", source=file, remedy="correct or export it again")
 
 
@@ -269,13 +270,13 @@ def _box(values: Any, code: Rle | None, width: int, height: int) -> NDArray[np.f
     box = np.array([x, y, x + w, y + h])
     slack = 1.0  # tools round boxes to whole pixels
     if (box[:2] < -slack).any() or box[2] > width + slack or box[3] > height + slack:
-        raise ValueError(f"its box {numbers} reaches beyond the picture of {width}x{height}")
+        raise ValueError(f"its box {numbers} extends beyond the picture of {width}x{height}")
     cut: NDArray[np.float64] = np.clip(box, 0, [width, height, width, height]) - 0.5
     return cut
 
 
 def _mask(shape: Any, width: int, height: int) -> Rle | None:
-    """Return the run lengths of COCO's 'segmentation', None where it is empty."""
+    """Return COCO's 'segmentation' as run lengths, or None if it is empty."""
     return Rle.of(mask_of_segmentation(shape, height, width)) if shape else None
 
 
@@ -285,7 +286,7 @@ def _points(item: Mapping[str, Any]) -> NDArray[np.float64] | None:
     elif item.get("keypoints"):
         flat = np.array(item["keypoints"], np.float64)
         if flat.shape != (3 * _KEYPOINTS,):
-            raise ValueError(f"has {flat.size} keypoint numbers, not {3 * _KEYPOINTS}")
+            raise ValueError(f"has {flat.size} keypoint values, expected {3 * _KEYPOINTS}")
         points = flat.reshape(_KEYPOINTS, 3)
         points[:, :2] -= 0.5 * (points[:, 2:] > 0)
     else:
@@ -293,28 +294,29 @@ def _points(item: Mapping[str, Any]) -> NDArray[np.float64] | None:
     if points.shape != (_KEYPOINTS, 3) or not np.isfinite(points).all():
         raise ValueError("its keypoints are not 5 x 3 finite numbers")
     if not np.isin(points[:, 2], (0, 1, 2)).all():
-        raise ValueError("a keypoint's visibility is none of 0, 1, 2")
+        raise ValueError("a keypoint's visibility is not 0, 1 or 2")
     return points
 
 
 def collect_fragments(
     folder: Path, fragments: str = "fragments", categories: tuple[str, ...] = ("cucumber",)
 ) -> DataSet:
-    """Read the fragments of a set, in the order of their names.
+    """Read the fragments of a data set in the order of their file names.
 
     Parameters
     ----------
     folder : Path
-        The set's folder, where the pictures' names start.
+        Folder of the data set; picture names are relative to it.
     fragments : str
-        The fragments' folder in it.
+        Subfolder of the fragments.
     categories : tuple of str
-        The classes' names.
+        Class names.
 
     Returns
     -------
     DataSet
-        `write_coco(dataset, folder)` makes it a hub folder. A damaged fragment is in `refused`.
+        The combined data set; write it with `write_coco(dataset, folder)`. Errors of damaged
+        fragments are listed in `refused`.
     """
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
@@ -322,12 +324,14 @@ def collect_fragments(
         try:
             data = read_json(file)
             if not isinstance(data, dict) or not {"image", "annotations"} <= set(data):
-                raise CaptureError("is no fragment", source=file, remedy="make the frame again")
+                raise CaptureError(
+                    "is not a fragment", source=file, remedy="generate the frame again"
+                )
             ids = {k + 1: k for k in range(len(categories))}
             picture, bad = picture_of(data["image"], data["annotations"], ids, file)
         except (CucumberVisionError, *_FAULTS) as error:
             if not isinstance(error, CucumberVisionError):
-                error = DataSetError(f"is no fragment ({error})", source=file)
+                error = DataSetError(f"is not a fragment ({error})", source=file)
             refused.append(error)
         else:
             pictures.append(picture)
@@ -335,7 +339,7 @@ def collect_fragments(
     return DataSet(folder, tuple(pictures), categories, refused=tuple(refused))
 
 
-_DIGITS = 3  # of pixels: a hundredth of what a label is exact to
+_DIGITS = 3  # decimal places of pixels, far below the accuracy of labels
 
 
 def write_coco(
@@ -345,28 +349,28 @@ def write_coco(
     link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
-    """Write a set in the hub form: `images/`, `depth/` and `annotations.json`.
+    """Write a data set in COCO format: `images/`, `depth/` and `annotations.json`.
 
     Parameters
     ----------
     dataset : DataSet
-        What to write. In its own folder only `annotations.json` is written anew.
+        Data set to write. If `folder` is its own folder, only `annotations.json` is rewritten.
     folder : Path
-        Made if it does not exist.
+        Output folder; created if missing.
     link : bool
-        Pictures become second names of the same files where the disk can; else copies.
+        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
     Returns
     -------
     DataSet
-        The set as it lies in `folder`.
+        The data set in `folder`.
 
     Raises
     ------
     DataSetError
-        If a picture is missing or the folder cannot be written.
+        If a picture is missing or the folder is not writable.
     """
     pictures = dataset.pictures
     if folder.resolve() != dataset.folder.resolve():
@@ -389,17 +393,17 @@ def write_coco(
 
 
 def write_fragment(picture: LabelledPicture, file: Path) -> Path:
-    """Write one picture's labels as a JSON file of its own.
+    """Write the labels of one picture to a JSON file of its own.
 
-    For a generator that works in parallel and may be interrupted: one file a frame, written
-    whole or not at all, and `collect_fragments` at the end.
+    Intended for parallel generators that may be interrupted: each frame is written atomically, and
+    `collect_fragments` combines them.
 
     Parameters
     ----------
     picture : LabelledPicture
-        Its picture file should be written before.
+        The picture; its image file should already exist.
     file : Path
-        Any name ending in .json, say `set/fragments/000001.json`.
+        Output file ending in .json, such as `set/fragments/000001.json`.
 
     Returns
     -------
@@ -409,7 +413,7 @@ def write_fragment(picture: LabelledPicture, file: Path) -> Path:
     Raises
     ------
     DataSetError
-        If it cannot be written.
+        If the file cannot be written.
     """
     write_text(file, _json(_fragment(picture)))
     return file
@@ -472,7 +476,7 @@ def _annotation(label: Label) -> dict[str, Any]:
         "category_id": label.category + 1,
         "bbox": [round(v, _DIGITS) for v in (x1 + 0.5, y1 + 0.5, *size)],
         "area": round(area, _DIGITS),
-        # COCO's own evaluation skips crowds: that is what 'ignore' asks for.
+        # COCO's evaluation skips crowd regions, as required for ignored labels.
         "iscrowd": int(label.ignore),
         "segmentation": [] if label.mask_code is None else _code(label.mask_code),
         "ignore": int(label.ignore),
@@ -492,14 +496,14 @@ def _annotation(label: Label) -> dict[str, Any]:
 
 def _keypoints(points: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
     labelled = points[:, 2] > 0
-    # COCO: a keypoint that is not labelled is 0, 0, 0.
+    # COCO writes unlabelled keypoints as 0, 0, 0.
     written = np.where(labelled[:, None], points + np.array([0.5, 0.5, 0.0]), 0.0)
     flat = [
         int(v) if k % 3 == 2 else round(float(v), _DIGITS) for k, v in enumerate(written.ravel())
     ]
     keys: dict[str, Any] = {"keypoints": flat, "num_keypoints": int(labelled.sum())}
     if (points[~labelled] != 0).any():
-        # Where a point outside the picture lies is known of drawn fruit.
+        # Synthetic fruit have known keypoints outside the picture.
         keys["keypoints_px"] = np.round(points, _DIGITS).tolist()
     return keys
 
@@ -510,12 +514,12 @@ def _code(code: Rle) -> dict[str, Any]:
 
 def _json(data: Any) -> str:
     try:
-        # NumPy's numbers and arrays become Python's.
+        # `default` converts NumPy numbers and arrays.
         return (
             json.dumps(data, ensure_ascii=False, allow_nan=False, default=lambda one: one.tolist())
             + "\n"
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise DataSetError(
-            f"labels cannot be written as JSON ({error})", remedy="give finite plain numbers"
+            f"labels cannot be written as JSON ({error})", remedy="use finite numbers"
         ) from error

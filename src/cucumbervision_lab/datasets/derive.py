@@ -1,4 +1,4 @@
-"""Data sets made of others: merged, with masks drawn by SAM, in another form."""
+"""Merge data sets, add masks by SAM, and convert between formats."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ def merge_datasets(
     link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
-    """Write several sets as one in the hub form.
+    """Merge data sets and write the result in COCO format.
 
-    Classes of the same name become one. A scene's name gets its set's in front where another
-    set uses it too, and so does a source that is not stated.
+    Classes with the same name are merged. Scene names that occur in several sets are prefixed with
+    the name of the set. Pictures without a source get the name of their set.
 
     Parameters
     ----------
     datasets : sequence of DataSet
         At least one.
     out : Path
-        None of the sets' folders.
+        Output folder, different from those of the sets.
     link : bool
-        Pictures become second names of the same files where the disk can; else copies.
+        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
     Returns
     -------
     DataSet
-        As it lies in `out`.
+        The merged data set in `out`.
 
     Raises
     ------
     DataSetError
-        If there are no sets, `out` is one of them, or a file is missing.
+        If `datasets` is empty, `out` is the folder of one of them, or a file is missing.
     """
     if not datasets:
-        raise DataSetError("there is nothing to merge", remedy="give data sets' folders")
+        raise DataSetError("nothing to merge", remedy="give the folders of data sets")
     if any(out.resolve() == d.folder.resolve() for d in datasets):
         raise DataSetError("is one of the sets to merge", source=out, remedy="give a new folder")
-    # Their nearest common folder lets one set name the pictures of all.
+    # Picture names of the merged set are relative to the common parent folder.
     root = Path(os.path.commonpath([d.folder.resolve() for d in datasets]))
     names = list(dict.fromkeys(name for d in datasets for name in d.categories))
     taken: set[str] = set()
@@ -92,18 +92,18 @@ def merge_datasets(
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """What `add_pseudo_masks` did.
+class PseudoMasks:
+    """Result of `add_pseudo_masks`.
 
     Parameters
     ----------
     dataset : DataSet
-        The set with the masks.
+        The data set with masks.
     drawn : int
-        Masks that were drawn.
+        Number of added masks.
     refused : tuple of (str, str)
-        File and reason ('mask-off-box', ...) of each fruit that SAM's mask did not fit; it keeps
-        its box, and is to be ignored.
+        File and reason ('mask-off-box', ...) of each fruit whose mask was rejected. The fruit keeps
+        its box and is ignored.
     """
 
     dataset: DataSet
@@ -115,21 +115,22 @@ def add_pseudo_masks(
     dataset: DataSet,
     segmenter: Segmenter,
     progress: Callable[[int], None] | None = None,
-) -> Drawn:
-    """Draw a mask for every fruit that has only a box, but in 'test', which stays as labelled.
+) -> PseudoMasks:
+    """Add masks by SAM to all fruit that have only a box, except in the split 'test'.
 
     Parameters
     ----------
     dataset : DataSet
-        Fruit with masks and labels to ignore stay as they are.
+        Labels with masks and ignored labels are not changed.
     segmenter : Segmenter
-        Prompted with box and centre.
+        Segmenter, prompted with box and centre.
     progress : callable, optional
         Called with 1 after each picture.
 
     Returns
     -------
-    Drawn
+    PseudoMasks
+        The data set with masks, and the rejected ones.
 
     Raises
     ------
@@ -146,7 +147,7 @@ def add_pseudo_masks(
             refused += [(picture.file, fault) for fault in faults]
             picture = replace(picture, labels=labels)
         pictures.append(picture)
-    return Drawn(replace(dataset, pictures=tuple(pictures)), drawn, tuple(refused))
+    return PseudoMasks(replace(dataset, pictures=tuple(pictures)), drawn, tuple(refused))
 
 
 def _draw(
@@ -167,18 +168,18 @@ def _draw(
     return tuple(labels), faults
 
 
-_FORMS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect")
+_FORMATS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect")
 
 _TASKS = {"yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
 
 
 def parse_keep(words: Sequence[str]) -> dict[int | str, str]:
-    """Read 'old=new' pairs of classes.
+    """Parse 'old=new' pairs of class names.
 
     Raises
     ------
     DataSetError
-        If a word has no '='.
+        If a pair is incomplete.
 
     Examples
     --------
@@ -189,7 +190,7 @@ def parse_keep(words: Sequence[str]) -> dict[int | str, str]:
     for word in words:
         old, sign, new = word.partition("=")
         if not (sign and old.strip() and new.strip()):
-            raise DataSetError(f"{word!r} is no class to keep", remedy="give OLD=NEW")
+            raise DataSetError(f"invalid class mapping {word!r}", remedy="give OLD=NEW")
         kept[old.strip()] = new.strip()
     return kept
 
@@ -206,38 +207,37 @@ def convert_dataset(
     splits: Sequence[str] = SPLITS,
     progress: Callable[[int], None] | None = None,
 ) -> str:
-    """Write a set in another form.
+    """Write a data set in another format.
 
     Parameters
     ----------
     dataset : DataSet
+        Data set to convert.
     out : Path
-        A new folder.
+        New output folder.
     form : str
-        One of `_FORMS`.
+        One of `_FORMATS`.
     keep : mapping of int or str to str, optional
-        As in `keep_classes`; all classes without it.
+        Class mapping, see `keep_classes`; by default all classes are kept.
     source, licence : str
-        Of pictures that state none.
+        Defaults for pictures without source or licence.
     link, splits, progress
-        As in `write_yolo`.
+        See `write_yolo`.
 
     Returns
     -------
     str
-        What was written, in one line.
+        Summary in one line.
 
     Raises
     ------
     DataSetError
-        If there is no such form, or what `write_coco` and `write_yolo` raise.
+        If the format is unknown, or as in `write_coco` and `write_yolo`.
     """
-    if form not in _FORMS:
-        raise DataSetError(
-            f"no form is called {form!r}", remedy=f"choose one of {', '.join(_FORMS)}"
-        )
+    if form not in _FORMATS:
+        raise DataSetError(f"unknown format {form!r}", remedy=f"use one of {', '.join(_FORMATS)}")
     if out.resolve() == dataset.folder.resolve():
-        raise DataSetError("is the set itself", source=out, remedy="give a new folder")
+        raise DataSetError("is the folder of the input", source=out, remedy="give a new folder")
     pictures = tuple(
         replace(p, source=p.source or source, licence=p.licence or licence)
         for p in dataset.pictures
@@ -251,4 +251,4 @@ def convert_dataset(
         return f"{len(written.pictures)} pictures, {labels} labels in {out}"
     done = write_yolo(dataset, out, _TASKS[form], splits=splits, link=link, progress=progress)
     parts = ", ".join(f"{count} {split}" for split, count in done.pictures.items())
-    return f"{parts}, {done.labels} labels; give Ultralytics {done.data_yaml}"
+    return f"{parts}, {done.labels} labels; data file for Ultralytics: {done.data_yaml}"

@@ -1,7 +1,7 @@
-"""The reviewed stops of a store as a labelled set, to train the detector on a house's corrections.
+"""Export the reviewed stops of a store as a labelled set for fine-tuning the detector.
 
-A find that was accepted is a fruit, with its corrected mask where there is one; a fruit that was
-added by hand is one; a rejected find is background; a find that nobody judged is to be ignored.
+Accepted, corrected and manually added detections become fruit, rejected detections become
+background, and detections without a review become ignored labels.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
-_HOUSE_SHARES = (0.6, 0.2, 0.2)
-"""Of a house's places in train, val and test: they are few, and what is kept back must tell."""
+_SPLIT_SHARES = (0.6, 0.2, 0.2)
+"""Shares of train, val and test; the latter are large because a greenhouse has few positions."""
 
 _STRETCH_M = 1.0
-"""Stops of one row and stretch show the same plants, on whatever day and from either side."""
+"""Stops of one row within this distance show the same plants, on any day and from either side."""
 
 
 @dataclass(frozen=True)
-class JudgedFruit:
-    """How the detections in a set were reviewed.
+class ReviewCounts:
+    """Number of detections by review outcome.
 
     Parameters
     ----------
     accepted, corrected, added, rejected, unjudged : int
-        How many; what was corrected or added is not counted among the accepted.
+        Numbers of detections. Corrected and added fruit are not counted as accepted.
     """
 
     accepted: int = 0
@@ -61,26 +61,26 @@ class JudgedFruit:
 
     @property
     def corrections(self) -> int:
-        """How many things a person set right."""
+        """Number of manual corrections."""
         return self.corrected + self.added + self.rejected
 
 
 @dataclass(frozen=True, eq=False)
 class StoreSet:
-    """A labelled set of a store.
+    """A labelled set exported from a store.
 
     Parameters
     ----------
     dataset : DataSet
-        As it was written.
-    judged : dict of str to JudgedFruit
-        By split.
+        The exported data set.
+        judged : dict of str to ReviewCounts
+        Review counts by split.
     without_picture : int
-        Judged captures whose pictures were not kept, which are left out.
+        Number of reviewed captures skipped because their pictures were not kept.
     """
 
     dataset: DataSet
-    judged: dict[str, JudgedFruit]
+    judged: dict[str, ReviewCounts]
     without_picture: int = 0
 
 
@@ -91,24 +91,24 @@ def dataset_from_store(
     licence: str = "",
     link: bool = True,
 ) -> StoreSet:
-    """Write the captures of which a person has judged a find as a set in the hub form.
+    """Export all captures with at least one reviewed detection in COCO format.
 
     Parameters
     ----------
     store : Store
-        With its pictures.
+        Store of rounds with pictures.
     out : Path
-        Gets `images/`, `depth/` and `annotations.json`. Pictures of an
-        earlier set there that are in it no more stay on the disk.
+        Folder for `images/`, `depth/` and `annotations.json`. Pictures of an earlier export that
+        are no longer used are not deleted.
     licence : str
-        Of the pictures.
+        Licence of the pictures.
     link : bool
-        Pictures become second names of the store's files where the disk can; else copies.
+        Create hard links to the pictures if the file system supports them, instead of copies.
 
     Raises
     ------
     DataSetError
-        If nobody has judged anything, or a file is missing.
+        If no detection has been reviewed, or a file is missing.
     StoreError
         If the store cannot be read.
     """
@@ -116,12 +116,12 @@ def dataset_from_store(
     counts: dict[str, Counter[str]] = {}
     lost = 0
     for one in store.rounds():
-        for picture, said in _judged_captures(store, one, licence):
+        for picture, outcomes in _reviewed_captures(store, one, licence):
             if picture is None:
                 lost += 1
                 continue
             pictures.append(picture)
-            counts.setdefault(picture.split, Counter()).update(said)
+            counts.setdefault(picture.split, Counter()).update(outcomes)
     if not pictures:
         raise DataSetError(
             "no detection whose picture was kept has been reviewed",
@@ -129,16 +129,18 @@ def dataset_from_store(
             remedy="accept, reject, correct or add fruit in the dashboard first",
         )
     dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out, link=link)
-    judged = {split: JudgedFruit(**counts[split]) for split in SPLITS if split in counts}
+    judged = {split: ReviewCounts(**counts[split]) for split in SPLITS if split in counts}
     return StoreSet(dataset, judged, lost)
 
 
-def split_of_place(place: str, shares: Sequence[float] = _HOUSE_SHARES) -> str:
-    """Return the split of a place of a house: by its name's hash, whatever other places there are.
+def split_of_position(place: str, shares: Sequence[float] = _SPLIT_SHARES) -> str:
+    """Return the split of a position from the hash of its name.
+
+    The split does not depend on other positions, so it stays the same when data is added.
 
     Examples
     --------
-    >>> [split_of_place(f"row 1, {metre} m") for metre in range(5)]
+    >>> [split_of_position(f"row 1, {metre} m") for metre in range(5)]
     ['train', 'train', 'test', 'val', 'train']
     """
     number = int.from_bytes(hashlib.sha256(place.encode()).digest()[:8], "big") / 2**64
@@ -146,35 +148,35 @@ def split_of_place(place: str, shares: Sequence[float] = _HOUSE_SHARES) -> str:
     return SPLITS[min(int(np.searchsorted(bounds, number, side="right")), len(SPLITS) - 1)]
 
 
-def _place_of(house: str, stop: StopRecord) -> str:
-    """Return what all stops have in common that show the same plants."""
+def _position_name(house: str, stop: StopRecord) -> str:
+    """Return a name shared by all stops that show the same plants."""
     if stop.row is None or stop.position_m is None:
         return f"stop {stop.key}"
     metre = np.floor(stop.position_m / _STRETCH_M) * _STRETCH_M
     return json.dumps([house, stop.row, float(metre)])
 
 
-def _judged_captures(
+def _reviewed_captures(
     store: Store, one: RoundView, licence: str
 ) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
-    """Yield a round's captures that a person has judged, None for one without its picture."""
+    """Yield the reviewed captures of a round with their counts; None if the picture is missing."""
     corrected = store.corrected(one.key)
     added = {key for a in store.log(one.key, limit=None) if a.kind == "add" for key in a.fruit}
     of_stops: dict[str, dict[str, list[DetectionView]]] = {}
     for view in store.detections(one.key):
         of_stops.setdefault(view.stop_key, {}).setdefault(view.capture, []).append(view)
     for stop_key, of_captures in of_stops.items():
-        if not any(_is_judged(view) for views in of_captures.values() for view in views):
+        if not any(_is_reviewed(view) for views in of_captures.values() for view in views):
             continue
         stop = store.stop(stop_key)
-        place = _place_of(one.record.house, stop)
+        place = _position_name(one.record.house, stop)
         for capture in stop.captures:
             views = of_captures.get(capture.name, [])
-            if not any(map(_is_judged, views)):
+            if not any(map(_is_reviewed, views)):
                 continue
-            said = Counter(_what_was_said(view, added) for view in views)
+            outcomes = Counter(_review_outcome(view, added) for view in views)
             if capture.color is None:
-                yield None, said
+                yield None, outcomes
                 continue
             first = {fruit.number: fruit for fruit in capture.fruit}
             labels = tuple(
@@ -188,26 +190,26 @@ def _judged_captures(
                 capture.height_px,
                 labels,
                 scene=place,
-                split=split_of_place(place),
+                split=split_of_position(place),
                 source="synth" if capture.simulated else one.record.house or "own house",
                 licence=licence,
                 depth_file=None if capture.depth is None else _file(store, capture.depth),
                 depth_unit_m=capture.depth_unit_m or DEPTH_UNIT_M,
                 camera=CameraModel.model_validate(dict(capture.camera)).intrinsics,
-                extras={"stop": stop_key, "capture": capture.name, **said},
+                extras={"stop": stop_key, "capture": capture.name, **outcomes},
             )
-            yield picture, said
+            yield picture, outcomes
 
 
 def _file(store: Store, ref: ImageRef) -> str:
     return store.images.path(ref).relative_to(store.images.folder).as_posix()
 
 
-def _is_judged(view: DetectionView) -> bool:
+def _is_reviewed(view: DetectionView) -> bool:
     return view.verdict is not None or view.corrected
 
 
-def _what_was_said(view: DetectionView, added: Container[str]) -> str:
+def _review_outcome(view: DetectionView, added: Container[str]) -> str:
     if view.verdict is Verdict.REJECTED:
         return "rejected"
     if view.key in added:
@@ -223,10 +225,10 @@ def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionView)
     if record.mask is not None:
         code = Rle(capture.height_px, capture.width_px, record.mask)
         box = box_of_mask(code.decode())
-    # A person has looked at the mask, and left it or set it right: it is no pseudo-label.
+    # A person has reviewed the mask, so it is not a pseudo-label.
     return Label(
         box,
         mask_code=code,
         cut_off="cut-by-frame" in record.flags.split(),
-        ignore=not _is_judged(view),
+        ignore=not _is_reviewed(view),
     )

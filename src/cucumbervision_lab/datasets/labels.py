@@ -1,4 +1,4 @@
-"""Labelled pictures: labels, classes and files."""
+"""Labelled pictures and data sets, and helpers for their files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision.errors import CucumberVisionError
 
 KEYPOINT_ORDER = "keypoint_order"
-"""In a label's extras: 'place' where its points run by where they lie, not from blossom to stem."""
+"""Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""
 
 SPLITS = ("train", "val", "test")
 
@@ -35,7 +35,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """One fruit as somebody labelled it.
+    """Label of one fruit.
 
     Parameters
     ----------
@@ -52,16 +52,15 @@ class Label:
         u, v in pixels and visibility 0 (not labelled or outside), 1 (hidden), 2 (seen) of KP0
         (blossom end) to KP4 (stem end).
     hidden_share : float, optional
-        Share of the amodal pixels that something hides, 0 to 1, where it is known.
+        Occluded share of the amodal pixels, 0 to 1, if known.
     cut_off : bool
-        Whether the fruit runs on beyond the picture.
+        Whether the fruit extends beyond the picture.
     ignore : bool
-        Neither fruit nor background: a slice, a crate boxed only in part.
+        Excluded from training and evaluation, such as a slice or an incompletely labelled crate.
     pseudo : bool
-        Whether a network drew the mask, which therefore is no truth.
+        Whether the mask was predicted by a network.
     extras : mapping of str to JSON values
-        What else is known: centreline_m, thread_m, chord_m, distance_m, tilt_deg, axis_m,
-        radius_m.
+        Further values: centreline_m, thread_m, chord_m, distance_m, tilt_deg, axis_m, radius_m.
 
     Examples
     --------
@@ -91,16 +90,16 @@ class Label:
         amodal: NDArray[np.bool_] | None = None,
         **rest: Any,
     ) -> Label:
-        """Make a label from masks of shape (H, W); the box is the visible mask's.
+        """Create a label from masks; the box is that of the visible mask.
 
         Parameters
         ----------
         mask : ndarray of bool, shape (H, W)
             The visible pixels, at least one.
         amodal : ndarray of bool, shape (H, W), optional
-            The whole outline.
+            The pixels of the complete fruit.
         **rest
-            The other fields.
+            Other fields of the label.
 
         Raises
         ------
@@ -113,17 +112,17 @@ class Label:
 
     @property
     def point_order(self) -> dict[str, Any]:
-        """What the extras say of the keypoints' order: true of the fruit wherever it is laid."""
+        """The extras about keypoint order, which stay valid when the label is cropped or scaled."""
         return {key: self.extras[key] for key in (KEYPOINT_ORDER,) if key in self.extras}
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
-        """The visible pixels, bool, shape (H, W); decoded anew at each call."""
+        """The visible pixels, bool, shape (H, W); decoded on each access."""
         return None if self.mask_code is None else self.mask_code.decode()
 
     @property
     def amodal(self) -> NDArray[np.bool_] | None:
-        """The whole outline, bool, shape (H, W); decoded anew at each call."""
+        """The pixels of the complete fruit, bool, shape (H, W); decoded on each access."""
         return None if self.amodal_code is None else self.amodal_code.decode()
 
 
@@ -134,27 +133,27 @@ class LabelledPicture:
     Parameters
     ----------
     file : str
-        Relative to the set's folder, with '/': 'images/000001.jpg'.
+        Path relative to the set's folder, with '/': 'images/000001.jpg'.
     width, height : int
-        In pixels.
+        Size in pixels.
     labels : tuple of Label
-        None of them: a picture of background only.
+        Labels; empty for background only.
     scene : str
-        What the picture shares with its near-duplicates; pictures of one scene stay in one split.
+        Group of near-duplicates; all pictures of a scene belong to one split.
     split : str
-        'train', 'val', 'test', or '' while it is in none.
+        'train', 'val', 'test', or '' if unassigned.
     source : str
-        Whose picture it is: 'synth', a publisher's set.
+        Origin of the picture: 'synth' or a publisher's set.
     licence : str
-        As the source states it.
+        Licence stated by the source.
     depth_file : str, optional
-        Relative to the set's folder: 16-bit PNG, 0 = no reading.
+        Path relative to the set's folder: 16-bit PNG, 0 = no reading.
     depth_unit_m : float
-        Metres of one step of `depth_file`.
+        Metres per step of `depth_file`.
     camera : Intrinsics, optional
-        The colour camera's, to which depth is aligned.
+        Intrinsics of the colour camera, to which depth is aligned.
     extras : mapping of str to JSON values
-        What else is known of the picture.
+        Further values of the picture.
     """
 
     file: str
@@ -172,7 +171,7 @@ class LabelledPicture:
 
     @property
     def shows_fruit(self) -> bool:
-        """Whether a fruit is labelled that is not to be ignored."""
+        """Whether the picture has a label that is not ignored."""
         return any(not label.ignore for label in self.labels)
 
 
@@ -183,13 +182,13 @@ class DataSet:
     Parameters
     ----------
     folder : Path
-        Where the pictures' file names start.
+        Folder that picture names are relative to.
     pictures : tuple of LabelledPicture
-        In the order of the files.
+        Pictures in file order.
     categories : tuple of str
-        Names of the classes that `Label.category` counts.
+        Class names; `Label.category` is an index into them.
     refused : tuple of CucumberVisionError
-        What a reader found and could not use; the rest is in `pictures`.
+        Errors of labels and pictures that a reader skipped.
     """
 
     folder: Path
@@ -198,7 +197,7 @@ class DataSet:
     refused: tuple[CucumberVisionError, ...] = ()
 
     def path(self, picture: LabelledPicture) -> Path:
-        """Return the file of a picture."""
+        """Return the path of a picture."""
         return self.folder / picture.file
 
     def in_split(self, split: str) -> tuple[LabelledPicture, ...]:
@@ -215,18 +214,19 @@ class DataSet:
 
 
 def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
-    """Rename classes; what is not kept becomes background.
+    """Rename and merge classes, and remove all others.
 
     Parameters
     ----------
     dataset : DataSet
+        Data set to change; labels of removed classes become background.
     keep : mapping of int or str to str
-        Number or name of each class to keep, and what it becomes; several may become one.
+        New name by index or name of each class to keep; classes with the same new name are merged.
 
     Raises
     ------
     DataSetError
-        If a class is not there.
+        If a class does not exist.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
     unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
     if unknown:
         raise DataSetError(
-            f"no class is called {', '.join(unknown)}", remedy=f"there are {', '.join(names)}"
+            f"unknown class {', '.join(unknown)}", remedy=f"use one of {', '.join(names)}"
         )
     categories = tuple(dict.fromkeys(wanted.values()))
     kept = {k: wanted.get(name, wanted.get(str(k))) for k, name in enumerate(names)}
@@ -264,7 +264,7 @@ _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def ticked(items: Iterable[Item], progress: Callable[[int], None] | None) -> Iterator[Item]:
-    """Yield items, and call `progress` with 1 after each is done with."""
+    """Yield items, and call `progress` with 1 after each one."""
     for item in items:
         yield item
         if progress is not None:
@@ -272,17 +272,17 @@ def ticked(items: Iterable[Item], progress: Callable[[int], None] | None) -> Ite
 
 
 def list_pictures(folder: Path) -> list[Path]:
-    """Return all pictures in a folder and below it, in order."""
+    """Return all pictures in a folder and its subfolders, sorted."""
     return sorted(p for p in folder.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Read a picture's width and height, from the header alone where it is PNG or JPEG.
+    """Return a picture's width and height; for PNG and JPEG from the header only.
 
     Raises
     ------
     CaptureError
-        If the file is missing, no picture, or has more than `MOST_PIXELS`.
+        If the file is missing, is not a picture, or has more than `MOST_PIXELS`.
 
     Notes
     -----
@@ -295,7 +295,7 @@ def picture_size(path: Path) -> tuple[int, int]:
     if found is None:
         height, width = read_color(path).shape[:2]
         return width, height
-    if found[0] * found[1] > MOST_PIXELS:  # masks are made of its size
+    if found[0] * found[1] > MOST_PIXELS:  # masks are allocated with this size
         fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
         raise CaptureError(fault, source=path, remedy="give a smaller picture")
     return found
@@ -308,13 +308,13 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
         if marker in _SOF:
             height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
             return int.from_bytes(width, "big"), int.from_bytes(height, "big")
-        # A fill byte may stand before a marker.
+        # Fill bytes may precede a marker.
         at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
     return None
 
 
 def flat_names(files: Iterable[str]) -> dict[str, str]:
-    """Return a name without folders for every file, none of them twice, even without endings.
+    """Return a unique name without folders for every file, unique also without the suffix.
 
     Examples
     --------
@@ -337,7 +337,7 @@ def flat_names(files: Iterable[str]) -> dict[str, str]:
 
 
 def place_file(source: Path, target: Path, *, link: bool) -> None:
-    """Put a file elsewhere: as a second name of the same file where the disk can, else copied.
+    """Create a hard link to a file if requested and supported, or a copy.
 
     Raises
     ------
@@ -371,12 +371,12 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all: under another name first, then renamed.
+    """Write a text file atomically.
 
     Raises
     ------
     DataSetError
-        If it cannot be written.
+        If the file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:

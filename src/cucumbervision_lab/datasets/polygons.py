@@ -1,9 +1,8 @@
-"""Polygons of masks without losing a pixel, and keypoints along a mask's axis.
+"""Lossless polygons of masks, and keypoints along a mask's axis.
 
-Polygons' points count from the picture's corner, as YOLO and COCO files do: the first pixel's
-centre is (0.5, 0.5); `perception.masks.fill_polygon` draws them again. Keypoints of a mask are
-pseudo-labels for photos whose fruit somebody only boxed: the axis is that of the outline, not of
-the body.
+The origin of polygons is the picture's corner, as in YOLO and COCO files, so the centre of the
+first pixel is (0.5, 0.5); `perception.masks.fill_polygon` is the inverse. Keypoints of a mask are
+pseudo-labels for photos: they follow the axis of the outline, not of the body.
 """
 
 from __future__ import annotations
@@ -24,12 +23,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-def _traced(mask: NDArray[np.bool_]) -> list[Array]:
-    """Return each part's outer outline, the largest first, with a point every half pixel.
+def _outlines(mask: NDArray[np.bool_]) -> list[Array]:
+    """Return the outer outline of each part, largest first, with a point every half pixel.
 
-    It runs through the middles of the pixels' edges: every pixel centre of the part lies inside,
-    every other outside, holes excepted, which are filled. Pixels that touch by a corner belong
-    together.
+    The outline runs through the midpoints of pixel edges: exactly the pixel centres of the part and
+    of its holes lie inside. Pixels that touch at a corner belong to the same part.
     """
     import cv2
 
@@ -43,7 +41,7 @@ def _traced(mask: NDArray[np.bool_]) -> list[Array]:
 
 
 def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return pixel centres, edge middles and corners as one grid of (2 H + 1, 2 W + 1)."""
+    """Return pixel centres, edge midpoints and corners as a grid of shape (2 H + 1, 2 W + 1)."""
     height, width = mask.shape
     padded = np.zeros((height + 2, width + 2), np.uint8)
     padded[1:-1, 1:-1] = mask
@@ -52,16 +50,16 @@ def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     grid[1::2, 1::2] = mask
     grid[1::2, 0::2] = beside[1:-1] > 0
     grid[0::2, 1::2] = below[:, 1:-1] > 0
-    # A corner of one pixel only stays out: the outline cuts it.
+    # A corner that belongs to a single pixel stays outside: the outline cuts it off.
     grid[0::2, 0::2] = beside[1:] + beside[:-1] > 1
     return grid
 
 
-def _straightened(points: Array) -> Array:
-    """Leave out the points amid straight runs; turning back on itself is no straight run.
+def _simplified(points: Array) -> Array:
+    """Remove points within straight segments.
 
-    Where a bridge begins or ends, which is passed twice, a point stays: two bridges that meet there
-    would else go through each other.
+    Reversals are kept, and so are the ends of bridges, which occur twice: otherwise two bridges
+    that meet at a point could cross.
     """
     before = points - np.roll(points, 1, axis=0)
     after = np.roll(points, -1, axis=0) - points
@@ -78,18 +76,19 @@ def _area(points: Array) -> float:
 
 
 def join_parts(parts: Sequence[Array]) -> Array:
-    """Join polygons to one by bridges without width, each over the shortest gap that is left.
+    """Join polygons with zero-width bridges across the shortest gaps.
 
-    YOLO files have one polygon a fruit; Ultralytics' converters join parts in the same way.
+    YOLO files store one polygon per fruit; Ultralytics' converters join parts in the same way.
 
     Parameters
     ----------
     parts : sequence of ndarray, shape (K, 2)
-        At least one; none inside another.
+        At least one polygon, not nested.
 
     Returns
     -------
     ndarray of float64, shape (N, 2)
+        The joined polygon.
 
     Examples
     --------
@@ -112,30 +111,31 @@ def join_parts(parts: Sequence[Array]) -> Array:
 
 
 def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> Array | None:
-    """Return a mask as one polygon: its parts joined, specks left out.
+    """Return a mask as a single polygon without small parts.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
+        The mask.
     min_part_px : float
-        Parts of a smaller area are left out, the largest excepted.
+        Minimum area of a part, pixels; the largest part is always kept.
 
     Returns
     -------
     ndarray of float64, shape (K, 2), or None
-        None for an empty mask.
+        Polygon in pixels from the picture's corner; None for an empty mask.
 
     Examples
     --------
     >>> one_polygon(np.zeros((4, 6), bool)) is None
     True
     """
-    parts = _traced(mask)
+    parts = _outlines(mask)
     if not parts:
         return None
-    # Bridges between corners only, far apart on long straight runs, could cross an outline.
+    # Join before simplifying: bridges between the corners of long segments could cross an outline.
     large = [p for p in parts if p is parts[0] or _area(p) >= min_part_px]
-    return _straightened(join_parts(large))
+    return _simplified(join_parts(large))
 
 
 DIRECTIONS = {
@@ -148,30 +148,30 @@ DIRECTIONS = {
     "up-right": (1.0, -1.0),
     "up-left": (-1.0, -1.0),
 }
-"""Where the stem end lies, as words, and as (x, y) with y down."""
+"""Directions of the stem end by name, as (x, y) with y down."""
 
 
 def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> Array | None:
-    """Return keypoints along the axis of an outline.
+    """Return keypoints along the axis of a mask.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-        A whole fruit.
+        Mask of a complete fruit.
     stem : str
-        One of `DIRECTIONS`: where the stem end lies, seen from the fruit's middle.
+        Direction of the stem end from the fruit's centre, one of `DIRECTIONS`.
 
     Returns
     -------
     ndarray of float64, shape (5, 3), or None
-        u, v in pixels and visibility 2 of KP0 (blossom end) to KP4 (stem end), evenly along the
-        outline's axis; None where the outline is too small, too round or bent too much, or the
-        word does not tell its ends apart.
+        u, v in pixels and visibility 2 of KP0 (blossom end) to KP4 (stem end), evenly spaced along
+        the axis. None if the mask is too small, too round or too strongly bent, or the axis is
+        nearly perpendicular to `stem`.
 
     Raises
     ------
     ValueError
-        If the word is none of `DIRECTIONS`.
+        If `stem` is not in `DIRECTIONS`.
 
     Examples
     --------
@@ -181,7 +181,7 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> Array | None:
     [90.0, 70.0, 50.0, 30.0, 10.0]
     """
     if stem not in DIRECTIONS:
-        raise ValueError(f"{stem!r} is no direction: one of {', '.join(DIRECTIONS)}")
+        raise ValueError(f"unknown direction {stem!r}: use one of {', '.join(DIRECTIONS)}")
     line = axis_line(mask)
     if line is None:
         return None

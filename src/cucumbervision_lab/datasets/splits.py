@@ -1,4 +1,4 @@
-"""Train, val and test that share no scene."""
+"""Find scenes of near-duplicate pictures, and split data sets by scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
-_COPY_BITS = 6  # of 63: two photos of one heap differ by 16 and more
+_COPY_BITS = 6  # of 63; two photos of the same heap differ by at least 16
 
 _COPY_COLOR = 0.3
 
@@ -31,25 +31,25 @@ _SCENE_COLOR = 0.42
 
 _SCENE_CORNERS = 8
 
-_NEAREST, _FAR_COLOR = 20, 0.6  # whose corners are compared at all
+_NEAREST, _FAR_COLOR = 20, 0.6  # corners are compared only for the nearest pictures by colour
 
 _SIDE, _COLOR_SIDE, _CORNER_SIDE = 32, 128, 320
 
 
 @dataclass(frozen=True, eq=False)
 class Fingerprint:
-    """What of a picture is compared.
+    """Features of a picture for finding near-duplicates.
 
     Parameters
     ----------
     hashes : ndarray of uint64, shape (8,)
-        Perceptual hashes of the picture as it is, turned and mirrored; 63 bits each.
+        Perceptual hashes of the picture in all rotations and mirrored, 63 bits each.
     colors : ndarray of float32, shape (1536,)
-        Square roots of the shares of lightness and colour; white and black ground left out.
+        Square roots of a normalised CIELAB histogram without white and black backgrounds.
     points_px : ndarray of float32, shape (N, 2)
-        Corners, in the picture scaled to a side of 320.
+        Corners in the picture resized to 320 x 320.
     features : ndarray of uint8, shape (N, 32)
-        Their ORB descriptors.
+        ORB descriptors of the corners.
     """
 
     hashes: NDArray[np.uint64]
@@ -61,7 +61,7 @@ class Fingerprint:
 def take_fingerprints(
     files: Sequence[Path], progress: Callable[[int], None] | None = None
 ) -> list[Fingerprint]:
-    """Take the fingerprints of picture files.
+    """Compute the fingerprints of picture files.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _fingerprint(color_rgb: NDArray[np.uint8], corners: Any) -> Fingerprint:
     grey = cv2.cvtColor(scaled(_SIDE), cv2.COLOR_RGB2GRAY).astype(np.float32)
     lab = cv2.cvtColor(scaled(_COLOR_SIDE), cv2.COLOR_RGB2LAB)
     shares = cv2.calcHist([lab], [0, 1, 2], None, [6, 16, 16], [0, 256, 64, 192, 64, 192])
-    # White and black ground is no scene: on it, all product photos would look alike.
+    # Without white and black backgrounds, which would make all product photos similar.
     shares[0, 7:9, 7:9] = shares[-1, 7:9, 7:9] = 0
     colors = np.sqrt(shares.ravel() / max(float(shares.sum()), 1.0))
     points, features = corners.detectAndCompute(
@@ -104,7 +104,7 @@ def _turned(grey: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
 
 
 def _hash(grey: NDArray[np.float32]) -> int:
-    """Return the signs of the lowest frequencies about their median (Zauner 2010, pHash)."""
+    """Return the perceptual hash: low DCT frequencies above their median (Zauner 2010, pHash)."""
     import cv2
 
     low = cv2.dct(grey)[:8, :8].ravel()[1:]
@@ -112,7 +112,7 @@ def _hash(grey: NDArray[np.float32]) -> int:
 
 
 def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tuple[int, int]]:
-    """Return the pairs that are one picture saved twice, turned or mirrored or not.
+    """Return pairs of identical pictures, possibly resaved, rotated or mirrored.
 
     Returns
     -------
@@ -132,14 +132,14 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
 
 
 def _color_distances(prints: Sequence[Fingerprint]) -> NDArray[np.float32]:
-    """Return the Hellinger distance of all pairs' colours, 0 to 1, shape (N, N)."""
+    """Return the pairwise Hellinger distances of the colour histograms, 0 to 1, shape (N, N)."""
     colors = np.stack([f.colors for f in prints])
     distances: NDArray[np.float32] = np.sqrt(np.maximum(0, 1 - colors @ colors.T))
     return distances
 
 
 def _shared_corners(a: Fingerprint, b: Fingerprint) -> int:
-    """Count the corners of two pictures that one shift, turn and scale carries onto each other."""
+    """Return the number of corner matches consistent with one similarity transform."""
     import cv2
 
     if min(len(a.features), len(b.features)) < 10:
@@ -150,9 +150,9 @@ def _shared_corners(a: Fingerprint, b: Fingerprint) -> int:
     if len(good) < _SCENE_CORNERS:
         return 0
     start, end = a.points_px[[m.queryIdx for m in good]], b.points_px[[m.trainIdx for m in good]]
-    # Its stubs do not know that there may be no answer.
-    agree: Any = cv2.estimateAffinePartial2D(start, end, ransacReprojThreshold=6)[1]
-    return 0 if agree is None else int(agree.sum())
+    # Typed as Any, because OpenCV's stubs omit None.
+    inliers: Any = cv2.estimateAffinePartial2D(start, end, ransacReprojThreshold=6)[1]
+    return 0 if inliers is None else int(inliers.sum())
 
 
 def views_of_one_scene(
@@ -169,16 +169,17 @@ def views_of_one_scene(
     prints : sequence of Fingerprint
         From `take_fingerprints`.
     color : float
-        Pairs whose colours lie nearer than this are one scene.
+        Maximum colour distance of pictures of one scene.
     corners : int
-        So are pairs that share as many corners; looked for among the nearest in colour only.
+        Alternatively, minimum number of shared corners. Corners are compared only between
+        pictures with similar colours.
     wanted : callable, optional
-        Says of two indices whether the pair is of interest.
+        Return whether a pair of indices is of interest.
 
     Returns
     -------
     list of (int, int)
-        The smaller index first.
+        Pairs of indices, the smaller one first.
     """
     if len(prints) < 2:
         return []
@@ -202,25 +203,26 @@ def views_of_one_scene(
 
 
 _SHARES = (0.70, 0.15, 0.15)
-"""Of the pictures, in train, val and test: the paper's."""
+"""Shares of train, val and test, as in the paper."""
 
 _EXPORTED = re.compile(r"\.rf\.[0-9a-f]+$", re.IGNORECASE)
 
 
 def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
-    r"""Name each picture's scene by what a regular expression finds in its file name.
+    r"""Set the scene of each picture from its file name with a regular expression.
 
     Parameters
     ----------
     dataset : DataSet
-        Scenes that are known are kept.
+        Data set; existing scenes are kept.
     pattern : str
-        The first group, or all that matches, is the scene. A picture without a match keeps none.
+        Regular expression. The scene is the first group, or the whole match without groups.
+        Pictures without a match keep no scene.
 
     Raises
     ------
     DataSetError
-        If the pattern is no regular expression.
+        If the pattern is not a valid regular expression.
 
     Examples
     --------
@@ -233,7 +235,7 @@ def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
     try:
         compiled = re.compile(pattern)
     except re.error as error:
-        raise DataSetError(f"{pattern!r} is no regular expression ({error})") from None
+        raise DataSetError(f"invalid regular expression {pattern!r} ({error})") from None
     pictures = []
     for picture in dataset.pictures:
         match = None if picture.scene else compiled.search(picture.file)
@@ -243,12 +245,12 @@ def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
 
 
 def parse_shares(text: str, separator: str = ":") -> tuple[float, float, float]:
-    """Read three shares, in whatever unit.
+    """Parse three shares and normalise them to a sum of 1.
 
     Raises
     ------
     DataSetError
-        If they are not three numbers of which something is left.
+        If `text` does not contain three non-negative numbers with a positive sum.
 
     Examples
     --------
@@ -260,26 +262,26 @@ def parse_shares(text: str, separator: str = ":") -> tuple[float, float, float]:
     except ValueError:
         parts = []
     if len(parts) != 3 or not 0 < sum(parts) < float("inf") or min(parts) < 0:
-        remedy = f"give three, as in 70{separator}15{separator}15"
-        raise DataSetError(f"{text!r} are no shares", source="--shares", remedy=remedy)
+        remedy = f"give three numbers, as in 70{separator}15{separator}15"
+        raise DataSetError(f"invalid shares {text!r}", source="--shares", remedy=remedy)
     a, b, c = (part / sum(parts) for part in parts)
     return a, b, c
 
 
 def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None) -> DataSet:
-    """Name the scenes of pictures that have none: near-duplicates share one.
+    """Group pictures without a scene into scenes of near-duplicates.
 
-    Two pictures are of one scene if their colours are alike or many corners agree
-    (`fingerprints`), or if Roboflow made both of one picture; so are all that chains of such pairs
-    join. It rather joins two scenes than parts one: a joined pair only makes a split coarser, a
-    parted one makes it worthless.
+    Two pictures belong to one scene if their colours are similar or many corners match
+    (`views_of_one_scene`), or if Roboflow derived both from one picture; scenes are the connected
+    components. The thresholds favour merging: merged scenes only make the split coarser, whereas a
+    divided scene leaks between splits.
 
     Parameters
     ----------
     dataset : DataSet
-        Scenes that are known are kept.
+        Data set; existing scenes are kept.
     progress : callable, optional
-        Called with 1 after each picture looked at.
+        Called with 1 after each compared picture.
 
     Raises
     ------
@@ -288,12 +290,12 @@ def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None)
     """
     without = [p for p in dataset.pictures if not p.scene]
     prints = take_fingerprints([dataset.path(p) for p in without], progress)
-    pairs = views_of_one_scene(prints) + _exports_of_one(without)
+    pairs = views_of_one_scene(prints) + _exports_of_one_picture(without)
     groups = _joined(len(without), pairs)
     taken = {p.scene for p in dataset.pictures}
     names: dict[int, str] = {}
     for group in dict.fromkeys(groups):
-        # The scene is called after its first picture: the same at every run.
+        # Named after the first picture, so that names are reproducible.
         name = PurePosixPath(without[group].file).stem
         while name in taken:
             name += "'"
@@ -304,7 +306,7 @@ def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None)
     return replace(dataset, pictures=pictures)
 
 
-def _exports_of_one(pictures: Sequence[LabelledPicture]) -> list[tuple[int, int]]:
+def _exports_of_one_picture(pictures: Sequence[LabelledPicture]) -> list[tuple[int, int]]:
     first: dict[str, int] = {}
     pairs = []
     for k, picture in enumerate(pictures):
@@ -316,7 +318,7 @@ def _exports_of_one(pictures: Sequence[LabelledPicture]) -> list[tuple[int, int]
 
 
 def _joined(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
-    """Return for each index the smallest one that a chain of pairs joins it to.
+    """Return the smallest index of each index's connected component.
 
     Examples
     --------
@@ -334,30 +336,30 @@ def _joined(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
 def split_by_scene(
     dataset: DataSet, shares: Sequence[float] = _SHARES, *, seed: int = 0
 ) -> DataSet:
-    """Put every picture in train, val or test, whole scenes together.
+    """Assign every scene to train, val or test.
 
-    Each source is split by itself, large scenes first, each to the split that lacks most of what
-    the scene holds (pictures with and without fruit). So the large scenes come to train, and val
-    and test get many small ones.
+    Each source is split separately. Scenes are assigned in descending order of size to the split
+    that lacks most pictures of their kind (with and without fruit). Large scenes thus go to train,
+    and val and test get many small ones.
 
     Parameters
     ----------
     dataset : DataSet
-        Every picture with a scene. Splits that it has are replaced.
+        Data set in which every picture has a scene. Existing splits are replaced.
     shares : sequence of float, length 3
-        Of train, val and test.
+        Shares of train, val and test, with a sum of 1.
     seed : int
-        Orders scenes of the same size.
+        Random seed for the order of scenes of equal size.
 
     Returns
     -------
     DataSet
-        A scene with pseudo-labels is never in test.
+        The split data set; scenes with pseudo-labels are never in test.
 
     Raises
     ------
     DataSetError
-        If a picture has no scene, or the shares are none.
+        If a picture has no scene, or the shares are invalid.
 
     Examples
     --------
@@ -371,15 +373,15 @@ def split_by_scene(
     parts = np.array(shares, np.float64)
     if parts.shape != (3,) or (parts < 0).any() or not np.isclose(parts.sum(), 1) or parts[0] == 0:
         raise DataSetError(
-            f"{' : '.join(f'{s:g}' for s in shares)} are no shares of train, val and test",
-            remedy="give three that add up to 1, the first above 0",
+            f"invalid shares {':'.join(f'{s:g}' for s in shares)}",
+            remedy="give shares of train, val and test with a sum of 1 and train above 0",
         )
     bare = [p.file for p in dataset.pictures if not p.scene]
     if bare:
         raise DataSetError(
             f"{len(bare)} pictures have no scene, first {bare[0]}",
             source=dataset.folder,
-            remedy="find scenes first, or name them by a pattern",
+            remedy="find scenes first, or set them by a pattern",
         )
     split_of = _assign(dataset.pictures, parts, np.random.default_rng(seed))
     pictures = tuple(replace(p, split=split_of[p.scene]) for p in dataset.pictures)
@@ -392,7 +394,7 @@ def _assign(
     scenes: dict[str, list[LabelledPicture]] = {}
     for picture in pictures:
         scenes.setdefault(picture.scene, []).append(picture)
-    # A scene that two sources share belongs to the first.
+    # A scene shared by several sources belongs to the first one.
     sources: dict[str, list[str]] = {}
     for scene, own in sorted(scenes.items()):
         sources.setdefault(own[0].source, []).append(scene)

@@ -1,9 +1,8 @@
-"""Pictures to train on at other scales: windows around fruit, and sheets of shrunk pictures.
+"""Training pictures at other scales: windows around fruit, and sheets of downscaled pictures.
 
-A network without fully connected layers sees a fruit in a window of 480 pixels, scaled to 320,
-just as in the whole picture of 960 scaled to 640; the window costs a quarter of the time, and grey
-borders and empty corners cost none. On a contact sheet many pictures lie shrunk, so that fruit are
-small.
+For a fully convolutional network, a fruit looks the same in a 480 px window scaled to 320 px as in
+the whole picture of 960 px scaled to 640 px. The window takes a quarter of the time and has no
+letterbox borders. Sheets combine many downscaled pictures to provide small fruit.
 """
 
 from __future__ import annotations
@@ -31,19 +30,19 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-_MARGIN = 1.25  # a window's side over the longer side of the fruit that it is cut around
-_WHOLE = 0.9  # of a fruit's pixels in a window: another one of its own is not needed
-_SLIVER = 0.15  # with less of its pixels a fruit in a window is to be ignored
+_MARGIN = 1.25  # minimum ratio of a window's side to the longer side of its fruit
+_COMPLETE = 0.9  # share of a fruit inside a window above which it needs no other window
+_LEAST_SHARE = 0.15  # share of a fruit inside a window below which it is ignored
 
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a picture.
+    """A rectangular part of a picture.
 
     Parameters
     ----------
     left, top, width, height : int
-        In pixels of the picture.
+        Position and size in pixels of the picture.
     """
 
     left: int
@@ -53,7 +52,7 @@ class Window:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Rows and columns of the picture."""
+        """Row and column slices of the picture."""
         return (
             slice(self.top, self.top + self.height),
             slice(self.left, self.left + self.width),
@@ -63,21 +62,21 @@ class Window:
 def choose_windows(
     rng: np.random.Generator, picture: LabelledPicture, side_px: int
 ) -> tuple[Window, ...]:
-    """Choose windows in which every fruit of a picture lies whole at least once.
+    """Choose random windows so that every fruit is complete in at least one.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     picture : LabelledPicture
-        With boxes.
+        Picture with boxes.
     side_px : int
-        Side of a window, pixels; larger where a fruit is.
+        Side of a window, pixels; larger if a fruit is larger.
 
     Returns
     -------
     tuple of Window
-        One where there is no fruit. None reaches beyond the picture.
+        Windows inside the picture; a single one if there is no fruit.
 
     Examples
     --------
@@ -93,7 +92,7 @@ def choose_windows(
         return (_around(rng, picture, np.full(4, np.nan), side_px),)
     chosen: list[Window] = []
     for index in rng.permutation(len(boxes)):
-        if not any(_inside(boxes[index], window) >= _WHOLE for window in chosen):
+        if not any(_inside(boxes[index], window) >= _COMPLETE for window in chosen):
             chosen.append(_around(rng, picture, boxes[index], side_px))
     return tuple(chosen)
 
@@ -101,7 +100,7 @@ def choose_windows(
 def _around(
     rng: np.random.Generator, picture: LabelledPicture, box: NDArray[np.float64], side_px: int
 ) -> Window:
-    """Put a window somewhere about a box, or anywhere."""
+    """Place a random window that contains a box, or anywhere if the box is NaN."""
     placed = []
     long_px = 0.0 if np.isnan(box[0]) else float(max(box[2] - box[0], box[3] - box[1]))
     side = max(side_px, round(_MARGIN * long_px))
@@ -117,33 +116,33 @@ def _around(
 
 
 def _inside(box: NDArray[np.float64], window: Window) -> float:
-    """Return the share of a box that lies in a window."""
+    """Return the share of a box inside a window."""
     edges = [window.left, window.top, window.left + window.width, window.top + window.height]
     return float(share_inside(box[None], np.array([edges]) - 0.5)[0])
 
 
-def label_in(label: Label, window: Window) -> Label | None:
-    """Return a label as a window shows it, or None where it shows nothing of the fruit.
+def crop_label(label: Label, window: Window) -> Label | None:
+    """Crop a label to a window.
 
     Parameters
     ----------
     label : Label
-        Of the picture.
+        Label of the whole picture.
     window : Window
         Part of that picture.
 
     Returns
     -------
     Label or None
-        In pixels of the window. Points outside are not labelled any more. A fruit of which less
-        than 0.15 is left is to be ignored; one of which something is left out is cut off, and
-        loses its lengths.
+        Label in pixels of the window; None if the fruit is outside. Keypoints outside become
+        unlabelled. A fruit with a share below 0.15 inside the window is ignored. A cropped fruit is
+        `cut_off` and loses its lengths.
 
     Examples
     --------
     >>> mask = np.zeros((20, 40), bool)
     >>> mask[5:10, 10:30] = True
-    >>> cut = label_in(Label.of_mask(mask), Window(20, 0, 20, 20))
+    >>> cut = crop_label(Label.of_mask(mask), Window(20, 0, 20, 20))
     >>> cut.box.tolist(), cut.cut_off, cut.ignore
     ([-0.5, 4.5, 9.5, 9.5], True, False)
     """
@@ -165,14 +164,16 @@ def label_in(label: Label, window: Window) -> Label | None:
         box=moved if part is None else box_of_mask(part),
         mask_code=None if part is None else Rle.of(part),
         amodal_code=None if whole is None else Rle.of(whole),
-        keypoints=_points_in(label.keypoints, window),
+        keypoints=_crop_keypoints(label.keypoints, window),
         cut_off=cut,
-        ignore=label.ignore or share < _SLIVER,
+        ignore=label.ignore or share < _LEAST_SHARE,
         extras=label.point_order if cut else label.extras,
     )
 
 
-def _points_in(keypoints: NDArray[np.float64] | None, window: Window) -> NDArray[np.float64] | None:
+def _crop_keypoints(
+    keypoints: NDArray[np.float64] | None, window: Window
+) -> NDArray[np.float64] | None:
     if keypoints is None:
         return None
     points = keypoints - (window.left, window.top, 0.0)
@@ -191,37 +192,37 @@ def write_windows(
     seed: int = 0,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
-    """Cut windows around the fruit of a set and write them as a set of their own.
+    """Cut windows around fruit and write them as a new data set.
 
     Parameters
     ----------
     dataset : DataSet
-        With boxes, and masks and keypoints where there are some. Depth and cameras are left out.
+        Data set with boxes and optional masks and keypoints. Depth and cameras are dropped.
     out : Path
-        New folder.
+        New output folder.
     side_px : int
         Side of a window, pixels.
     splits : sequence of str
-        Whose pictures are cut; windows are to train on, and nothing is tested on them.
+        Splits to use. Windows are for training, not for testing.
     seed : int
-        The same seed cuts the same windows.
+        Random seed.
     progress : callable, optional
         Called with 1 after each picture.
 
     Returns
     -------
     DataSet
-        A window's scene, source and licence are its picture's.
+        Windows with the scene, source and licence of their pictures.
 
     Raises
     ------
     DataSetError
-        If the side is under 32 pixels, or a file cannot be written.
+        If `side_px` is below 32, or a file cannot be written.
     CaptureError
         If a picture cannot be read.
     """
     if side_px < 32:
-        raise DataSetError(f"a window of {side_px} px is too small", remedy="give 32 or more")
+        raise DataSetError(f"a window of {side_px} px is too small", remedy="use 32 px or more")
     pictures: list[LabelledPicture] = []
     for index, picture in enumerate(ticked(dataset.pictures, progress)):
         if picture.split in splits:
@@ -239,7 +240,7 @@ def _cut(
         file = path.with_name(f"{path.stem}-w{number}.jpg")
         (out / file).parent.mkdir(parents=True, exist_ok=True)
         write_jpeg(out / file, color[window.slices])
-        labels = (label_in(label, window) for label in picture.labels)
+        labels = (crop_label(label, window) for label in picture.labels)
         yield replace(
             picture,
             file=str(file),
@@ -254,29 +255,29 @@ def _cut(
 
 _GRIDS = (2, 3)
 _LEAST_PX = 24
-"""A fruit with fewer pixels than this is to be ignored."""
+"""Fruit with fewer pixels than this are ignored."""
 
 
 def shrunk_label(
     label: Label, scale: tuple[float, float], corner: tuple[int, int], side_px: int
 ) -> Label:
-    """Return a label of a picture as it lies on a sheet.
+    """Transform a label from a picture to a sheet.
 
     Parameters
     ----------
     label : Label
-        Of the picture.
+        Label of the picture.
     scale : tuple of float
-        Of the picture on the sheet, in x and y.
+        Scale of the picture on the sheet in x and y.
     corner : tuple of int
-        x, y of its first pixel on the sheet.
+        x, y of the picture's first pixel on the sheet.
     side_px : int
-        Of the sheet.
+        Side of the sheet, pixels.
 
     Returns
     -------
     Label
-        In pixels of the sheet, without lengths; to be ignored where too little is left to see.
+        Label in pixels of the sheet without lengths; ignored if the fruit is too small.
 
     Examples
     --------
@@ -329,27 +330,27 @@ def write_sheets(
     split: str = "train",
     seed: int = 0,
 ) -> DataSet:
-    """Lay the pictures of a split out on sheets, two by two or three by three.
+    """Combine downscaled pictures of a split into sheets of 2 x 2 or 3 x 3.
 
     Parameters
     ----------
     dataset : DataSet
-        With masks, or boxes alone. Depth and cameras are left out.
+        Data set with masks or boxes. Depth and cameras are dropped.
     out : Path
-        New folder.
+        New output folder.
     count : int
-        How many sheets; every picture is used once before one comes again.
+        Number of sheets. Every picture is used once before any is repeated.
     side_px : int
-        Of a sheet.
+        Side of a sheet, pixels.
     split : str
-        Whose pictures; sheets are to train on, or to validate.
+        Split to use.
     seed : int
-        The same seed lays out the same sheets.
+        Random seed.
 
     Returns
     -------
     DataSet
-        A sheet's scene is its own: its pictures are of many.
+        Sheets, each with a scene of its own.
 
     Raises
     ------
@@ -360,7 +361,9 @@ def write_sheets(
     """
     pictures = dataset.in_split(split)
     if not pictures:
-        raise DataSetError(f"has no pictures in {split}", source=dataset.folder, remedy="split it")
+        raise DataSetError(
+            f"has no pictures in {split}", source=dataset.folder, remedy="split the data set"
+        )
     rng = np.random.default_rng(seed)
     row: list[int] = []
     sheets = []
@@ -372,7 +375,7 @@ def write_sheets(
         while len(row) < grid**2:
             row += rng.permutation(len(pictures)).tolist()
         chosen, row = [pictures[k] for k in row[: grid**2]], row[grid**2 :]
-        color, labels = _laid_out(dataset, chosen, grid, side_px)
+        color, labels = _compose_sheet(dataset, chosen, grid, side_px)
         file = f"images/{split}-{number:05d}.jpg"
         write_jpeg(out / file, color)
         sheets.append(
@@ -390,7 +393,7 @@ def write_sheets(
     return write_coco(replace(dataset, folder=out, pictures=tuple(sheets), refused=()), out)
 
 
-def _laid_out(
+def _compose_sheet(
     dataset: DataSet, chosen: list[LabelledPicture], grid: int, side_px: int
 ) -> tuple[NDArray[np.uint8], list[Label]]:
     cell = side_px // grid

@@ -1,4 +1,4 @@
-"""Read and write data sets for Ultralytics: pictures, label files by split and `data.yaml`."""
+"""Read and write data sets in Ultralytics' YOLO format."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 PICTURES = "pictures.json"
-"""Beside `data.yaml`: scene, source and licence of each picture, which the format has not."""
+"""File next to `data.yaml` with scene, source and licence, for which YOLO has no fields."""
 
 _KEYPOINTS = 5
 _FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
@@ -49,18 +49,18 @@ _FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 @dataclass(frozen=True)
 class _YoloFolder:
-    """What a YOLO folder says before its pictures are read.
+    """Contents of a YOLO folder, without labels.
 
     Parameters
     ----------
     folder : Path
-        Where file names start.
+        Folder that file names are relative to.
     names : tuple of str
-        The classes.
+        Class names.
     pictures : tuple of (Path, str)
-        Each picture and its split.
+        Pictures and their splits.
     keypoints : tuple of int, optional
-        `kpt_shape`: how many, and numbers a keypoint.
+        `kpt_shape`: number of keypoints, and of values per keypoint.
     """
 
     folder: Path
@@ -70,24 +70,25 @@ class _YoloFolder:
 
 
 def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
-    """Read a YOLO data set: boxes, polygons or keypoints.
+    """Read a YOLO data set with boxes, polygons or keypoints.
 
     Parameters
     ----------
     path : Path
-        `data.yaml`, a folder with one, or a folder with images/ and labels/.
+        A `data.yaml`, its folder, or a folder with images/ and labels/.
     names : sequence of str
-        The classes, where no `data.yaml` names them.
+        Class names, if there is no `data.yaml`.
 
     Returns
     -------
     DataSet
-        Lines and pictures that cannot be used are in `refused`. A polygon becomes a mask.
+        The data set, with polygons converted to masks. Errors of invalid lines and pictures are
+        listed in `refused`.
 
     Raises
     ------
     DataSetError
-        If there are no pictures, or the classes have no names.
+        If there are no pictures or no class names.
 
     Examples
     --------
@@ -120,12 +121,12 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
 
 
 def _find(path: Path, names: Sequence[str] = ()) -> _YoloFolder:
-    """Find a YOLO set's pictures, splits and classes; labels are not read.
+    """Find the pictures, splits and classes of a YOLO set without reading labels.
 
     Raises
     ------
     DataSetError
-        If there are no pictures, or the classes have no names.
+        If there are no pictures or no class names.
     """
     yaml = path if path.is_file() else path / "data.yaml"
     folder = yaml.parent.resolve()
@@ -138,20 +139,20 @@ def _found(
     path: Path, folder: Path, yaml: Path, data: dict[str, Any], named: list[str]
 ) -> _YoloFolder:
     if not named:
-        raise DataSetError(
-            "the classes have no names", source=path, remedy="add data.yaml or give --names"
-        )
-    pictures = _listed(data, folder) or _lying(folder)
+        raise DataSetError("no class names", source=path, remedy="add data.yaml or give --names")
+    pictures = _listed(data, folder) or _pictures_in_images(folder)
     if not pictures:
         raise DataSetError(
-            "holds no pictures in images/", source=path, remedy="give a YOLO data set's folder"
+            "contains no pictures in images/",
+            source=path,
+            remedy="give the folder of a YOLO data set",
         )
     shape = data.get("kpt_shape")
     if shape is not None and (len(shape) != 2 or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):
         raise DataSetError(
-            f"kpt_shape is {shape}, not [5, 3] or [5, 2]",
+            f"kpt_shape is {shape}, expected [5, 3] or [5, 2]",
             source=yaml,
-            remedy="label five keypoints, blossom end to stem end",
+            remedy="label five keypoints from blossom end to stem end",
         )
     return _YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape) if shape else None)
 
@@ -162,19 +163,25 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
     Raises
     ------
     DataSetError
-        If it is no YAML or describes no data set.
+        If the file is not valid YAML or does not describe a data set.
     """
     with wrap_reader_errors(path, DataSetError, "correct it"):
         text = read_bytes(path)
         try:
-            # Lists of lists of lists, named and repeated, are small here and endless written out.
+            # Nested aliases can expand to exponential size.
             if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-                raise DataSetError("repeats a part by its name", source=path, remedy="write it out")
+                raise DataSetError(
+                    "contains YAML aliases", source=path, remedy="replace them by their values"
+                )
             data = yaml.safe_load(text)
         except yaml.YAMLError as error:
-            raise DataSetError(f"is no YAML ({error})", source=path, remedy="correct it") from None
+            raise DataSetError(
+                f"is not valid YAML ({error})", source=path, remedy="correct it"
+            ) from None
     if not isinstance(data, dict):
-        raise DataSetError("is no data set's YAML", source=path, remedy="name train, val, names")
+        raise DataSetError(
+            "does not describe a data set", source=path, remedy="add train, val and names"
+        )
     return data
 
 
@@ -182,14 +189,14 @@ def _names(names: Any, yaml: Path) -> list[str]:
     if isinstance(names, dict):
         if sorted(names) != list(range(len(names))):
             raise DataSetError(
-                "names do not count from 0 without a gap", source=yaml, remedy="correct them"
+                "class indices are not consecutive from 0", source=yaml, remedy="correct them"
             )
         return [str(names[k]) for k in range(len(names))]
     return [str(name) for name in names or []]
 
 
 def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
-    """Return the pictures that `data.yaml` names: folders, lists, or text files of lists."""
+    """Return the pictures listed in `data.yaml` as folders, lists or text files."""
     base = folder / str(data.get("path") or "")
     found: dict[Path, str] = {}
     for key, split in _FOLDERS.items():
@@ -208,18 +215,18 @@ def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
 
 
 def _resolve(entry: str, base: Path, folder: Path) -> Path:
-    # Roboflow writes ../train/images for the folder beside data.yaml.
+    # Roboflow writes ../train/images for a folder next to data.yaml.
     inner = entry.replace("../", "")
     places = [base / entry, base / inner, folder / inner]
     for place in places:
-        # The last part stays as it is: a picture may be a link to elsewhere.
+        # Resolve only the parent, because the picture itself may be a symbolic link.
         clean = place.parent.resolve() / place.name
         if clean.exists() and clean.is_relative_to(folder):
             return clean
     return places[0]
 
 
-def _lying(folder: Path) -> list[tuple[Path, str]]:
+def _pictures_in_images(folder: Path) -> list[tuple[Path, str]]:
     found = []
     for file in list_pictures(folder):
         parts = file.relative_to(folder).parts[:-1]
@@ -229,14 +236,14 @@ def _lying(folder: Path) -> list[tuple[Path, str]]:
 
 
 def label_file(picture: Path, kind: str = "labels") -> Path:
-    """Return the label file of a picture, as Ultralytics finds it.
+    """Return the label file of a picture by Ultralytics' convention.
 
     Parameters
     ----------
     picture : Path
-        Below a folder `images`.
+        Picture below a folder `images`.
     kind : str
-        'labels', or 'ignored' for the outlines of regions to ignore.
+        'labels', or 'ignored' for the outlines of ignore regions.
 
     Examples
     --------
@@ -255,7 +262,7 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
     file = folder / PICTURES
     data = read_json(file) if file.is_file() else {}
     if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
-        raise DataSetError("is no object of pictures", source=file, remedy="remove it")
+        raise DataSetError("is not a JSON object of pictures", source=file, remedy="delete it")
     keys = ("scene", "source", "licence")
     return {name: {k: str(v[k]) for k in keys if v.get(k)} for name, v in data.items()}
 
@@ -267,11 +274,14 @@ def _read_labels(
         lines = file.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
         fault = DataSetError(
-            "the label file is missing", source=file, remedy="write an empty one if there is none"
+            "the label file is missing",
+            source=file,
+            remedy="create an empty file if the picture shows no fruit",
         )
         return [], [fault]
     except (OSError, ValueError) as error:
-        return [], [DataSetError(f"is no text ({error})", source=file, remedy="write it again")]
+        fault = DataSetError(f"is not a text file ({error})", source=file, remedy="export it again")
+        return [], [fault]
     labels: list[Label] = []
     refused: list[CucumberVisionError] = []
     for i, line in enumerate(lines, 1):
@@ -285,13 +295,13 @@ def _read_labels(
 
 
 def _label(line: str, found: _YoloFolder, width: int, height: int) -> Label:
-    """Read a line of a label file: 'class cx cy w h', a polygon, or a box with keypoints."""
+    """Parse a line of a label file: box, polygon, or box with keypoints."""
     numbers = line.split()
     if found.keypoints is not None:
         points, each = found.keypoints
         if len(numbers) != 5 + points * each:
             raise ValueError(
-                f"has {len(numbers)} numbers, not {5 + points * each} (box and {points} keypoints)"
+                f"has {len(numbers)} values, expected {5 + points * each} (box, {points} keypoints)"
             )
         if each == 2:
             pairs = [numbers[k : k + 2] for k in range(5, len(numbers), 2)]
@@ -323,16 +333,16 @@ TASKS = ("segment", "pose", "detect")
 
 @dataclass(frozen=True)
 class WrittenYolo:
-    """What `write_yolo` wrote.
+    """Result of `write_yolo`.
 
     Parameters
     ----------
     data_yaml : Path
-        The file that Ultralytics is given.
+        The data file for Ultralytics.
     pictures : mapping of str to int
-        Their number in each split.
+        Number of pictures in each split.
     labels : int
-        Lines in all label files.
+        Number of lines in all label files.
     """
 
     data_yaml: Path
@@ -349,40 +359,40 @@ def write_yolo(
     link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> WrittenYolo:
-    """Write a set as Ultralytics reads it: `images/SPLIT`, `labels/SPLIT`, `data.yaml`.
+    """Write a data set in YOLO format: `images/SPLIT`, `labels/SPLIT` and `data.yaml`.
 
     Parameters
     ----------
     dataset : DataSet
-        Every picture in a split.
+        Data set in which every picture has a split.
     out : Path
-        Made if it does not exist.
+        Output folder; created if missing.
     task : str
-        'segment' (one polygon a fruit, parts joined, holes filled), 'pose' (five keypoints with
-        visibility; a fruit without any has five of visibility 0) or 'detect'.
+        'segment' (one polygon per fruit, parts joined, holes filled), 'pose' (five keypoints with
+        visibility, 0 for a fruit without keypoints) or 'detect'.
     splits : sequence of str
-        Which splits to write: a test set of boxes alone has no place among masks.
+        Splits to write; omit a split without masks when writing for 'segment'.
     link : bool
-        Pictures become second names of the same files where the disk can; else copies.
+        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
     Returns
     -------
     WrittenYolo
+        The data file and counts.
 
     Raises
     ------
     DataSetError
-        If a picture is in no split, a label lacks what the task needs, a picture is missing, or
-        the folder cannot be written.
+        If a picture has no split, a label lacks a mask for 'segment', a picture is missing, or the
+        folder is not writable.
 
     Notes
     -----
-    Format: Ultralytics, "Instance Segmentation / Pose Estimation Datasets Overview". It has no
-    regions to ignore: their outlines are written to `ignored/SPLIT`, which `train` leaves out of
-    its loss.
-    `pictures.json` beside `data.yaml` keeps scene, source and licence, which the format has not.
+    Format: Ultralytics, "Instance Segmentation / Pose Estimation Datasets Overview". The format has
+    no ignore regions: their outlines are written to `ignored/SPLIT`, which `train` excludes from
+    the loss. `pictures.json` next to `data.yaml` stores scene, source and licence.
     """
     dataset = _chosen(dataset, splits)
     _require(dataset, task)
@@ -407,7 +417,7 @@ def write_yolo(
             "source": picture.source,
             "licence": picture.licence,
         }
-    # Ultralytics trusts its cache by the files' sizes, which may be equal by chance.
+    # Ultralytics validates its cache by file sizes only, which may be equal by chance.
     for cache in (out / "labels").glob("*.cache"):
         cache.unlink()
     write_text(out / PICTURES, json.dumps(origins, ensure_ascii=False, indent=0) + "\n")
@@ -418,19 +428,15 @@ def write_yolo(
 def _chosen(dataset: DataSet, splits: Sequence[str]) -> DataSet:
     unknown = [split for split in splits if split not in SPLITS]
     if unknown:
-        raise DataSetError(
-            f"no split is called {unknown[0]!r}", remedy=f"choose of {', '.join(SPLITS)}"
-        )
-    # Pictures without a split stay, to be refused.
+        raise DataSetError(f"unknown split {unknown[0]!r}", remedy=f"use {', '.join(SPLITS)}")
+    # Keep pictures without a split, so that `_require` reports them.
     chosen = {*splits, *({p.split for p in dataset.pictures} - set(SPLITS))}
     return replace(dataset, pictures=tuple(p for p in dataset.pictures if p.split in chosen))
 
 
 def _require(dataset: DataSet, task: str) -> None:
     if task not in TASKS:
-        raise DataSetError(
-            f"no task is called {task!r}", remedy=f"choose one of {', '.join(TASKS)}"
-        )
+        raise DataSetError(f"unknown task {task!r}", remedy=f"use one of {', '.join(TASKS)}")
     without = [p.file for p in dataset.pictures if p.split not in SPLITS]
     if without:
         raise DataSetError(
@@ -448,12 +454,12 @@ def _require(dataset: DataSet, task: str) -> None:
         raise DataSetError(
             f"{len(bare)} labels have a box but no mask, first in {bare[0]}",
             source=dataset.folder,
-            remedy="draw masks first (cucumbervision data pseudo) or leave that split out",
+            remedy="add masks first (cucumbervision data pseudo) or omit that split",
         )
 
 
 def _outline(label: Label, picture: LabelledPicture) -> str:
-    """Return the outline of a region: its mask's, or its box."""
+    """Return the outline of a label's mask, or of its box."""
     size = np.array([picture.width, picture.height], np.float64)
     mask = label.mask
     polygon = None if mask is None else one_polygon(mask)
@@ -464,7 +470,7 @@ def _outline(label: Label, picture: LabelledPicture) -> str:
 
 
 def _row(label: Label, picture: LabelledPicture, task: str) -> str:
-    """Return a label's line."""
+    """Return the line of a label."""
     size = np.array([picture.width, picture.height], np.float64)
     mask = label.mask if task == "segment" else None
     if mask is not None:
@@ -486,7 +492,7 @@ def _row(label: Label, picture: LabelledPicture, task: str) -> str:
 def _keypoint(point: NDArray[np.float64], size: NDArray[np.float64]) -> str:
     share = (point[:2] + 0.5) / size
     if point[2] == 0 or (share < 0).any() or (share > 1).any():
-        # Ultralytics refuses a whole picture for one point beyond its border.
+        # Ultralytics rejects the whole picture if one keypoint lies outside.
         return " 0 0 0"
     return f" {_numbers(share)} {int(point[2])}"
 
@@ -500,7 +506,7 @@ def _data_yaml(dataset: DataSet, task: str, counts: dict[str, int]) -> str:
     data["names"] = dict(enumerate(dataset.categories))
     if task == "pose":
         data["kpt_shape"] = [_KEYPOINTS, 3]
-        # Mirrored, each stays what it is: a fruit has no left and right.
+        # No keypoint is a left or right one, so mirroring keeps the order.
         data["flip_idx"] = list(range(_KEYPOINTS))
         data["kpt_names"] = {k: list(KEYPOINT_NAMES) for k in data["names"]}
     return yaml.safe_dump(data, default_flow_style=None, sort_keys=False, allow_unicode=True)

@@ -31,7 +31,7 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
     Parameters
     ----------
     data : Path
-        A YOLO folder or its data.yaml, used in place; or a folder in COCO or hub format, which is
+        A YOLO folder or its data.yaml, used in place; or a folder in COCO format, which is
         converted to YOLO format in the run's folder.
     task : str
         'seg' or 'pose'.

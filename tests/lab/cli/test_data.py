@@ -65,7 +65,7 @@ def test_from_boxes_without_yaml_to_ultralytics(photos: Path, tmp_path: Path) ->
     assert "have a box but no mask" in str(refused)
     result = call("convert", hub, tmp_path / "seg", "--to", "yolo-seg", "--splits", "train,val")
     assert result.exit_code == 0, result.output
-    assert f"give Ultralytics {tmp_path / 'seg/data.yaml'}" in result.output
+    assert f"data file for Ultralytics: {tmp_path / 'seg/data.yaml'}" in result.output
 
     result = call("merge", tmp_path / "all", hub, hub)
     assert result.exit_code == 0, result.output

@@ -94,15 +94,15 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     assert faults(findings) == [
         (
             "label",
-            "annotation 2 (images/000000.png): its box [300.0, 10.0, 20.0, 20.0] reaches "
+            "annotation 2 (images/000000.png): its box [300.0, 10.0, 20.0, 20.0] extends "
             "beyond the picture of 160x120",
         ),
-        ("label", "annotation 3 (images/000001.png): has 2 keypoint numbers, not 15"),
+        ("label", "annotation 3 (images/000001.png): has 2 keypoint values, expected 15"),
         ("picture", "the file is missing"),
-        ("picture", "is 80x60, its labels are for 160x120"),
+        ("picture", "is 80x60, but its labels are for 160x120"),
         (
             "split",
-            "a mask that a network drew is in test, where only people's or drawn truth counts",
+            "the test split contains a pseudo-label",
         ),
     ]
 
@@ -112,12 +112,12 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     [
         (Label(np.array([5.0, 5, 5, 9])), "its box has no area"),
         (Label(np.array([np.nan, 5, 9, 9])), "its box has no area"),
-        (Label(np.array([5.0, 5, 163, 9])), "reaches beyond the picture of 160x120"),
+        (Label(np.array([5.0, 5, 163, 9])), "extends beyond the picture of 160x120"),
         (Label(np.array([5.0, 5, 9, 9]), category=3), "its category 3 has no name"),
         (Label(np.array([5.0, 5, 9, 9]), mask_code=Rle(9, 9, "0")), "has a mask of 9x9"),
         (
             Label(np.array([5.0, 5, 9, 9]), keypoints=np.full((5, 3), 300.0)),
-            "a keypoint marked as visible lies outside the picture",
+            "a labelled keypoint lies outside the picture",
         ),
         (Label(np.array([5.0, 5, 9, 9]), keypoints=np.zeros((4, 3))), "not 5 x 3 finite numbers"),
     ],
@@ -168,10 +168,10 @@ def test_splits_must_be_there_and_known(make_set: MakeSet) -> None:
     only = check_dataset(make_set("train train", name="a"), duplicates=False)
     assert faults(only) == [("split", "no picture is in val")]
     odd = check_dataset(make_set("train val dev", name="b"), duplicates=False)
-    assert faults(odd) == [("split", "there is no split called 'dev'")]
+    assert faults(odd) == [("split", "unknown split 'dev'")]
     assert check_dataset(make_set("- -", name="c")) == []
 
 
 def test_what_is_no_set_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataSetError, match="no such folder"):
+    with pytest.raises(DataSetError, match="folder not found"):
         check_folder(tmp_path / "none")

@@ -194,7 +194,7 @@ def test_roboflow_export(tmp_path: Path) -> None:
     ("change", "fault"),
     [
         ({"bbox": [10, 20, 0, 10]}, "has no area"),
-        ({"bbox": [70, 20, 30, 10]}, "reaches beyond the picture of 80x60"),
+        ({"bbox": [70, 20, 30, 10]}, "extends beyond the picture of 80x60"),
         ({"bbox": [float("inf"), 20, 30, 10]}, "has no area"),
         ({"category_id": 7}, "its category 7 is not listed"),
         ({"segmentation": [[1, 2, 3, 4]]}, "fewer than three points"),
@@ -202,10 +202,10 @@ def test_roboflow_export(tmp_path: Path) -> None:
         ({"segmentation": {"size": [60, 80], "counts": [1, 2]}}, "do not fill 80x60"),
         ({"segmentation": {"size": [60, 80], "counts": [2**62] * 4 + [4800]}}, "do not fill"),
         ({"segmentation": {"size": [60, 80], "counts": "ooooooooooooooo0"}}, "more digits"),
-        ({"segmentation": {"size": [60, 80]}}, "has no 'counts'"),
+        ({"segmentation": {"size": [60, 80]}}, "key 'counts' is missing"),
         ({"bbox": [10**400, 20, 30, 10]}, "too large"),
-        ({"keypoints": [1, 2, 2]}, "has 3 keypoint numbers, not 15"),
-        ({"keypoints": [1, 2, 3] * 5}, "visibility is none of 0, 1, 2"),
+        ({"keypoints": [1, 2, 2]}, "has 3 keypoint values, expected 15"),
+        ({"keypoints": [1, 2, 3] * 5}, "visibility is not 0, 1 or 2"),
     ],
 )
 def test_a_broken_annotation_is_refused_alone(
@@ -233,7 +233,7 @@ def test_what_names_no_picture_is_refused(tmp_path: Path) -> None:
     assert dataset.pictures == ()
     assert sorted(e.message for e in dataset.refused) == [
         "annotation 1: names no picture",
-        "image 1: has no 'width'",
+        "image 1: key 'width' is missing",
         "image 5: has 1 annotations but is not listed",
     ]
     with pytest.raises(DataSetError, match="holds neither"):

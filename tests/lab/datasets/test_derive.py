@@ -60,16 +60,16 @@ def test_classes_by_number_or_name(make_set: MakeSet) -> None:
     kept = keep_classes(named, parse_keep(["2=cucumber", "zucchini=cucumber"]))
     assert kept.categories == ("cucumber",)
     assert [x.category for x in kept.pictures[0].labels] == [0, 0]
-    with pytest.raises(DataSetError, match=r"no class is called 3; there are leaf"):
+    with pytest.raises(DataSetError, match=r"unknown class 3; use one of leaf"):
         keep_classes(named, {3: "cucumber"})
-    with pytest.raises(DataSetError, match="is no class to keep"):
+    with pytest.raises(DataSetError, match="invalid class mapping"):
         parse_keep(["cucumber"])
 
 
 def test_shares_in_words() -> None:
     assert parse_shares("8:1:1") == (0.8, 0.1, 0.1)
     for text in ("70:30", "a:b:c", "0:0:0", "-1:1:1", "inf:1:1"):
-        with pytest.raises(DataSetError, match="are no shares"):
+        with pytest.raises(DataSetError, match="invalid shares"):
             parse_shares(text)
 
 
@@ -82,12 +82,12 @@ def test_conversions_name_what_they_wrote(make_set: MakeSet, tmp_path: Path) -> 
     assert line.startswith("2 train, 1 val, 0 test, 5 labels")
     assert not (tmp_path / "c/images/test").exists()
     for arguments, fault in (
-        ((tmp_path / "d", "voc"), "no form is called 'voc'"),
-        ((dataset.folder, "coco"), "is the set itself"),
+        ((tmp_path / "d", "voc"), "unknown format 'voc'"),
+        ((dataset.folder, "coco"), "is the folder of the input"),
     ):
         with pytest.raises(DataSetError, match=fault):
             convert_dataset(dataset, *arguments)
-    with pytest.raises(DataSetError, match="no split is called 'dev'"):
+    with pytest.raises(DataSetError, match="unknown split 'dev'"):
         convert_dataset(dataset, tmp_path / "d", "yolo-seg", splits=("dev",))
 
 

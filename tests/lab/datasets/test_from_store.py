@@ -26,9 +26,9 @@ from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.datasets.checks import check_folder
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.from_store import (
-    JudgedFruit,
+    ReviewCounts,
     dataset_from_store,
-    split_of_place,
+    split_of_position,
 )
 
 WIDTH, HEIGHT = 64, 48
@@ -83,7 +83,7 @@ def test_what_people_said_of_finds_becomes_labels(store: Store, tmp_path: Path) 
     store.correct(corrected, DetectionRecord(2, mask=encode_rle(drawn), flags="cut-by-frame"))
     store.add_fruit(stop, "a", DetectionRecord(1, mask=encode_rle(mask_at(50))))
     made = dataset_from_store(store, tmp_path / "set", licence="CC0-1.0")
-    assert list(made.judged.values()) == [JudgedFruit(1, 1, 1, 1, 0)]
+    assert list(made.judged.values()) == [ReviewCounts(1, 1, 1, 1, 0)]
     assert made.judged[made.dataset.pictures[0].split].corrections == 3
     (picture,) = read_coco(tmp_path / "set").pictures
     masks = [label.mask for label in picture.labels]
@@ -117,7 +117,7 @@ def test_what_nobody_judged_is_to_be_ignored_and_what_is_taken_back_is_forgotten
     store.undo(WALK)
     made = dataset_from_store(store, tmp_path / "set")
     assert [label.ignore for label in made.dataset.pictures[0].labels] == [True, True]
-    assert list(made.judged.values()) == [JudgedFruit(rejected=1, unjudged=2)]
+    assert list(made.judged.values()) == [ReviewCounts(rejected=1, unjudged=2)]
     store.undo(WALK)
     with pytest.raises(DataSetError, match="has been reviewed"):
         dataset_from_store(store, tmp_path / "other")
@@ -140,7 +140,7 @@ def test_places_keep_their_split_however_the_set_grows(store: Store, tmp_path: P
 
 
 def test_places_are_shared_out_as_asked() -> None:
-    found = [split_of_place(f"place {k}", (0.7, 0.1, 0.2)) for k in range(2000)]
+    found = [split_of_position(f"place {k}", (0.7, 0.1, 0.2)) for k in range(2000)]
     shares = [found.count(split) / 2000 for split in ("train", "val", "test")]
     # Three standard deviations of a share of 0.7 among 2,000.
     assert shares == pytest.approx([0.7, 0.1, 0.2], abs=0.031)

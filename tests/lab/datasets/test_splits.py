@@ -95,7 +95,7 @@ def test_pseudo_labels_never_come_to_test() -> None:
 
 def test_shares_and_scenes_must_make_sense() -> None:
     for shares in ((0.5, 0.5), (0.5, 0.4, 0.3), (0.0, 0.5, 0.5), (1.2, -0.1, -0.1)):
-        with pytest.raises(DataSetError, match="are no shares"):
+        with pytest.raises(DataSetError, match="invalid shares"):
             split_by_scene(made([1]), shares)
     bare = replace(made([1]), pictures=(LabelledPicture("a.png", 64, 48),))
     with pytest.raises(DataSetError, match=r"1 pictures have no scene, first a\.png"):
@@ -115,7 +115,7 @@ def test_scenes_by_name() -> None:
         "",
         "kept",
     ]
-    with pytest.raises(DataSetError, match="is no regular expression"):
+    with pytest.raises(DataSetError, match="invalid regular expression"):
         scenes_by_name(dataset, "(")
 
 

@@ -13,7 +13,7 @@ from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, L
 from cucumbervision_lab.datasets.windows import (
     Window,
     choose_windows,
-    label_in,
+    crop_label,
     shrunk_label,
     write_sheets,
     write_windows,
@@ -65,14 +65,14 @@ def test_a_picture_without_fruit_gives_one_window() -> None:
 
 
 def test_what_is_left_of_a_fruit_in_a_window() -> None:
-    whole = label_in(bar(100, 141), Window(90, 40, 64, 64))
+    whole = crop_label(bar(100, 141), Window(90, 40, 64, 64))
     assert whole is not None
     assert whole.box.tolist() == [9.5, 9.5, 50.5, 19.5]
     assert whole.keypoints is not None
     assert whole.keypoints[:, 0].tolist() == [10.0, 20.0, 30.0, 40.0, 50.0]
     assert not whole.cut_off
     assert whole.extras == {"centreline_m": 0.2}
-    half = label_in(bar(100, 141), Window(120, 40, 64, 64))
+    half = crop_label(bar(100, 141), Window(120, 40, 64, 64))
     assert half is not None
     assert half.mask is not None
     assert half.mask.sum() == 21 * 10
@@ -82,15 +82,15 @@ def test_what_is_left_of_a_fruit_in_a_window() -> None:
     assert half.cut_off
     assert not half.ignore
     assert half.extras == {}
-    sliver = label_in(bar(100, 141), Window(136, 40, 64, 64))
+    sliver = crop_label(bar(100, 141), Window(136, 40, 64, 64))
     assert sliver is not None
     assert sliver.ignore
-    assert label_in(bar(100, 141), Window(0, 0, 64, 64)) is None
+    assert crop_label(bar(100, 141), Window(0, 0, 64, 64)) is None
 
 
 def test_boxes_alone_are_cut_too() -> None:
     label = Label(np.array([99.5, 49.5, 139.5, 59.5]))
-    part = label_in(label, Window(110, 40, 64, 64))
+    part = crop_label(label, Window(110, 40, 64, 64))
     assert part is not None
     assert part.box.tolist() == [-0.5, 9.5, 29.5, 19.5]
     assert part.mask is None

@@ -107,7 +107,7 @@ def test_a_hole_is_filled(make_set: MakeSet, tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_refused(make_set: MakeSet, tmp_path: Path) -> None:
     out = tmp_path / "yolo"
-    with pytest.raises(DataSetError, match="no task is called 'obb'"):
+    with pytest.raises(DataSetError, match="unknown task 'obb'"):
         write_yolo(make_set(name="a"), out, "obb")
     with pytest.raises(DataSetError, match=r"1 pictures are in no split, first images/000001.png"):
         write_yolo(make_set("train -", name="b"), out)
@@ -203,10 +203,10 @@ def test_a_folder_without_yaml_needs_names(tmp_path: Path) -> None:
     dataset = keep_classes(both, {"zucchini": "fruit"})
     assert [(p.file, p.split) for p in dataset.pictures] == [("images/a.png", "")]
     assert dataset.categories == ("fruit",)
-    with pytest.raises(DataSetError, match="no class is called melon"):
+    with pytest.raises(DataSetError, match="unknown class melon"):
         keep_classes(both, {"melon": "fruit"})
     (tmp_path / "images/a.png").unlink()
-    with pytest.raises(DataSetError, match="holds no pictures"):
+    with pytest.raises(DataSetError, match="contains no pictures"):
         read_yolo(tmp_path, ["cucumber"])
 
 
@@ -241,8 +241,8 @@ def test_keypoint_rows_must_have_their_length(tmp_path: Path) -> None:
     file.write_text(f"{good}\n{good} 0.1\n0 0.5 0.5 0.5 0.5\n")
     dataset = read_yolo(tmp_path)
     assert [e.message for e in dataset.refused] == [
-        "line 2: has 16 numbers, not 15 (box and 5 keypoints)",
-        "line 3: has 5 numbers, not 15 (box and 5 keypoints)",
+        "line 2: has 16 values, expected 15 (box, 5 keypoints)",
+        "line 3: has 5 values, expected 15 (box, 5 keypoints)",
     ]
     keypoints = dataset.pictures[0].labels[0].keypoints
     assert keypoints is not None
@@ -266,13 +266,13 @@ def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> No
 
 def test_yaml_faults(tmp_path: Path) -> None:
     export(tmp_path, "names: [", ("train",))
-    with pytest.raises(DataSetError, match="is no YAML"):
+    with pytest.raises(DataSetError, match="is not valid YAML"):
         read_yolo(tmp_path)
     (tmp_path / "data.yaml").write_text("names: {0: a, 2: b}\ntrain: train/images")
-    with pytest.raises(DataSetError, match="do not count from 0"):
+    with pytest.raises(DataSetError, match="not consecutive from 0"):
         read_yolo(tmp_path)
     (tmp_path / "data.yaml").write_text("just text")
-    with pytest.raises(DataSetError, match="no data set's YAML"):
+    with pytest.raises(DataSetError, match="does not describe a data set"):
         read_yolo(tmp_path)
 
 

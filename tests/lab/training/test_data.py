@@ -63,8 +63,8 @@ def test_labels_beyond_the_picture_are_refused(seg_set: Path, tmp_path: Path) ->
         ("train: a\nval: b\nnames: [cucumber, leaf]\n", "seg", "has 2 classes, expected 1"),
         ("train: a\nval: b\nnames: [cucumber]\n", "pose", r"keypoints of shape None"),
         ("train: a\nval: b\nnames: [cucumber]\nkpt_shape: [17, 3]\n", "pose", r"shape \[17, 3\]"),
-        ("- 1\n", "seg", "is no data set's YAML"),
-        ("a: [", "seg", "is no YAML"),
+        ("- 1\n", "seg", "does not describe a data set"),
+        ("a: [", "seg", "is not valid YAML"),
     ],
 )
 def test_faulty_descriptions_are_named(tmp_path: Path, text: str, task: str, fault: str) -> None:

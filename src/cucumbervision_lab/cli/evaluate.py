@@ -49,9 +49,9 @@ def evaluate_models(
         summarise,
         write_detection_report,
     )
-    from cucumbervision_lab.detection.run import DetectionPlan, evaluate_detection
+    from cucumbervision_lab.detection.run import DetectionOptions, evaluate_detection
 
-    plan = DetectionPlan(
+    plan = DetectionOptions(
         data,
         seg,
         pose,

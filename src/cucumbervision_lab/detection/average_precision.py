@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.detection.pictures import FoundFruit, Frame, TrueFruit
+    from cucumbervision_lab.detection.pictures import DetectedFruit, Frame, TrueFruit
 
 OKS_SIGMA = 0.05
-"""For all five keypoints; the default for five points, 0.2, would forgive almost anything."""
+"""OKS sigma of all five keypoints; the default of 0.2 for five points is far too tolerant."""
 
-_MAX_FOUND = 100  # a picture, as COCO
-_BOX_FILL = 0.53  # mask over box, as Ultralytics takes it where there is no mask
-_TO_CORNER = np.array([0.5, 0.5, 0.0])  # COCO counts pixels from the corner
+_MAX_DETECTIONS = 100  # per picture, as in COCO
+_BOX_FILL = 0.53  # ratio of mask to box area that Ultralytics assumes without a mask
+_TO_CORNER = np.array([0.5, 0.5, 0.0])  # the origin of COCO is the picture's corner
 
 
-class Judged(StrEnum):
-    """What is compared with the truth."""
+class IouType(StrEnum):
+    """COCO's kinds of overlap."""
 
     BOXES = "bbox"
     MASKS = "segm"
@@ -38,40 +38,40 @@ class Judged(StrEnum):
 
 @dataclass(frozen=True)
 class AveragePrecision:
-    """COCO's two figures of one network's boxes, masks or keypoints.
+    """COCO average precision of one stage.
 
     Parameters
     ----------
     stage : Stage
-        Whose detections.
-    judged : Judged
-        Whether boxes, masks or keypoints.
+        Stage whose detections are evaluated.
+    iou_type : IouType
+        Boxes, masks or keypoints.
     fruit : int
-        True fruit that were to be found.
+        Number of labelled fruit.
     map50, map50_95 : float
-        At an overlap of 0.5, and the mean over 0.5, 0.55 … 0.95; NaN where there is no fruit.
+        At an overlap of 0.5, and the mean over 0.5, 0.55 … 0.95; NaN without labelled fruit.
     """
 
     stage: Stage
-    judged: Judged
+    iou_type: IouType
     fruit: int
     map50: float
     map50_95: float
 
 
 def average_precision(
-    frames: Sequence[Frame], judged: Judged, stage: Stage = Stage.SEGMENTED
+    frames: Sequence[Frame], iou_type: IouType, stage: Stage = Stage.SEGMENTED
 ) -> AveragePrecision:
-    """Compute average precision as COCO does.
+    """Compute average precision with pycocotools.
 
     Parameters
     ----------
     frames : sequence of Frame
-        At least one.
-    judged : Judged
-        What to compare with the truth.
+        Labelled pictures with detections, at least one.
+    iou_type : IouType
+        Kind of overlap.
     stage : Stage
-        Whose detections.
+        Stage whose detections are evaluated.
 
     Raises
     ------
@@ -83,40 +83,40 @@ def average_precision(
     from pycocotools.cocoeval import COCOeval
 
     known, seen = COCO(), COCO()
-    known.dataset, seen.dataset = _annotations(frames, judged, stage)
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints its progress
+    known.dataset, seen.dataset = _annotations(frames, iou_type, stage)
+    with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints its progress
         known.createIndex()
         seen.createIndex()
-        judge = COCOeval(known, seen, str(judged))
-        judge.params.maxDets = [_MAX_FOUND]
+        judge = COCOeval(known, seen, str(iou_type))
+        judge.params.maxDets = [_MAX_DETECTIONS]
         judge.params.areaRng, judge.params.areaRngLbl = [[0, 1e10]], ["all"]
-        if judged is Judged.KEYPOINTS:
+        if iou_type is IouType.KEYPOINTS:
             judge.params.kpt_oks_sigmas = np.full(5, OKS_SIGMA)
         judge.evaluate()
         judge.accumulate()
     fruit = sum(np.count_nonzero(np.asarray(e["gtIgnore"]) == 0) for e in judge.evalImgs if e)
     if not fruit:
-        return AveragePrecision(stage, judged, 0, math.nan, math.nan)
-    precision = judge.eval["precision"]  # by threshold and recall
+        return AveragePrecision(stage, iou_type, 0, math.nan, math.nan)
+    precision = judge.eval["precision"]  # axes: overlap threshold, recall, ...
     return AveragePrecision(
-        stage, judged, int(fruit), float(precision[0].mean()), float(precision.mean())
+        stage, iou_type, int(fruit), float(precision[0].mean()), float(precision.mean())
     )
 
 
 def _annotations(
-    frames: Sequence[Frame], judged: Judged, stage: Stage
+    frames: Sequence[Frame], iou_type: IouType, stage: Stage
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     images = [{"id": k + 1, "width": f.width, "height": f.height} for k, f in enumerate(frames)]
     categories = [{"id": 1, "name": "cucumber"}]
     truth: list[dict[str, Any]] = []
     found: list[dict[str, Any]] = []
     for k, frame in enumerate(frames):
-        truth += [_true_entry(one, judged, frame) | {"image_id": k + 1} for one in frame.true]
-        # A detection without a mask is judged, and hits nothing.
+        truth += [_true_entry(one, iou_type, frame) | {"image_id": k + 1} for one in frame.true]
+        # A detection without a mask counts as a false positive.
         found += [
-            _seen_entry(one, judged, frame) | {"image_id": k + 1}
-            for one in frame.seen(stage)
-            if judged is not Judged.KEYPOINTS or one.keypoints is not None
+            _seen_entry(one, iou_type, frame) | {"image_id": k + 1}
+            for one in frame.detections(stage)
+            if iou_type is not IouType.KEYPOINTS or one.keypoints is not None
         ]
     for entries in (truth, found):
         for number, entry in enumerate(entries):
@@ -125,31 +125,31 @@ def _annotations(
     return {**head, "annotations": truth}, {**head, "annotations": found}
 
 
-def _true_entry(one: TrueFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
+def _true_entry(one: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
     masks = import_pycocotools()
     box = _xywh(one.box)
     points = np.zeros((5, 3)) if one.keypoints is None else one.keypoints
-    unlabelled = judged is Judged.KEYPOINTS and not (points[:, 2] > 0).any()
-    unknown = unlabelled or (judged is Judged.MASKS and one.code is None)
+    unlabelled = iou_type is IouType.KEYPOINTS and not (points[:, 2] > 0).any()
+    unknown = unlabelled or (iou_type is IouType.MASKS and one.code is None)
     area = float(masks.area(one.code)) if one.code else _BOX_FILL * box[2] * box[3]
     entry: dict[str, Any] = {"bbox": box, "area": area, "iscrowd": int(unknown or not one.required)}
-    if judged is Judged.MASKS:
+    if iou_type is IouType.MASKS:
         filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
         entry["segmentation"] = one.code or filled
-    if judged is Judged.KEYPOINTS:
+    if iou_type is IouType.KEYPOINTS:
         points = np.zeros((5, 3)) if unlabelled else points + _TO_CORNER
         entry["keypoints"] = points.ravel().tolist()
         entry["num_keypoints"] = int(np.count_nonzero(points[:, 2] > 0))
     return entry
 
 
-def _seen_entry(one: FoundFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
+def _seen_entry(one: DetectedFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
     box = _xywh(one.box)
     entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": one.score}
-    if judged is Judged.MASKS:
+    if iou_type is IouType.MASKS:
         empty = {"size": [frame.height, frame.width], "counts": [frame.height * frame.width]}
         entry["segmentation"] = one.code or empty
-    if judged is Judged.KEYPOINTS and one.keypoints is not None:
+    if iou_type is IouType.KEYPOINTS and one.keypoints is not None:
         entry["keypoints"] = (one.keypoints + _TO_CORNER).ravel().tolist()
     return entry
 

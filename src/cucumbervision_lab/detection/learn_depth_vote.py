@@ -1,4 +1,4 @@
-"""Learn depth's vote on detections, from drawn scenes and the shipped detector."""
+"""Fit the depth vote on synthetic scenes with the packaged detector."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cucumbervision.perception.depth_vote import (
 )
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import ticked
-from cucumbervision_lab.detection.outcomes import match_frame
+from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 
 if TYPE_CHECKING:
@@ -35,26 +35,26 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
     from cucumbervision_lab.detection.pictures import Frame
 
-_ON_FRUIT = 0.3  # share of a detection on any fruit from which it is not called wrong
-_RIDGE = 0.5  # how firmly a weight is held to what is expected where few detections tell
-_EXPECTED = -2.0  # of `AGAINST`
+_AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more are not negatives
+_RIDGE = 0.5  # strength of the prior on the weights
+_PRIOR_MEAN = -2.0  # of the weights of `AGAINST`
 _FOLDS = 5
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A detection that depth can judge.
+    """A detection with depth features.
 
     Parameters
     ----------
     scene : int
-        Number of its picture.
+        Index of the picture.
     confidence : float
-        The detector's, 0 to 1.
+        Confidence of the detector, 0 to 1.
     shape : DepthShape
-        What depth shows of it.
+        Depth features.
     is_fruit : bool
-        Whether it is a fruit.
+        Whether the detection is a true positive.
     """
 
     scene: int
@@ -65,17 +65,16 @@ class Candidate:
 
 @dataclass(frozen=True)
 class DepthVoteFit:
-    """A vote that was learnt, and what it is worth.
+    """A fitted vote with its cross-validated loss.
 
     Parameters
     ----------
     vote : DepthVote
-        Learnt from all candidates.
+        Vote fitted to all candidates.
     fruit, others : int
-        Candidates that are a fruit, and those that are none.
+        Number of true and of false positives.
     log_loss, log_loss_without : float
-        Mean negative log-likelihood of candidates in scenes left out, with depth, and by the
-        detector's confidence alone.
+        Mean negative log-likelihood on held-out scenes with depth, and with confidence only.
     """
 
     vote: DepthVote
@@ -88,16 +87,16 @@ class DepthVoteFit:
 def learn_depth_vote(
     folder: Path, file: Path, report: Callable[[int], None] | None = None
 ) -> DepthVoteFit:
-    """Learn the vote from a set by `synth` with depth, and write it.
+    """Fit the depth vote on a synthetic set, and write it.
 
     Parameters
     ----------
     folder : Path
-        The set.
+        Set written by `synth` with depth.
     file : Path
-        JSON of the vote, as `read_depth_vote` reads it.
+        JSON file for `read_depth_vote`.
     report : callable, optional
-        Called with how many pictures were just finished.
+        Called with 1 after each picture.
 
     Raises
     ------
@@ -119,7 +118,7 @@ def learn_depth_vote(
 
 
 def fit_depth_vote(candidates: Sequence[Candidate]) -> DepthVoteFit:
-    """Fit the vote; every fifth scene in turn is left out to judge it."""
+    """Fit the depth vote, with five-fold cross-validation by scene."""
     features = np.array([one.shape.features(one.confidence) for one in candidates])
     right = np.array([one.is_fruit for one in candidates])
     fold = np.array([one.scene for one in candidates]) % _FOLDS
@@ -128,15 +127,15 @@ def fit_depth_vote(candidates: Sequence[Candidate]) -> DepthVoteFit:
         DepthVote(tuple(_weights(features, right).round(4).tolist()), len(right)),
         fruit=int(right.sum()),
         others=int((~right).sum()),
-        log_loss=_left_out_loss(features, right, fold),
-        log_loss_without=_left_out_loss(by_confidence, right, fold),
+        log_loss=_cross_validated_loss(features, right, fold),
+        log_loss_without=_cross_validated_loss(by_confidence, right, fold),
     )
 
 
 def _weights(features: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Fit a logistic regression with a normal prior on every weight but the constant."""
+    """Fit a logistic regression with a normal prior on all weights except the constant."""
     names = FEATURES[: features.shape[1]]
-    expected = np.array([_EXPECTED if name in AGAINST else 0.0 for name in names])
+    expected = np.array([_PRIOR_MEAN if name in AGAINST else 0.0 for name in names])
 
     def loss(weights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         scores = features @ weights
@@ -151,7 +150,7 @@ def _weights(features: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray
     return np.asarray(found.x)
 
 
-def _left_out_loss(
+def _cross_validated_loss(
     features: NDArray[np.float64], right: NDArray[np.bool_], fold: NDArray[np.intp]
 ) -> float:
     losses = []
@@ -171,7 +170,7 @@ def _candidates(
         return []
     found = detector.detect(color)
     candidates = []
-    judged = _judged(frame_of(picture, data, None), np.array([one.box for one in found]))
+    judged = _true_positives(frame_of(picture, data, None), np.array([one.box for one in found]))
     for one, is_fruit in zip(found, judged, strict=True):
         if is_fruit is None or one.detector_mask is None:
             continue
@@ -181,12 +180,13 @@ def _candidates(
     return candidates
 
 
-def _judged(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
-    """Return which boxes are a fruit; None for a second box of a fruit, or a part of one."""
+def _true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
+    """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
-    hits = {found for _, found in match_frame(frame, list(boxes))[0].pairs}
+    hits = {found for _, found in match_fruit(frame, list(boxes))[0].pairs}
     true = np.array([one.box for one in frame.true]).reshape(-1, 4)
     on_fruit = np.maximum(box_ious(boxes, true).max(axis=1, initial=0.0), share_inside(boxes, true))
     return [
-        True if k in hits else None if on_fruit[k] > _ON_FRUIT else False for k in range(len(boxes))
+        True if k in hits else None if on_fruit[k] > _AMBIGUOUS_OVERLAP else False
+        for k in range(len(boxes))
     ]

@@ -1,4 +1,4 @@
-"""Learn the intervals of lengths: on masks that are given, and on what the networks draw."""
+"""Fit the length interval models for given masks and for masks predicted by the networks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
 from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
 from cucumbervision_lab.datasets.labels import ticked
-from cucumbervision_lab.detection.outcomes import match_frame
+from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 from cucumbervision_lab.detection.run import length_records
 from cucumbervision_lab.processes import each_done
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     Report = Callable[[str, int, int], None]
 
-# On case numbers that no benchmark reaches.
+# Case numbers not used by any benchmark.
 _LEARN_FIRST = 1_000_000
 
 
@@ -41,23 +41,23 @@ def learn_intervals(
     workers: int = 1,
     report: Report | None = None,
 ) -> IntervalModels:
-    """Learn the book of intervals anew, on fruit that no benchmark measures.
+    """Fit all interval models, on fruit that no benchmark uses.
 
     Parameters
     ----------
     file : Path
-        Where the book goes.
+        Output file of the models.
     out : Path
-        Keeps the records, so that a later run resumes.
+        Folder of the measurement records, used to resume an interrupted run.
     fruit : int
-        How many fruit of the stress set's kind, with exact and with disturbed outlines, so that
-        the fit's own view of the outline's roughness tells which is which.
+        Number of stress-set fruit, measured with exact and with disturbed outlines, so that the
+        models can use the roughness of the outline.
     drawn : Path
-        A set by `synth` with depth: its fruit on their true masks and as the networks see them.
+        Set written by `synth` with depth, measured on true and on predicted masks.
     workers : int
-        Processes.
+        Number of processes.
     report : callable, optional
-        As in `run_benchmark`.
+        See `run_benchmark`.
     """
     cases = stress_cases(fruit, first=_LEARN_FIRST)
     tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
@@ -72,21 +72,21 @@ def learn_intervals(
 def set_records(
     folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
 ) -> list[LengthRecord]:
-    """Measure the fruit of a drawn set on true masks and as the shipped networks see them.
+    """Measure the fruit of a synthetic set on true masks and on masks of the packaged networks.
 
     Parameters
     ----------
     folder : Path
-        The set, with depth.
+        Set with depth.
     split : str
-        Of the set, or 'all'.
+        Split to measure, or 'all'.
     keep : Path
-        JSON lines; what is in it already is not measured again. To be deleted when the networks
-        or the methods change.
+        JSON lines file of finished records, which are not measured again. Delete it when the
+        networks or the methods change.
     workers : int
-        Processes.
+        Number of processes.
     report : callable, optional
-        As in `run_benchmark`.
+        See `run_benchmark`.
 
     Raises
     ------
@@ -123,6 +123,6 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
     if capture is None:
         return []
     frame, found = frame_of(picture, data, None), _finder().find(capture).instances
-    matches, required = match_frame(frame, [one.box for one in found])
+    matches, required = match_fruit(frame, [one.box for one in found])
     perceived = {required[true]: found[seen] for true, seen in matches.pairs}
     return length_records(frame, capture, perceived)

@@ -1,4 +1,4 @@
-"""Outcomes of every fruit and detection at one confidence, and recall and precision by group."""
+"""Match detections with labelled fruit, and compute recall and precision by group."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ import numpy as np
 
 from cucumbervision.accuracy.statistics import Estimate, share
 from cucumbervision.perception.boxes import box_iou, box_ious, share_inside
-from cucumbervision_lab.detection.pictures import Stage, code_overlap
+from cucumbervision_lab.detection.pictures import Stage, code_iou
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision_lab.detection.pictures import FoundFruit, Frame
+    from cucumbervision_lab.detection.pictures import DetectedFruit, Frame
 
 _MIN_IOU = 0.5
 
 _IN_IGNORED = 0.5
-"""A detection of which at least this share lies in regions not to be judged is not counted."""
+"""Detections with at least this share inside ignore regions are neutral."""
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Matches between the detections and the true fruit of one picture.
+    """Matches between detections and labelled fruit of one picture.
 
     Parameters
     ----------
     pairs : tuple of (int, int)
-        True fruit and the detection that hit it.
+        Indices of fruit and of their detections.
     missed : tuple of int
-        True fruit that nothing hit.
+        Fruit without a detection (false negatives).
     false : tuple of int
-        Detections that hit nothing.
+        Detections without a fruit (false positives).
     neutral : tuple of int
-        Detections that are neither right nor wrong.
+        Detections of optional fruit or in ignore regions.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -54,24 +54,24 @@ def match_boxes(
     optional: ArrayLike = (),
     ignored: ArrayLike = (),
 ) -> Matches:
-    """Match detections one to one with true boxes, best detection first, as COCO does.
+    """Match detections greedily with labelled boxes in order of confidence, as in COCO.
 
     Parameters
     ----------
     found : array_like of float, shape (N, 4)
         Detections x1, y1, x2, y2, best first.
     required : array_like of float, shape (M, 4)
-        True boxes that are to be found.
+        Boxes of fruit to be detected.
     optional : array_like of float, shape (K, 4)
-        Boxes that may be found, once each.
+        Boxes of optional fruit, which may be detected once each.
     ignored : array_like of float, shape (L, 4)
-        Regions in which nothing is judged.
+        Ignore regions.
 
     Returns
     -------
     Matches
-        A hit has an IoU of at least 0.5. A detection without a hit is neutral where at least half
-        of its area lies in ignored regions, otherwise false.
+        Matches with an IoU of at least 0.5. An unmatched detection is neutral if at least half of
+        its area lies in ignore regions, and otherwise false.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def match_boxes(
 
 
 def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> int | None:
-    """Return the free box with the largest overlap, those that are required first."""
+    """Return the unmatched box with the largest overlap, required boxes first."""
     free = np.where(taken, 0.0, overlaps)
     for part, start in ((free[:required], 0), (free[required:], required)):
         if part.size and part.max() >= _MIN_IOU:
@@ -115,29 +115,29 @@ def _boxes(values: ArrayLike) -> NDArray[np.float64]:
 
 _BLOSSOM, STEM = 0, 4
 
-_EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
+_EDGE_PX = 1.5  # a box closer to the border counts as cut off
 
 
 @dataclass(frozen=True)
 class FruitRow:
-    """Outcome of one true fruit.
+    """Outcome of one labelled fruit.
 
     Parameters
     ----------
     picture, scene : str
-        Where it is.
+        Picture and scene.
     fruit : int
-        Its number among the picture's labels, from 0.
+        Index among the picture's labels.
     long_px : float
-        Longer side of its box, pixels.
+        Longer side of the box, pixels.
     distance_m, hidden_share : float
-        Of the fruit; NaN where unknown.
+        Distance and occluded share of the fruit; NaN if unknown.
     cut_off : bool, optional
-        Whether the border cuts it.
+        Whether the fruit extends beyond the picture.
     found : bool
-        Whether a detection hit it.
+        Whether the fruit was detected.
     score, box_iou, mask_iou : float
-        Of that detection; NaN where it was missed (`mask_iou` also without masks).
+        Confidence and overlaps of its detection; NaN if missed (`mask_iou` also without masks).
     """
 
     picture: str
@@ -154,27 +154,27 @@ class FruitRow:
 
 
 @dataclass(frozen=True)
-class FoundRow:
+class DetectionRow:
     """Outcome of one detection.
 
     Parameters
     ----------
     picture, scene : str
-        Where it is.
+        Picture and scene.
     detection : int
-        Its place among the picture's detections, best first, from 0.
+        Index among the picture's detections, best first.
     score : float
-        Its confidence.
+        Confidence.
     long_px : float
-        Longer side of its box, pixels.
+        Longer side of the box, pixels.
     distance_m : float
-        Of what is in the middle of its box; NaN where unknown.
+        Distance at the centre of the box; NaN if unknown.
     cut_off : bool
-        Whether its box reaches the picture's border.
+        Whether the box touches the picture's border.
     outcome : str
         'hit', 'false' or 'neutral'.
     x1, y1, x2, y2 : float
-        Its box, pixels.
+        Box, pixels.
     """
 
     picture: str
@@ -193,25 +193,25 @@ class FoundRow:
 
 @dataclass(frozen=True)
 class EndRow:
-    """How far both ends of one fruit were set off.
+    """Errors of both ends of one fruit.
 
     Parameters
     ----------
     picture, scene : str
-        Where it is.
+        Picture and scene.
     fruit : int
-        Its number among the picture's labels, from 0.
+        Index among the picture's labels.
     length_px : float
-        Length of the line through its five true keypoints, pixels.
+        Length of the polyline through the five labelled keypoints, pixels.
     blossom_percent, stem_percent : float
-        Distance between the true and the found end, percent of that length; NaN for an end
+        Distance between labelled and predicted end, percent of that length; NaN for an end
         outside the picture.
     blossom_seen, stem_seen : bool
-        Whether the end is in sight.
+        Whether the end is visible.
     swapped : bool, optional
-        Whether the ends fit better the other way round; None where one lies outside the picture.
+        Whether the predicted ends are swapped; None if an end lies outside the picture.
     blossom_score, stem_score : float
-        The visibility that the network gives them, 0 to 1.
+        Predicted visibility, 0 to 1.
     """
 
     picture: str
@@ -227,17 +227,17 @@ class EndRow:
     stem_score: float
 
 
-def match_frame(
+def match_fruit(
     frame: Frame, boxes: Sequence[NDArray[np.float64]]
 ) -> tuple[Matches, tuple[int, ...]]:
-    """Match boxes with a frame's fruit.
+    """Match boxes with the labelled fruit of a frame.
 
     Returns
     -------
     matches : Matches
-        Its first numbers count the fruit that are to be found, its second the boxes.
+        Pairs of indices into `required` and into `boxes`.
     required : tuple of int
-        The fruit that are to be found, as places in `frame.true`.
+        Indices in `frame.true` of the fruit to be detected.
     """
     required = tuple(k for k, fruit in enumerate(frame.true) if fruit.required)
     matches = match_boxes(
@@ -249,32 +249,32 @@ def match_frame(
     return matches, required
 
 
-def matches_of(
+def match_detections(
     frame: Frame, confidence: float, stage: Stage
-) -> tuple[Matches, tuple[FoundFruit, ...], tuple[int, ...]]:
-    """Match a frame's detections above a confidence with its fruit.
+) -> tuple[Matches, tuple[DetectedFruit, ...], tuple[int, ...]]:
+    """Match the detections of a frame above a confidence threshold.
 
     Returns
     -------
     matches : Matches
-        Its first numbers count the fruit that are to be found.
-    seen : tuple of FoundFruit
-        The detections that its second numbers count.
+        Pairs of indices into `required` and into `seen`.
+    seen : tuple of DetectedFruit
+        Detections above the threshold.
     required : tuple of int
-        The fruit that are to be found, as places in `frame.true`.
+        Indices in `frame.true` of the fruit to be detected.
     """
-    seen = tuple(s for s in frame.seen(stage) if s.score > confidence)
-    matches, required = match_frame(frame, [s.box for s in seen])
+    seen = tuple(s for s in frame.detections(stage) if s.score > confidence)
+    matches, required = match_fruit(frame, [s.box for s in seen])
     return matches, seen, required
 
 
 def fruit_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
 ) -> list[FruitRow]:
-    """Return of every fruit that is to be found whether it was."""
+    """Return the outcome of every fruit to be detected."""
     rows = []
     for frame in frames:
-        matches, seen, required = matches_of(frame, confidence, stage)
+        matches, seen, required = match_detections(frame, confidence, stage)
         hit = {required[t]: seen[s] for t, s in matches.pairs}
         for k in required:
             fruit, by = frame.true[k], hit.get(k)
@@ -294,26 +294,26 @@ def fruit_rows(
     return rows
 
 
-def _overlaps(frame: Frame, number: int, by: FoundFruit) -> tuple[float, float, float]:
+def _overlaps(frame: Frame, number: int, by: DetectedFruit) -> tuple[float, float, float]:
     fruit = frame.true[number]
     masks = frame.has_masks and fruit.code is not None
-    of_masks = code_overlap(fruit.code, by.code) if masks else math.nan
+    of_masks = code_iou(fruit.code, by.code) if masks else math.nan
     return by.score, box_iou(fruit.box, by.box), of_masks
 
 
-def found_rows(
+def detection_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
-) -> list[FoundRow]:
-    """Return of every detection above a confidence what it hit."""
+) -> list[DetectionRow]:
+    """Return the outcome of every detection above a confidence threshold."""
     rows = []
     for frame in frames:
-        matches, seen, _ = matches_of(frame, confidence, stage)
+        matches, seen, _ = match_detections(frame, confidence, stage)
         said = dict.fromkeys(range(len(seen)), "hit")
         said |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
         for k, one in enumerate(seen):
             edges = [float(x) for x in one.box]
             rows.append(
-                FoundRow(
+                DetectionRow(
                     frame.name,
                     frame.scene,
                     k,
@@ -329,18 +329,18 @@ def found_rows(
 
 
 def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
-    """Compare the ends of the keypoints that a measurement gets with the true ones.
+    """Compute the errors of the ends used for measurement.
 
-    Every fruit that was found with keypoints, and whose own five have a known place, counts;
-    swapped ends are judged as they are, and ends outside the picture are not.
+    Includes every detected fruit with predicted keypoints whose five labelled keypoints have known
+    positions. Swapped ends are not corrected, and ends outside the picture are skipped.
 
     Examples
     --------
-    >>> from cucumbervision_lab.detection.pictures import Frame, FoundFruit, TrueFruit
+    >>> from cucumbervision_lab.detection.pictures import Frame, DetectedFruit, TrueFruit
     >>> true = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
     >>> seen = true[::-1] + (0, 1.0, 0)
     >>> box = np.array([10.0, 5, 110, 15])
-    >>> one = FoundFruit(box, 0.9, None, seen)
+    >>> one = DetectedFruit(box, 0.9, None, seen)
     >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), kept=(one,))
     >>> row, = end_rows([frame], 0.3)
     >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen
@@ -348,7 +348,7 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     """
     rows = []
     for frame in frames:
-        matches, seen, required = matches_of(frame, confidence, Stage.KEPT)
+        matches, seen, required = match_detections(frame, confidence, Stage.KEPT)
         for t, s in matches.pairs:
             true, points = frame.true[required[t]].keypoints, seen[s].keypoints
             if true is None or points is None or not _placed(true):
@@ -358,7 +358,7 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
 
 
 def _placed(keypoints: NDArray[np.float64]) -> bool:
-    """Return whether it is known where all five lie, in the picture or outside."""
+    """Return whether all keypoints have a known position, inside the picture or outside."""
     return bool(((keypoints[:, 2] > 0) | keypoints[:, :2].any(axis=1)).all())
 
 
@@ -406,12 +406,12 @@ class GroupScore:
     Parameters
     ----------
     factor, group : str
-        By what, and which.
+        Property for grouping, and the group.
     recall : Estimate
-        Of the fruit of this group.
+        Recall of the fruit in this group.
     precision : Estimate, optional
-        Of the detections of this group, neutral ones left out; None where detections that hit
-        nothing have no such property.
+        Precision of the detections in this group, without neutral ones; None if the property is
+        unknown for false positives.
     """
 
     factor: str
@@ -420,26 +420,26 @@ class GroupScore:
     precision: Estimate | None
 
 
-def overall(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> GroupScore:
-    """Compute recall and precision of everything."""
+def overall(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> GroupScore:
+    """Compute recall and precision of all fruit and detections."""
     return GroupScore("all", "all", _recall(fruit), _precision(found))
 
 
-def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[GroupScore]:
-    """Compute recall and precision by each factor.
+def group_scores(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> list[GroupScore]:
+    """Compute recall and precision by group.
 
     Parameters
     ----------
     fruit : sequence of FruitRow
-        For recall: by the fruit's own distance, size, hidden share and whether it is cut off.
-    found : sequence of FoundRow
-        For precision: by distance and size of the detection and whether its box reaches the
-        picture's border. The hidden share of a false detection is unknown.
+        Fruit for recall, grouped by distance, size, occluded share and `cut_off`.
+    found : sequence of DetectionRow
+        Detections for precision, grouped by distance, size and `cut_off`; the occluded share of a
+        false positive is unknown.
 
     Returns
     -------
     list of GroupScore
-        Groups without any fruit or detection are left out.
+        Scores of all groups that are not empty.
     """
     scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, found)
     scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
@@ -457,9 +457,9 @@ def _by_scale(
     field: str,
     edges: Sequence[float],
     fruit: Sequence[FruitRow],
-    found: Sequence[FoundRow] | None,
+    found: Sequence[DetectionRow] | None,
 ) -> list[GroupScore]:
-    """Compute recall and, where it is known of detections too, precision between edges."""
+    """Compute recall and, if `found` is given, precision in the intervals between `edges`."""
     scores = []
     for low, high in pairwise(edges):
         own = [r for r in fruit if low <= getattr(r, field) < high]
@@ -481,6 +481,6 @@ def _recall(rows: Sequence[FruitRow]) -> Estimate:
     return share([r.found for r in rows], [r.scene for r in rows])
 
 
-def _precision(rows: Sequence[FoundRow]) -> Estimate:
+def _precision(rows: Sequence[DetectionRow]) -> Estimate:
     judged = [r for r in rows if r.outcome != "neutral"]
     return share([r.outcome == "hit" for r in judged], [r.scene for r in judged])

@@ -1,8 +1,8 @@
-"""Labels of real photos, audited by eye: fruit to be found, and regions that are not counted.
+"""Manually audited labels of real photos: fruit to be detected, and ignore regions.
 
-The files of `audit/` hold numbers only; the photos themselves never come with the project. A photo
-is known again by its bytes, so that a folder may be laid out at will. Each file's own notes say how
-its boxes were drawn and why each scene is in its split.
+The files in `audit/` contain labels only; the photos are not distributed. Photos are identified by
+their hash, so the layout of the folder does not matter. The notes in each file describe how the
+boxes were drawn and why a scene belongs to its split.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")
+_AUDIT_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0
 _MOST = 0.5
 _OUTLINES = "labels_seg"
-_SAME = 0.9
+_SAME_IOU = 0.9
 
 Point = tuple[float, float]
 
 FIRST = "first audit"
-"""The test photos that the networks of before were judged on, whatever they show."""
+"""Name of the test with the photos of the first audit, regardless of their setting."""
 
 
 class AuditKind(StrEnum):
-    """What a box of the audit holds."""
+    """Kind of an audited box."""
 
     CUCUMBER = "cucumber"
     ZUCCHINI = "zucchini"
@@ -51,23 +51,22 @@ class AuditKind(StrEnum):
 
 @dataclass(frozen=True)
 class AuditedBox:
-    """One fruit, or one region to ignore.
+    """A fruit or an ignore region.
 
     Parameters
     ----------
     box : tuple of float
         x1, y1, x2, y2 of the edges in pixels; (0, 0) is the centre of the top-left pixel.
     kind : AuditKind
-        A whole cucumber or courgette (about 70 % of it visible at least) must be found, the
-        courgette as a cucumber; a detection in an ignored region is neither right nor wrong.
+        CUCUMBER or ZUCCHINI is a fruit of which at least about 70 % is visible. Detections in an
+        IGNORE region are neither true nor false positives.
     stem : str, optional
-        Side or corner of the box at which the stalk end lies: 'left', 'up-right', ...; None where
-        it cannot be determined.
+        Side or corner of the box with the stem end: 'left', 'up-right', ...; None if unknown.
     ends : tuple of (float, float), length 2, optional
-        Blossom end and stem end of the body without its stalk, u and v in pixels; None where they
-        were not read.
+        Blossom end and stem end of the body without its stalk, u and v in pixels; None if not
+        labelled.
     outline : tuple of ndarray of int64, each of shape (K, 2)
-        Polygons around the visible pieces, in pixels; empty where none were drawn.
+        Polygons around the visible parts, in pixels; empty if not labelled.
     """
 
     box: tuple[float, float, float, float]
@@ -85,28 +84,28 @@ class AuditedBox:
 
 @dataclass(frozen=True)
 class AuditedPhoto:
-    """One photo and what it shows.
+    """An audited photo.
 
     Parameters
     ----------
     name : str
-        The file's name when it was audited; for messages only.
+        Original file name, for messages only.
     sha1 : str
-        First twelve digits of the SHA-1 of the file's bytes, by which it is known again.
+        First twelve digits of the file's SHA-1.
     collection : str
-        The set it belongs to: 'ingredients_ccby4', 'board_cm', 'hand_indoor', ...
+        Collection of the photo: 'ingredients_ccby4', 'board_cm', 'hand_indoor', ...
     scene : str
-        What it shares with its near-duplicates.
+        Group of near-duplicates.
     setting : str
-        Where the whole fruit lies: 'trial' (the black board of a breeding trial), 'board',
-        'plate', 'hand', 'cart', 'crate', 'heap', 'plant', 'ground', 'white'; 'parts' where all
-        fruit is ignored; 'none' where there is none.
+        Background of the fruit: 'trial' (the black board of a breeding trial), 'board', 'plate',
+        'hand', 'cart', 'crate', 'heap', 'plant', 'ground', 'white'; 'parts' if all fruit are
+        ignored; 'none' without fruit.
     split : str
-        'train', 'val' or 'test'; one for a whole scene.
+        'train', 'val' or 'test', the same for a whole scene.
     width, height : int
-        In pixels.
+        Size in pixels.
     boxes : tuple of AuditedBox
-        None of them: a picture without fruit.
+        Labels; empty for a photo without fruit.
     """
 
     name: str
@@ -121,15 +120,14 @@ class AuditedPhoto:
 
     @property
     def whole(self) -> tuple[AuditedBox, ...]:
-        """The fruit that must be found."""
+        """The fruit, without ignore regions."""
         return tuple(box for box in self.boxes if box.kind is not AuditKind.IGNORE)
 
     @property
     def fully_labelled(self) -> bool:
-        """Whether no region over half of the picture is ignored.
+        """Whether no ignore region is larger than half of the picture.
 
-        Of what is not, the ignored regions must stay out of the loss: unlabelled fruit would count
-        as background.
+        Other photos are unsuitable for training, because they may contain much unlabelled fruit.
         """
         most = _MOST * self.width * self.height
         return all(b.kind is not AuditKind.IGNORE or b.area_px <= most for b in self.boxes)
@@ -142,12 +140,11 @@ class Audit:
     Parameters
     ----------
     photos : tuple of AuditedPhoto
-        Ordered by collection and name.
+        Photos ordered by collection and name.
     sources, licences : mapping of str to str
-        Of each collection.
+        Source and licence of each collection.
     tests : mapping of str to str
-        Which of the tests named in the reports a collection's photos belong to; the others are
-        'loose fruit'.
+        Name of the test by collection; the default is 'loose fruit'.
     """
 
     photos: tuple[AuditedPhoto, ...]
@@ -160,13 +157,12 @@ class Audit:
         return tuple(photo for photo in self.photos if split in ("", photo.split))
 
     def test_of(self, photo: AuditedPhoto) -> str:
-        """Return the name of the test that a photo belongs to, as the reports name it.
+        """Return the name of the test that a photo belongs to.
 
         Returns
         -------
         str
-            The collection's own test, except that fruit on the plant and photos without any fruit
-            are tests of their own.
+            'negatives' for photos without fruit, 'on the plant', or the test of the collection.
         """
         if self.tests.get(photo.collection) == FIRST:
             return FIRST
@@ -178,7 +174,7 @@ class Audit:
 
 
 def load_audit() -> Audit:
-    """Read the audit that comes with the package.
+    """Read the packaged audit.
 
     Examples
     --------
@@ -188,16 +184,16 @@ def load_audit() -> Audit:
     (86, 28)
     """
     folder = Path(__file__).parent / "audit"
-    return read_audit([folder / name for name in _FILES])
+    return read_audit([folder / name for name in _AUDIT_FILES])
 
 
 def read_audit(paths: Sequence[Path]) -> Audit:
-    """Read an audit that lies in one or more files.
+    """Read an audit from one or more files.
 
     Raises
     ------
     DataSetError
-        If one of them cannot be read, or is no audit.
+        If a file cannot be read or is not an audit.
     """
     files = [read_json(path, DataSetError) for path in paths]
     with wrap_reader_errors(" and ".join(map(str, paths)), DataSetError, "audit the photos again"):
@@ -217,32 +213,31 @@ def _audit(files: Sequence[Any]) -> Audit:
 def audited(
     folder: Path, split: str = "", audit: Audit | None = None, *, outlines: bool = False
 ) -> DataSet:
-    """Return the audited photos of a folder with their boxes.
+    """Return the audited photos of a folder as a data set.
 
     Parameters
     ----------
     folder : Path
-        Searched with all its subfolders for JPEG and PNG files.
+        Folder searched recursively for JPEG and PNG files.
     split : str
         'train', 'val', 'test', or '' for all.
     audit : Audit, optional
-        The packaged one if none is given.
+        Audit to use instead of the packaged one.
     outlines : bool
-        Whether fruit gets the publisher's polygon as its mask, where the photo comes with polygons
-        (`labels_seg` beside `images`) and one of them fits the audited box.
+        Use the publisher's polygons (`labels_seg` next to `images`) as masks if they match the
+        audited boxes.
 
     Returns
     -------
     DataSet
-        Labels of one category; whole courgettes are in it too. `Label.extras` has 'kind', 'stem'
-        and, where they are known, 'ends_px'; `LabelledPicture.extras` 'setting', 'collection',
-        'test' and 'fully_labelled'. Photos that are missing, changed or never audited are left
-        out.
+        Data set with one category that includes zucchini. `Label.extras` has 'kind', 'stem' and, if
+        known, 'ends_px'; `LabelledPicture.extras` has 'setting', 'collection', 'test' and
+        'fully_labelled'. Files that are not in the audit are skipped.
 
     Raises
     ------
     DataSetError
-        If none of them is there.
+        If the folder contains no audited photo.
     """
     known = load_audit() if audit is None else audit
     wanted = {photo.sha1: photo for photo in known.in_split(split)}
@@ -252,9 +247,9 @@ def audited(
     found = {sha1: files[sha1] for sha1 in wanted if sha1 in files}
     if not found:
         raise DataSetError(
-            "none of the audited photos is here",
+            "contains no audited photo",
             source=folder,
-            remedy="give the folder that the photos were unpacked to",
+            remedy="give the folder with the photos",
         )
     pictures = [_picture(wanted[s], path, folder, known) for s, path in found.items()]
     if outlines:
@@ -263,7 +258,7 @@ def audited(
 
 
 def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
-    """Read one photo; the file counts from the picture's corner, we from a pixel's centre."""
+    """Parse one photo; in the file, the origin is the picture's corner, not a pixel's centre."""
     boxes = (
         AuditedBox(
             tuple(v - 0.5 for v in b["box"]),
@@ -316,7 +311,7 @@ def _picture(photo: AuditedPhoto, path: Path, folder: Path, audit: Audit) -> Lab
 
 
 def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
-    """Return the box as a label; fruit at the picture's edge runs on beyond it."""
+    """Convert a box to a label; fruit at the border of the picture is cut off."""
     x1, y1, x2, y2 = box.box
     inside = min(x1, y1, photo.width - 1 - x2, photo.height - 1 - y2) + 0.5
     mask = np.zeros((photo.height, photo.width), np.uint8)
@@ -333,7 +328,7 @@ def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
 
 
 def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
-    """Pair whole fruit with the polygon whose bounds fit the audited box, each used once."""
+    """Add the best-matching polygon to each fruit as its mask, using each polygon once."""
     file = path.parent.parent / _OUTLINES / f"{path.stem}.txt"
     if path.parent.name != "images" or not file.is_file():
         return picture
@@ -346,7 +341,7 @@ def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
     labels = []
     for label in picture.labels:
         fits = [0.0 if label.ignore else box_iou(label.box, one.box) for one in shapes]
-        if fits and max(fits) >= _SAME:
+        if fits and max(fits) >= _SAME_IOU:
             label = replace(label, mask_code=shapes.pop(int(np.argmax(fits))).mask_code)
         labels.append(label)
     return replace(picture, labels=tuple(labels))

@@ -12,12 +12,12 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.outcomes import (
+    DetectionRow,
     EndRow,
-    FoundRow,
     FruitRow,
     GroupScore,
+    detection_rows,
     end_rows,
-    found_rows,
     fruit_rows,
     overall,
 )
@@ -32,32 +32,32 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.picture_result import Networks
 
-_GREY = 114  # what a letterbox pads with
+_GREY = 114  # letterbox padding
 
 Scores = tuple[tuple[str, GroupScore], ...]
 
 
 @dataclass(frozen=True)
 class PhotoResult:
-    """Figures of what the networks found on real photos.
+    """Results of the networks on real photos.
 
     Parameters
     ----------
     confidence : float
-        At which they were judged.
+        Confidence threshold.
     photos, scenes, missing : int
-        How many were judged, of how many scenes, and how many of the audit's are not there.
+        Number of evaluated photos, of their scenes, and of audited photos that are missing.
     scores : tuple of (str, GroupScore)
-        Recall and precision of all photos, and by where the fruit lies.
+        Recall and precision of all photos, and by setting.
     fruit, found : tuple
-        What they are of.
+        Rows of all fruit and of all detections.
     tests : tuple of (str, GroupScore)
-        Of the tests named apart: 'first audit', 'trial board', 'on the plant', ...
+        Recall and precision by test: 'first audit', 'trial board', 'on the plant', ...
     small : tuple of (str, GroupScore)
-        Small fruit: of all photos and of the tests, at half their size.
+        Recall and precision at half size, of all photos and by test.
     ends : tuple of EndRow
-        The ends of fruit that the pose network found and whose ends were read; in percent of the
-        straight line between them.
+        Errors of the ends of detected fruit with labelled ends, in percent of the straight line
+        between them.
     """
 
     confidence: float
@@ -66,7 +66,7 @@ class PhotoResult:
     missing: int
     scores: Scores
     fruit: tuple[FruitRow, ...]
-    found: tuple[FoundRow, ...]
+    found: tuple[DetectionRow, ...]
     tests: Scores = ()
     small: Scores = ()
     ends: tuple[EndRow, ...] = ()
@@ -79,13 +79,13 @@ class Photo:
     Parameters
     ----------
     truth : Frame
-        What is to be found, may be found, and is ignored.
+        Labels.
     path : Path
-        Where the file lies.
+        File of the photo.
     setting : str
-        Where the fruit lies: 'board', 'cart', 'plant' …
+        Background of the fruit: 'board', 'cart', 'plant' …
     test : str
-        Which of the tests named apart it belongs to.
+        Name of its test.
     """
 
     truth: Frame
@@ -100,21 +100,21 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     Parameters
     ----------
     folder : Path
-        Searched with its subfolders.
+        Folder, searched recursively.
     split : str
-        'test', whose scenes no network was trained on.
+        Split of the audit; no network was trained on 'test'.
 
     Returns
     -------
     photos : list of Photo
-        A courgette may be found, once, but need not.
+        The photos, with zucchini as optional fruit.
     missing : int
-        How many of the audit's photos are not there.
+        Number of audited photos that are missing.
 
     Raises
     ------
     DataSetError
-        If none is.
+        If the folder contains no audited photo.
     """
     data = photo_audit.audited(folder, split)
     photos = []
@@ -136,7 +136,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
 
 
 def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
-    """Return the two ends as the first and last of five keypoints, the others unlabelled."""
+    """Return five keypoints of which only the two ends are labelled."""
     if ends_px is None:
         return None
     blossom, stem = np.asarray(ends_px, np.float64)
@@ -150,16 +150,16 @@ def evaluate_photos(
     missing: int = 0,
     report: Callable[[int], None] | None = None,
 ) -> PhotoResult:
-    """Run the networks on photos and score what they found.
+    """Run the networks on photos and compute recall and precision.
 
     Parameters
     ----------
     photos : sequence of Photo
-        From `audited_photos`.
+        Photos from `audited_photos`.
     networks : Networks
-        The networks.
+        Networks to evaluate.
     missing : int
-        How many photos of the audit are not there.
+        Number of audited photos that are missing.
     report : callable, optional
         Called with 1 after each photo.
 
@@ -185,23 +185,24 @@ def evaluate_photos(
 
 
 def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np.uint8]]:
-    """Compute a photo at half its size, in the middle of a grey picture as large as before.
+    """Return a photo at half size, centred in a grey picture of the original size.
 
-    A network enlarges a small picture to its input, and would see large fruit, only blurred; amid
-    the grey the fruit stay half as large.
+    Without the padding, a network would scale the smaller picture up to its input size, so the
+    fruit would only be blurred.
 
     Parameters
     ----------
     truth : Frame
-        What is to be found.
+        Labels of the photo.
     color : ndarray of uint8, shape (H, W, 3)
-        The photo.
+        The photo, RGB.
 
     Returns
     -------
     truth : Frame
-        With the boxes where they lie now, and no keypoints.
+        Labels with transformed boxes and without keypoints.
     color : ndarray of uint8, shape (H, W, 3)
+        The padded picture.
 
     Examples
     --------
@@ -230,26 +231,26 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
 def score_photos(
     frames: Sequence[Frame], settings: Sequence[str], confidence: float, missing: int = 0
 ) -> PhotoResult:
-    """Score what was found on photos.
+    """Compute recall and precision on photos.
 
     Parameters
     ----------
     frames : sequence of Frame
-        Truth and detections.
+        Labels and detections.
     settings : sequence of str
-        Where the fruit of each lies.
+        Setting of each photo.
     confidence : float
-        At which to judge.
+        Confidence threshold.
     missing : int
-        How many photos of the audit are not there.
+        Number of audited photos that are missing.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cucumbervision_lab.detection.pictures import Frame, FoundFruit, TrueFruit
+    >>> from cucumbervision_lab.detection.pictures import Frame, DetectedFruit, TrueFruit
     >>> boxes = np.array([[0.0, 0, 50, 10], [0, 20, 50, 30], [0, 40, 50, 50]])
     >>> true = (TrueFruit(boxes[0]), TrueFruit(boxes[1], optional=True))
-    >>> seen = tuple(FoundFruit(box, 0.9) for box in boxes)
+    >>> seen = tuple(DetectedFruit(box, 0.9) for box in boxes)
     >>> found = score_photos([Frame("a.jpg", "s1", 60, 60, true, kept=seen)], ["board"], 0.3)
     >>> found.scores[0][1].recall.value, found.scores[0][1].precision.value
     (1.0, 0.5)
@@ -262,7 +263,7 @@ def score_photos(
         _by_name(frames, ["all"] * len(frames), confidence)
         + _by_name(frames, settings, confidence),
         tuple(fruit_rows(frames, confidence)),
-        tuple(found_rows(frames, confidence)),
+        tuple(detection_rows(frames, confidence)),
         ends=tuple(end_rows(frames, confidence)),
     )
 
@@ -272,6 +273,6 @@ def _by_name(frames: Sequence[Frame], names: Sequence[str], confidence: float) -
     for frame, name in zip(frames, names, strict=True):
         parts[name].append(frame)
     return tuple(
-        (name, overall(fruit_rows(some, confidence), found_rows(some, confidence)))
+        (name, overall(fruit_rows(some, confidence), detection_rows(some, confidence)))
         for name, some in parts.items()
     )

@@ -1,4 +1,4 @@
-"""The networks run on a test's pictures as `detect` and `measure` run them."""
+"""Run the networks on test pictures as `detect` and `measure` do."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_fl
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
-from cucumbervision_lab.detection.outcomes import matches_of
-from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, found_fruit_of
+from cucumbervision_lab.detection.outcomes import match_detections
+from cucumbervision_lab.detection.pictures import DetectedFruit, Frame, Stage, detected_fruit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 
 _FLOOR = 0.001
-"""Least confidence for average precision, which judges the ranking of all detections."""
+"""Confidence threshold for average precision, which needs the ranking of all detections."""
 
 MOST = 100
-"""Detections a picture that are judged, best first, as COCO does."""
+"""Maximum number of detections per picture, as in COCO."""
 
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The networks, loaded.
+    """Loaded networks.
 
     Parameters
     ----------
     segment, pose : YoloDetector, optional
-        The detectors.
+        Segmentation and pose network.
     segmenter : Segmenter, optional
         SAM.
     confidence : float
-        At which recall and precision are judged and fruit are measured.
+        Confidence threshold for recall, precision and measurement.
     models : list of dict
-        File, SHA-256 and runtime of each, for the provenance.
+        File, SHA-256 and runtime of each network, for the provenance.
     """
 
     segment: YoloDetector | None
@@ -57,16 +57,16 @@ class Networks:
 
 @dataclass(frozen=True, eq=False)
 class PictureResult:
-    """Result of the networks on one picture.
+    """Detections on one picture.
 
     Parameters
     ----------
     frame : Frame
-        Truth and detections.
+        Labels and detections.
     kept : tuple of Instance
-        What is reported at the confidence, best first, with keypoints and the detector's masks.
+        Reported instances, best first, with keypoints and the detector's masks.
     seconds : dict of str to float
-        How long each network took.
+        Run time of each network.
     """
 
     frame: Frame
@@ -84,23 +84,22 @@ def open_networks(
     ranked: bool = True,
     input_sizes: tuple[int, ...] = (),
 ) -> Networks:
-    """Load the networks.
+    """Load the networks to evaluate.
 
     Parameters
     ----------
     segment, pose : Path, optional
         ONNX files.
     segmenter : str, optional
-        A SAM of the registry.
+        Name of a SAM in the registry.
     runtime : str
-        As in `open_network`.
+        See `open_network`.
     confidence : float
-        At which detections count.
+        Confidence threshold.
     ranked : bool
-        Whether average precision is asked for, which judges also what is not reported. Masks of
-        so many detections take long.
+        Also return detections below the threshold, which average precision needs; slower.
     input_sizes : tuple of int
-        Long sides that the detectors see, as in `NetworkLoader`.
+        Long sides of the detector input, see `NetworkLoader`.
 
     Raises
     ------
@@ -127,20 +126,20 @@ def detect_picture(
     depth_m: NDArray[np.float32] | None = None,
     focal_px: float | None = None,
 ) -> PictureResult:
-    """Run the detectors on one picture.
+    """Run the networks on one picture.
 
     Parameters
     ----------
     frame : Frame
-        Its truth.
+        Labels of the picture.
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     networks : Networks
-        The networks.
+        Networks to run.
     depth_m : ndarray of float32, shape (H, W), optional
-        Tells how far away each detection is, and what lies in front of it.
+        Depth in metres, for the distance of detections and for occlusion.
     focal_px : float, optional
-        With it, depth votes (`each_fruit_once`).
+        Focal length; enables the depth vote (`each_fruit_once`).
     """
     seconds: dict[str, float] = {}
 
@@ -153,7 +152,7 @@ def detect_picture(
         return found
 
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
-    kept = shipped(
+    kept = merge_detections(
         segmented if networks.segment else None,
         posed if networks.pose else None,
         networks.confidence,
@@ -164,8 +163,8 @@ def detect_picture(
     if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
         kept = _placed(kept, networks.segmenter, color)
 
-    def coded(found: Sequence[Instance]) -> tuple[FoundFruit, ...]:
-        return tuple(found_fruit_of(one, depth_m) for one in found)
+    def coded(found: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
+        return tuple(detected_fruit(one, depth_m) for one in found)
 
     frame = replace(
         frame,
@@ -180,14 +179,14 @@ def detect_picture(
 def _placed(
     kept: tuple[Instance, ...], segmenter: Segmenter, color: NDArray[np.uint8]
 ) -> tuple[Instance, ...]:
-    """Return the keypoints that a measurement gets: on the axes of SAM's masks."""
+    """Replace keypoints by those on the axes of SAM's masks, as used for measurement."""
     drawn = place_keypoints(segmenter.segment(color, kept))
     return tuple(
         replace(one, keypoints=masked.keypoints) for one, masked in zip(kept, drawn, strict=True)
     )
 
 
-def shipped(
+def merge_detections(
     segmented: Sequence[Instance] | None,
     posed: Sequence[Instance] | None,
     confidence: float,
@@ -196,22 +195,22 @@ def shipped(
     looks: int = 1,
     focal_px: float | None = None,
 ) -> tuple[Instance, ...]:
-    """Return what a user gets of two networks' detections: each fruit once, with keypoints.
+    """Merge the detections of both networks as the product does, each fruit once with keypoints.
 
     Parameters
     ----------
     segmented : sequence of Instance, optional
-        Of the detector; without one the pose network's own are taken.
+        Detections of the segmentation network; without them, those of the pose network are used.
     posed : sequence of Instance, optional
-        Of the pose network; None without one.
+        Detections of the pose network.
     confidence : float
-        A score must exceed it.
+        Confidence threshold.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     looks : int
-        At how many sizes the detector has looked.
+        Number of input sizes at which the detector was run.
     focal_px : float, optional
-        As for `each_fruit_once`.
+        See `each_fruit_once`.
     """
     if segmented is None or posed is None:
         found = posed if segmented is None else segmented
@@ -232,6 +231,6 @@ def shipped(
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:
-    """Return what was reported of each true fruit, by its place in `Frame.true`."""
-    matches, _, required = matches_of(result.frame, confidence, Stage.KEPT)
+    """Return the reported instance of each detected fruit, by its index in `Frame.true`."""
+    matches, _, required = match_detections(result.frame, confidence, Stage.KEPT)
     return {required[t]: result.kept[s] for t, s in matches.pairs}

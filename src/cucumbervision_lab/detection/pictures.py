@@ -1,4 +1,4 @@
-"""One labelled picture: its true fruit, what the networks found in it, and how it is read."""
+"""Labelled test pictures with their detections, and reading them from a data set."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 Code = dict[str, Any]
-"""A mask as pycocotools keeps it: `size` (H, W) and compressed run lengths."""
+"""A mask in pycocotools format: `size` (H, W) and compressed run lengths."""
 
 
 def import_pycocotools() -> Any:
-    """Import pycocotools' masks.
+    """Import `pycocotools.mask`.
 
     Raises
     ------
     MissingExtraError
-        If it is not installed.
+        If pycocotools is not installed.
     """
     try:
         from pycocotools import mask
@@ -42,7 +42,7 @@ def import_pycocotools() -> Any:
 
 
 class Stage(StrEnum):
-    """Whose detections are judged."""
+    """Processing stage whose detections are evaluated."""
 
     SEGMENTED = "segmenting network"
     POSED = "pose network"
@@ -51,27 +51,27 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class TrueFruit:
-    """A fruit that is truly there, or a region that is not to be judged.
+    """A labelled fruit or ignore region.
 
     Parameters
     ----------
     box : ndarray of float64, shape (4,)
-        Edges x1, y1, x2, y2 of what shows of it, pixels.
+        Edges x1, y1, x2, y2 of the visible part, pixels.
     code : dict, optional
-        The mask of what shows, coded.
+        Encoded mask of the visible part.
     keypoints : ndarray of float64, shape (5, 3), optional
-        u, v in pixels and COCO's visibility: 2 seen, 1 hidden, 0 not labelled or outside the
-        picture (0, 0 where its place is not known).
+        u, v in pixels and COCO visibility: 2 visible, 1 hidden, 0 not labelled or outside the
+        picture (at 0, 0 if the position is unknown).
     ignore : bool
-        True for regions that are not to be judged.
+        True for ignore regions.
     optional : bool
-        True for what may be found, once, but need not be: a zucchini.
+        True for zucchini, which may be detected once but need not be.
     hidden_share : float
-        Share of its outline that something hides, 0 to 1; NaN where unknown.
+        Occluded share of the outline, 0 to 1; NaN if unknown.
     cut_off : bool, optional
-        Whether the picture's border cuts it; None where unknown.
+        Whether the fruit extends beyond the picture; None if unknown.
     distance_m : float
-        Distance of its middle along the view, metres; NaN where unknown.
+        Depth of the fruit's centre, metres; NaN if unknown.
     centreline_m, thread_m, chord_m : float, optional
         True lengths, metres.
     axis_m : ndarray of float64, shape (K, 3), optional
@@ -93,31 +93,31 @@ class TrueFruit:
 
     @property
     def required(self) -> bool:
-        """Whether it is to be found."""
+        """Whether the fruit must be detected."""
         return not (self.ignore or self.optional)
 
     @property
     def long_px(self) -> float:
-        """The longer side of its box, pixels."""
+        """Longer side of the box, pixels."""
         return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
 
 
 @dataclass(frozen=True, eq=False)
-class FoundFruit:
-    """Detection of a network.
+class DetectedFruit:
+    """A detection.
 
     Parameters
     ----------
     box : ndarray of float64, shape (4,)
-        Edges, pixels.
+        Edges x1, y1, x2, y2, pixels.
     score : float
-        Its confidence.
+        Confidence.
     code : dict, optional
-        Its mask, coded.
+        Encoded mask.
     keypoints : ndarray of float64, shape (5, 3), optional
         u, v in pixels and visibility 0 to 1.
     distance_m : float
-        Distance along the view of what is in the middle of the box; NaN where unknown.
+        Depth at the centre of the box; NaN if unknown.
     """
 
     box: NDArray[np.float64]
@@ -128,30 +128,30 @@ class FoundFruit:
 
     @property
     def long_px(self) -> float:
-        """The longer side of its box, pixels."""
+        """Longer side of the box, pixels."""
         return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of the test.
+    """Labels and detections of one picture.
 
     Parameters
     ----------
     name : str
-        Its file's name, unique within the set.
+        File name, unique within the set.
     scene : str
-        Pictures of one scene are no independent samples.
+        Scene; pictures of one scene are not independent samples.
     width, height : int
-        Its size, pixels.
+        Size, pixels.
     true : tuple of TrueFruit
-        What is there.
-    segmented, posed : tuple of FoundFruit
-        What the two networks found, best first, whatever the confidence.
-    kept : tuple of FoundFruit
-        What a user gets at the confidence that is judged: fruit found twice made one.
+        Labels.
+    segmented, posed : tuple of DetectedFruit
+        Detections of the two networks at any confidence, best first.
+    kept : tuple of DetectedFruit
+        Reported detections at the confidence threshold, without duplicates.
     has_masks : bool
-        Whether the first network draws masks at all.
+        Whether the first network predicts masks.
     """
 
     name: str
@@ -159,12 +159,12 @@ class Frame:
     width: int
     height: int
     true: tuple[TrueFruit, ...] = ()
-    segmented: tuple[FoundFruit, ...] = ()
-    posed: tuple[FoundFruit, ...] = ()
-    kept: tuple[FoundFruit, ...] = ()
+    segmented: tuple[DetectedFruit, ...] = ()
+    posed: tuple[DetectedFruit, ...] = ()
+    kept: tuple[DetectedFruit, ...] = ()
     has_masks: bool = True
 
-    def seen(self, stage: Stage) -> tuple[FoundFruit, ...]:
+    def detections(self, stage: Stage) -> tuple[DetectedFruit, ...]:
         """Return the detections of one stage."""
         return {
             Stage.SEGMENTED: self.segmented,
@@ -173,45 +173,45 @@ class Frame:
         }[stage]
 
 
-def code_mask(mask: NDArray[np.bool_]) -> Code:
-    """Code a mask of shape (H, W).
+def encode_mask(mask: NDArray[np.bool_]) -> Code:
+    """Encode a mask of shape (H, W).
 
     Examples
     --------
     >>> mask = np.zeros((4, 6), bool)
     >>> mask[1:3, 2:5] = True
-    >>> code = code_mask(mask)
-    >>> code["size"], code_overlap(code, code)
+    >>> code = encode_mask(mask)
+    >>> code["size"], code_iou(code, code)
     ([4, 6], 1.0)
     """
     code: Code = import_pycocotools().encode(np.asfortranarray(mask, np.uint8))
     return code
 
 
-def code_overlap(a: Code | None, b: Code | None) -> float:
-    """Compute the intersection over union of two coded masks; 0 where one is missing or empty."""
+def code_iou(a: Code | None, b: Code | None) -> float:
+    """Return the IoU of two encoded masks; 0 if one is missing or empty."""
     if a is None or b is None:
         return 0.0
     return float(import_pycocotools().iou([a], [b], [0])[0, 0])
 
 
-def found_fruit_of(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> FoundFruit:
-    """Return what is judged of a detection, its mask coded (a full one takes a megabyte).
+def detected_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> DetectedFruit:
+    """Convert an instance to a detection with encoded mask, which saves memory.
 
     Parameters
     ----------
     instance : Instance
-        From a network.
+        Instance predicted by a network.
     depth_m : ndarray of float32, shape (H, W), optional
-        Metres, to tell its distance by: the median reading in the middle ninth of the box.
+        Depth in metres. The distance is the median in the middle ninth of the box.
     """
     mask = instance.detector_mask
-    code = None if mask is None else code_mask(mask)
-    distance = math.nan if depth_m is None else _middle_depth(instance.box, depth_m)
-    return FoundFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
+    code = None if mask is None else encode_mask(mask)
+    distance = math.nan if depth_m is None else _centre_depth(instance.box, depth_m)
+    return DetectedFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
 
 
-def _middle_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:
+def _centre_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:
     x1, y1, x2, y2 = box
     left, right = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
     top, bottom = np.rint([(2 * y1 + y2) / 3, (y1 + 2 * y2) / 3]).astype(int)
@@ -221,23 +221,23 @@ def _middle_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> flo
 
 
 DRAWN = "synth"
-"""`LabelledPicture.source` of drawn pictures, the only ones that a report may show."""
+"""`LabelledPicture.source` of synthetic pictures."""
 
 _FRUIT, _ALSO_FRUIT = "cucumber", "zucchini"
 
-_SHOWN = 10  # offenders named in one line
+_SHOWN = 10  # files listed in an error message
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The pictures to be judged.
+    """Pictures of an evaluation.
 
     Parameters
     ----------
     data : DataSet
-        The set that they are of.
+        The data set.
     pictures : tuple of LabelledPicture
-        Those of the split.
+        Selected pictures of the data set.
     """
 
     data: DataSet
@@ -245,58 +245,57 @@ class HeldOut:
 
 
 def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -> HeldOut:
-    """Read the pictures of one split.
+    """Read the pictures of one split for evaluation.
 
     Parameters
     ----------
     folder : Path
-        A set in the hub form, or anything that `read_coco` reads.
+        Data set in COCO format.
     split : str
-        'test', or another split; 'all' takes every picture.
+        Name of the split, or 'all'.
     limit : int, optional
-        Take so many of them, evenly spread.
+        Maximum number of pictures, evenly spaced.
 
     Raises
     ------
     DataSetError
-        If the set cannot be read in full, has no picture in the split, a label in it was drawn by
-        a network, which is no truth, or a picture is missing or of another size.
+        If the set has invalid entries, the split is empty or contains pseudo-labels, or a picture
+        is missing or has the wrong size.
     """
     data = read_coco(folder)
     if data.refused:
         raise DataSetError(
-            f"{len(data.refused)} entries cannot be used, first: {data.refused[0]}",
+            f"{len(data.refused)} entries are invalid, first: {data.refused[0]}",
             source=folder,
-            remedy="correct them: a test with labels missing would blame the networks",
+            remedy="correct them: missing labels would count as false positives",
         )
     pictures = data.pictures if split == "all" else data.in_split(split)
     if not pictures:
         known = ", ".join(sorted({p.split for p in data.pictures if p.split})) or "none"
         raise DataSetError(
-            f"no picture is in the split {split!r} (there are: {known})",
+            f"the split {split!r} is empty (available: {known})",
             source=folder,
             remedy="choose another --split, or 'all'",
         )
     pseudo = [p.file for p in pictures if any(one.pseudo and not one.ignore for one in p.labels)]
     if pseudo:
         raise DataSetError(
-            f"{len(pseudo)} pictures of the split {split!r} have labels that a network drew: "
-            + _named(pseudo),
+            f"{len(pseudo)} pictures of the split {split!r} have pseudo-labels: " + _named(pseudo),
             source=folder,
-            remedy="a pseudo-label is no truth; move them to 'train'",
+            remedy="move them to 'train'",
         )
     chosen = spread(pictures, limit)
     if faults := [fault for picture in chosen if (fault := _file_fault(picture, data))]:
         raise DataSetError(
-            f"{len(faults)} pictures cannot be judged: {_named(faults)}",
+            f"{len(faults)} pictures cannot be evaluated: {_named(faults)}",
             source=folder,
-            remedy="copy the pictures that were labelled",
+            remedy="restore the labelled pictures",
         )
     return HeldOut(data, chosen)
 
 
 def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
-    """Return what is wrong with a picture's files, in a few words; empty if nothing is."""
+    """Return the fault of a picture's files, or an empty string."""
     path = data.path(picture)
     if not path.is_file():
         return f"{picture.file} is missing"
@@ -309,11 +308,11 @@ def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
     if (width, height) == (picture.width, picture.height):
         return ""
     labelled = f"{picture.width}x{picture.height}"
-    return f"{picture.file} has {width}x{height} pixels, its labels {labelled}"
+    return f"{picture.file} has {width}x{height} pixels, but its labels are for {labelled}"
 
 
 def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
-    """Return so many items, evenly spread over all.
+    """Return at most `limit` evenly spaced items.
 
     Examples
     --------
@@ -326,23 +325,23 @@ def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
 
 
 def frame_of(picture: LabelledPicture, data: DataSet, depth_m: NDArray[np.float32] | None) -> Frame:
-    """Return a picture's truth as the evaluation takes it.
+    """Return the labels of a picture for evaluation.
 
-    Cucumbers are to be found; a zucchini may be, and need not; other classes are nothing.
+    Cucumbers must be detected, zucchini are optional, and other classes are background.
 
     Parameters
     ----------
     picture : LabelledPicture
-        Of the set.
+        Labelled picture.
     data : DataSet
-        Its class names.
+        Data set with the class names.
     depth_m : ndarray of float32, shape (H, W), optional
-        For the distance of fruit whose label does not tell it.
+        Depth in metres, for the distance of fruit without the label 'distance_m'.
     """
     true = []
     for label in picture.labels:
         name = data.categories[label.category].lower()
-        # With one class it is the fruit, whatever it is called.
+        # A single class is the fruit, regardless of its name.
         fruit, optional = len(data.categories) == 1 or name == _FRUIT, name == _ALSO_FRUIT
         if fruit or optional or label.ignore:
             true.append(replace(_true_fruit(label, depth_m), optional=optional))
@@ -375,12 +374,12 @@ def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:
 
 
 def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]) -> Capture | None:
-    """Return the RGB-D frame of a picture, or None where it has no depth or no camera.
+    """Return a picture as RGB-D capture, or None without depth or camera.
 
     Raises
     ------
     CaptureError
-        If its depth picture cannot be read or has another size.
+        If the depth picture cannot be read or has the wrong size.
     """
     if picture.depth_file is None or picture.camera is None:
         return None

@@ -1,4 +1,4 @@
-"""The figures of an evaluation, as tables, and the files that hold them and every row."""
+"""Summarise an evaluation as tables, and write them with all rows to files."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from cucumbervision_lab.benchmark.records import Masks, readings_frame
 from cucumbervision_lab.detection.average_precision import (
     OKS_SIGMA,
     AveragePrecision,
-    Judged,
+    IouType,
     average_precision,
 )
 from cucumbervision_lab.detection.outcomes import (
+    DetectionRow,
     EndRow,
-    FoundRow,
     FruitRow,
     GroupScore,
+    detection_rows,
     end_rows,
-    found_rows,
     fruit_rows,
     group_scores,
     overall,
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
 
-_JUDGED = {Judged.BOXES: "boxes", Judged.MASKS: "masks", Judged.KEYPOINTS: "keypoints"}
+_IOU_TYPES = {IouType.BOXES: "boxes", IouType.MASKS: "masks", IouType.KEYPOINTS: "keypoints"}
 _FALSE_SHOWN = 60
 _NEAR_M = (0.4, 0.7)
 _LENGTH_COLUMNS = (
@@ -63,56 +63,56 @@ _LENGTH_COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """The figures of an evaluation, and the rows that they are made of.
+    """Metrics of an evaluation with their underlying rows.
 
     Parameters
     ----------
     precisions : tuple of AveragePrecision
-        Of each network and of what is reported, as far as there are such networks.
+        Average precision of the available stages.
     overall : tuple of (Stage, GroupScore)
         Recall and precision of each stage.
     groups : tuple of GroupScore
-        Recall and precision of what is reported, by each factor.
+        Recall and precision of reported detections by group.
     fruit : tuple of FruitRow
-        Every fruit that is to be found.
-    found : tuple of FoundRow
-        Every detection that is reported.
+        All fruit to be detected.
+    found : tuple of DetectionRow
+        All reported detections.
     ends : tuple of EndRow
-        The ends of every fruit that the pose network found.
+        Errors of the ends of all fruit with keypoints.
     readings : DataFrame
-        Lengths on true and on perceived masks, as `readings_frame` gives them; may be empty.
+        Lengths on true and on predicted masks from `readings_frame`; may be empty.
     """
 
     precisions: tuple[AveragePrecision, ...]
     overall: tuple[tuple[Stage, GroupScore], ...]
     groups: tuple[GroupScore, ...]
     fruit: tuple[FruitRow, ...]
-    found: tuple[FoundRow, ...]
+    found: tuple[DetectionRow, ...]
     ends: tuple[EndRow, ...]
     readings: pd.DataFrame
 
 
 def summarise(result: DetectionResult) -> Summary:
-    """Compute the figures of an evaluation.
+    """Compute the metrics of an evaluation.
 
     Parameters
     ----------
     result : DetectionResult
-        As `evaluate_detection` gives it.
+        Result of `evaluate_detection`.
     """
     frames, confidence = result.frames, result.plan.confidence
     stages = {str(model.get("task", "")) for model in result.models}
     segmented, posed = bool(stages & {"segment", "detect"}), "pose" in stages
-    asked = [(Stage.SEGMENTED, Judged.BOXES)] if segmented else []
-    asked += [(Stage.SEGMENTED, Judged.MASKS)] if "segment" in stages else []
+    asked = [(Stage.SEGMENTED, IouType.BOXES)] if segmented else []
+    asked += [(Stage.SEGMENTED, IouType.MASKS)] if "segment" in stages else []
     if posed:
-        asked += [(Stage.POSED, Judged.BOXES), (Stage.POSED, Judged.KEYPOINTS)]
-        asked += [(Stage.KEPT, Judged.KEYPOINTS)]
-    fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
+        asked += [(Stage.POSED, IouType.BOXES), (Stage.POSED, IouType.KEYPOINTS)]
+        asked += [(Stage.KEPT, IouType.KEYPOINTS)]
+    fruit, found = fruit_rows(frames, confidence), detection_rows(frames, confidence)
     return Summary(
-        tuple(average_precision(frames, judged, stage) for stage, judged in asked),
+        tuple(average_precision(frames, iou_type, stage) for stage, iou_type in asked),
         tuple(
-            (s, overall(fruit_rows(frames, confidence, s), found_rows(frames, confidence, s)))
+            (s, overall(fruit_rows(frames, confidence, s), detection_rows(frames, confidence, s)))
             for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
         ),
         tuple(group_scores(fruit, found)),
@@ -129,9 +129,9 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
     Parameters
     ----------
     summary : Summary
-        The figures.
+        Metrics of the evaluation.
     confidence : float
-        At which recall and precision were judged.
+        Confidence threshold.
     """
     comment = (
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
@@ -153,7 +153,7 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
 
 def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
     rows = [
-        (str(one.stage), _JUDGED[one.judged], one.fruit, one.map50, one.map50_95)
+        (str(one.stage), _IOU_TYPES[one.iou_type], one.fruit, one.map50, one.map50_95)
         for one in precisions
     ]
     comment = (
@@ -165,7 +165,7 @@ def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
 
 
 def _mask_table(summary: Summary) -> Table:
-    """Return how well masks agree with the true visible ones."""
+    """Return the overlap of predicted with true visible masks."""
     found = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
     kinds = {"detector": ([r.mask_iou for r in found], [r.scene for r in found])}
     if "mask_iou" in summary.readings:
@@ -183,7 +183,7 @@ def _mask_table(summary: Summary) -> Table:
 
 
 def _length_tables(readings: pd.DataFrame) -> list[Table]:
-    """Return the lengths' accuracy on true and on perceived masks, and by groups of fruit."""
+    """Return the accuracy of lengths on true and on predicted masks, overall and by group."""
     tables = []
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
         some = readings[readings["masks"] == masks]
@@ -200,14 +200,14 @@ def _length_tables(readings: pd.DataFrame) -> list[Table]:
 
 
 def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
-    """Return how far the ends are off, and how often they are swapped.
+    """Return the errors of the ends, and the share of swapped ends.
 
     Parameters
     ----------
     rows : sequence of EndRow
-        One a fruit.
+        One row per fruit.
     title : str
-        The table's.
+        Title of the table.
     """
     frame = pd.DataFrame(rows, columns=[one.name for one in fields(EndRow)])
     turned = frame[frame["swapped"].notna()]
@@ -238,7 +238,7 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
         "Distance between the true and the found end, in percent of the line through the fruit's "
         "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
         f"{value} of {swapped.count} fruit (95 % by scene: {_span(swapped, 2, 100)}); swapped ends "
-        "are judged as they are."
+        "are iou_type as they are."
     )
     heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
     heads += ["90th percentile (% of length)", "95 % by scene"]
@@ -286,7 +286,7 @@ def pose_table(readings: pd.DataFrame) -> Table:
 
 
 def photo_tables(photos: PhotoResult) -> list[Table]:
-    """Return what was found on real photos: shares, ends where they were read, and false finds."""
+    """Return recall, precision, errors of ends and false positives on real photos."""
     (_, whole), *settings = photos.scores
     named = [("all", whole)]
     named += [(f"test: {name}", one) for name, one in photos.tests]
@@ -305,7 +305,7 @@ def photo_tables(photos: PhotoResult) -> list[Table]:
 
 
 def _false_table(photos: PhotoResult) -> Table:
-    """Return false detections on real photos by file and box, the most confident first."""
+    """Return the false positives on real photos, most confident first."""
     false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
     rows = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
@@ -329,7 +329,7 @@ def _spanned(one: Estimate, decimals: int = 3) -> tuple[float, str]:
 def _share_table(
     title: str, first: str, named: Sequence[tuple[str, GroupScore]], comment: str = ""
 ) -> Table:
-    """Return recall and precision by name."""
+    """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
     heads += ["scenes with some", "precision:.3", "95 % of it by scene"]
     rows = [(name, *_share_cells(one.recall), *_share_cells(one.precision)) for name, one in named]
@@ -343,18 +343,18 @@ def _share_cells(one: Estimate | None) -> tuple[Cell, ...]:
 def write_detection_report(
     result: DetectionResult, summary: Summary, tables: Sequence[Table], out: Path
 ) -> Path:
-    """Write `results.json` (all tables) and a CSV file each of fruit, detections, ends and lengths.
+    """Write `results.json` with all tables, and CSV files of fruit, detections, ends and lengths.
 
     Parameters
     ----------
     result : DetectionResult
-        As `evaluate_detection` gives it.
+        Result of `evaluate_detection`.
     summary : Summary
-        Its figures.
+        Metrics of the evaluation.
     tables : sequence of Table
-        Of them, by `detection_tables`.
+        Tables from `detection_tables`.
     out : Path
-        The folder, made if it is missing.
+        Output folder; created if missing.
 
     Returns
     -------
@@ -364,46 +364,46 @@ def write_detection_report(
     Raises
     ------
     CucumberVisionError
-        If it cannot be written.
+        If a file cannot be written.
     """
     with _made(out):
         values = _provenance(result) | {"tables": [table.as_json() for table in tables]}
         write_json(out / "results.json", values)
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
-        _write_rows(out / "detections.csv", summary.found, FoundRow)
+        _write_rows(out / "detections.csv", summary.found, DetectionRow)
         _write_rows(out / "ends.csv", summary.ends, EndRow)
         _write_csv(out / "lengths.csv", summary.readings.reindex(columns=_LENGTH_COLUMNS))
     return out / "results.json"
 
 
 def write_photo_report(photos: PhotoResult, tables: Sequence[Table], out: Path) -> Path:
-    """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`: figures, names and boxes.
+    """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`.
 
     Parameters
     ----------
     photos : PhotoResult
-        As `evaluate_photos` gives it.
+        Result of `evaluate_photos`.
     tables : sequence of Table
-        Of it, by `photo_tables`.
+        Tables from `photo_tables`.
     out : Path
-        The folder, made if it is missing.
+        Output folder; created if missing.
 
     Raises
     ------
     CucumberVisionError
-        If it cannot be written.
+        If a file cannot be written.
     """
     with _made(out):
         values = {"confidence": photos.confidence, "tables": [one.as_json() for one in tables]}
         write_json(out / "photos.json", values)
         _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
-        _write_rows(out / "photo_detections.csv", photos.found, FoundRow)
+        _write_rows(out / "photo_detections.csv", photos.found, DetectionRow)
     return out / "photos.json"
 
 
 @contextmanager
 def _made(out: Path) -> Iterator[None]:
-    """Make a folder to write into; name in one line what cannot be written."""
+    """Create an output folder, and convert write errors in the block to CucumberVisionError."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         yield
@@ -435,12 +435,12 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
 
 
 def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
-    """Write dataclasses as CSV, one a line."""
+    """Write dataclasses as CSV."""
     names = [one.name for one in fields(kind)]
     _write_csv(path, pd.DataFrame([asdict(row) for row in rows], columns=names))
 
 
 def _write_csv(path: Path, frame: pd.DataFrame) -> None:
-    """Write a frame as CSV; unknown values stay empty, and no text becomes a formula."""
+    """Write a frame as CSV with empty missing values, and escape text that looks like a formula."""
     texts = frame.map(lambda cell: defused(cell) if isinstance(cell, str) else cell)
     texts.round(6).to_csv(path, index=False, lineterminator="\r\n")

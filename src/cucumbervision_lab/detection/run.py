@@ -1,4 +1,4 @@
-"""The whole evaluation: its options, its result, picture by picture in between."""
+"""Evaluate the networks on a labelled set or on real photos."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class DetectionPlan:
+class DetectionOptions:
     """Options of an evaluation.
 
     Parameters
@@ -57,21 +57,21 @@ class DetectionPlan:
     data : Path
         The labelled set.
     segment, pose : Path, optional
-        Networks, ONNX; those of the registry without.
+        ONNX files; by default the networks of the registry.
     segmenter : str, optional
-        SAM's name in the registry; None measures on the detector's own masks.
+        Name of a SAM in the registry; None measures on the detector's masks.
     runtime : str
-        As in `open_network`.
+        See `open_network`.
     confidence : float
-        At which recall and precision are judged.
+        Confidence threshold for recall and precision.
     split : str
-        Of the set.
+        Split of the set.
     limit : int, optional
-        Pictures at most, evenly spread.
+        Maximum number of pictures, evenly spaced.
     sam_limit : int
-        Pictures at most for SAM and for lengths, evenly spread.
+        Maximum number of pictures for SAM and for lengths, evenly spaced.
     input_sizes : tuple of int
-        Long sides that the detectors see, pixels; empty for their own.
+        Long sides of the detector input, pixels; empty for the network's default.
     """
 
     data: Path
@@ -92,23 +92,23 @@ class DetectionResult:
 
     Parameters
     ----------
-    plan : DetectionPlan
-        Its options.
+    plan : DetectionOptions
+        Options of the evaluation.
     held_out : HeldOut
-        The pictures.
+        Evaluated pictures.
     frames : tuple of Frame
-        Their truth and what was found, in the same order.
+        Labels and detections, in the same order.
     records : tuple of LengthRecord
-        Lengths on true and on perceived masks.
+        Lengths on true and on predicted masks.
     models : list of dict
         File, SHA-256 and runtime of each network.
     seconds : dict of str to list of float
-        What each network took for each picture.
+        Run time of each network for each picture.
     duration_s : float
-        Of the whole.
+        Total duration.
     """
 
-    plan: DetectionPlan
+    plan: DetectionOptions
     held_out: HeldOut
     frames: tuple[Frame, ...]
     records: tuple[LengthRecord, ...] = ()
@@ -118,12 +118,12 @@ class DetectionResult:
 
 
 def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | None, Path | None]:
-    """Return the segmenting and the pose network: those that were named, else the registry's.
+    """Return the given networks, or the defaults of the registry.
 
     Raises
     ------
     ModelError
-        If there is none of either.
+        If there is neither a segmentation nor a pose network.
     """
     registry = load_registry()
 
@@ -135,28 +135,27 @@ def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | Non
 
     segment, pose = choose(segment, "segment"), choose(pose, "pose")
     if segment is None and pose is None:
-        raise ModelError(
-            "this version comes without networks of its own", remedy="name one: --seg, --pose"
-        )
+        raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
     return segment, pose
 
 
 def evaluate_detection(
-    plan: DetectionPlan, report: Callable[[str, int, int], None] | None = None
+    plan: DetectionOptions, report: Callable[[str, int, int], None] | None = None
 ) -> DetectionResult:
     """Run the networks on every picture of the split.
 
     Parameters
     ----------
-    plan : DetectionPlan
-        What to do.
+    plan : DetectionOptions
+        Options of the evaluation.
     report : callable, optional
-        Called with a part's name, how many pictures were just finished and how many it has.
+        Called after each picture with the name of the step, the number of finished pictures since
+        the last call, and their total.
 
     Raises
     ------
     DataSetError
-        If the set cannot serve as a test.
+        If the set is not suitable as a test.
     ModelError
         If a network is missing or cannot be loaded.
     MissingExtraError
@@ -216,29 +215,30 @@ def evaluate_real_photos(
     input_sizes: tuple[int, ...] = (),
     report: Callable[[str, int, int], None] | None = None,
 ) -> PhotoResult:
-    """Run the networks on the audited photos in a folder, at full and at half size.
+    """Evaluate the networks on the audited photos of a folder, at full and at half size.
 
     Parameters
     ----------
     folder : Path
-        Searched with its subfolders.
+        Folder, searched recursively.
     segment, pose : Path, optional
-        Networks, ONNX; those of the registry without.
+        ONNX files; by default the networks of the registry.
     runtime : str
-        As in `open_network`.
+        See `open_network`.
     confidence : float
-        At which recall and precision are judged.
+        Confidence threshold for recall and precision.
     split : str
-        Of the audit: 'test', 'val' or 'train'.
+        Split of the audit: 'test', 'val' or 'train'.
     input_sizes : tuple of int
-        Long sides that the detectors see, pixels; empty for their own.
+        Long sides of the detector input, pixels; empty for the network's default.
     report : callable, optional
-        Called with 'photos', how many were just finished and how many there are.
+        Called after each photo with 'photos', the number of finished photos since the last call,
+        and their total.
 
     Raises
     ------
     DataSetError
-        If none of the photos is there.
+        If the folder contains no audited photo.
     ModelError
         If a network is missing or cannot be loaded.
     """
@@ -261,22 +261,22 @@ _READ = (*Method, "M6 thread", "M6 chord", "selector best", "selector paper")
 def length_records(
     frame: Frame, capture: Capture, perceived: Mapping[int, Instance]
 ) -> list[LengthRecord]:
-    """Measure a picture's fruit on their true masks and on perceived ones.
+    """Measure the fruit of a picture on true and on predicted masks.
 
     Parameters
     ----------
     frame : Frame
-        Its truth.
+        Labels of the picture.
     capture : Capture
-        Its colour and depth.
+        Colour and depth of the picture.
     perceived : mapping of int to Instance
-        What was found of each fruit, by its place in `frame.true`, with SAM's mask and keypoints.
+        Detected instances with masks and keypoints, by index in `frame.true`.
 
     Returns
     -------
     list of LengthRecord
-        Two for each fruit that is to be found and whose lengths are known. A fruit that was
-        missed has a perceived record without any length.
+        Two records for each fruit to be detected with known lengths. The predicted record of a
+        missed fruit has no lengths.
     """
     records = []
     for number, fruit in enumerate(frame.true):

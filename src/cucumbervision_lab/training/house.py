@@ -20,7 +20,7 @@ from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.in_use import JUDGEMENT
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
-from cucumbervision_lab.detection.outcomes import GroupScore, found_rows, fruit_rows, overall
+from cucumbervision_lab.detection.outcomes import GroupScore, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import detect_picture, open_networks
 from cucumbervision_lab.detection.pictures import frame_of, spread
@@ -355,7 +355,7 @@ def evaluate_detector(
             detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
             for one in pictures
         ]
-        score = overall(fruit_rows(frames, threshold), found_rows(frames, threshold))
+        score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
         found.append(DetectorScore.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(tuple(audited_photos(photos)[0]), most), networks)

@@ -14,7 +14,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.yolo import write_yolo
-from cucumbervision_lab.detection.average_precision import Judged, average_precision
+from cucumbervision_lab.detection.average_precision import IouType, average_precision
 from cucumbervision_lab.detection.photos import Photo, audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import Networks, detect_picture, open_networks
 from cucumbervision_lab.detection.pictures import Stage, frame_of, read_held_out
@@ -292,8 +292,8 @@ class Curve:
             )
         seg = self.task == "seg"
         stage = Stage.SEGMENTED if seg else Stage.POSED
-        boxes = average_precision(frames, Judged.BOXES, stage)
-        other = average_precision(frames, Judged.MASKS if seg else Judged.KEYPOINTS, stage)
+        boxes = average_precision(frames, IouType.BOXES, stage)
+        other = average_precision(frames, IouType.MASKS if seg else IouType.KEYPOINTS, stage)
         return {
             "drawn_map50": boxes.map50,
             "drawn_map50_95": boxes.map50_95,

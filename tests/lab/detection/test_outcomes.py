@@ -15,19 +15,19 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.perception.instances import Instance
 from cucumbervision_lab.detection.outcomes import (
+    detection_rows,
     end_rows,
-    found_rows,
     fruit_rows,
     group_scores,
     overall,
 )
 from cucumbervision_lab.detection.pictures import (
-    FoundFruit,
+    DetectedFruit,
     Frame,
     Stage,
     TrueFruit,
-    code_mask,
-    found_fruit_of,
+    detected_fruit,
+    encode_mask,
 )
 
 BOX = np.array([99.5, 99.5, 199.5, 119.5])
@@ -37,9 +37,9 @@ LINE = np.column_stack([np.linspace(100, 200, 5), np.full(5, 110.0), np.full(5, 
 
 def frame(
     true: list[TrueFruit],
-    found: list[FoundFruit],
+    found: list[DetectedFruit],
     name: str = "a",
-    posed: tuple[FoundFruit, ...] = (),
+    posed: tuple[DetectedFruit, ...] = (),
 ) -> Frame:
     return Frame(name, name, 640, 480, tuple(true), (), posed, tuple(found))
 
@@ -52,9 +52,9 @@ def mask(left: int, right: int) -> NDArray[np.bool_]:
 
 def test_what_becomes_of_a_fruit() -> None:
     true = TrueFruit(
-        BOX, code_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
+        BOX, encode_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
     )
-    seen = FoundFruit(BOX + np.array([20, 0, 20, 0]), 0.8, code_mask(mask(150, 200)))
+    seen = DetectedFruit(BOX + np.array([20, 0, 20, 0]), 0.8, encode_mask(mask(150, 200)))
     hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [seen])], 0.3)
     # 80 of 120 pixels of the boxes' length are common, and half of the mask.
     assert (hit.found, hit.score) == (True, 0.8)
@@ -66,17 +66,21 @@ def test_what_becomes_of_a_fruit() -> None:
 
 
 def test_below_the_confidence_nothing_is_found() -> None:
-    pictures = [frame([TrueFruit(BOX)], [FoundFruit(BOX, 0.3)])]
+    pictures = [frame([TrueFruit(BOX)], [DetectedFruit(BOX, 0.3)])]
     assert not fruit_rows(pictures, 0.3)[0].found
-    assert found_rows(pictures, 0.3) == []
+    assert detection_rows(pictures, 0.3) == []
     assert fruit_rows(pictures, 0.29)[0].found
 
 
 def test_what_becomes_of_a_detection() -> None:
     at_edge = np.array([-0.5, 300, 80, 340])
     true = [TrueFruit(BOX), TrueFruit(AWAY, ignore=True)]
-    found = [FoundFruit(BOX, 0.9, distance_m=0.5), FoundFruit(AWAY, 0.8), FoundFruit(at_edge, 0.7)]
-    rows = found_rows([frame(true, found)], 0.3)
+    found = [
+        DetectedFruit(BOX, 0.9, distance_m=0.5),
+        DetectedFruit(AWAY, 0.8),
+        DetectedFruit(at_edge, 0.7),
+    ]
+    rows = detection_rows([frame(true, found)], 0.3)
     assert [row.outcome for row in rows] == ["hit", "neutral", "false"]
     assert [row.cut_off for row in rows] == [False, False, True]
     assert rows[0].distance_m == 0.5
@@ -84,7 +88,7 @@ def test_what_becomes_of_a_detection() -> None:
 
 
 def test_stages_are_judged_apart() -> None:
-    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (FoundFruit(BOX, 0.9),), ())
+    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (DetectedFruit(BOX, 0.9),), ())
     assert fruit_rows([picture], 0.3, Stage.POSED)[0].found
     assert not fruit_rows([picture], 0.3, Stage.KEPT)[0].found
 
@@ -93,13 +97,13 @@ def test_distance_is_read_in_the_middle_of_the_box() -> None:
     depth = np.full((480, 640), 2.0, np.float32)
     depth[100:120, 133:167] = 0.7
     depth[110, 150] = 0.0
-    assert found_fruit_of(Instance(BOX), depth).distance_m == pytest.approx(0.7)
-    assert math.isnan(found_fruit_of(Instance(BOX)).distance_m)
-    assert math.isnan(found_fruit_of(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
+    assert detected_fruit(Instance(BOX), depth).distance_m == pytest.approx(0.7)
+    assert math.isnan(detected_fruit(Instance(BOX)).distance_m)
+    assert math.isnan(detected_fruit(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
 
 
-def posed(points: NDArray[np.float64]) -> list[FoundFruit]:
-    return [FoundFruit(BOX, 0.9, None, points)]
+def posed(points: NDArray[np.float64]) -> list[DetectedFruit]:
+    return [DetectedFruit(BOX, 0.9, None, points)]
 
 
 def test_ends_are_judged_in_percent_of_the_line() -> None:
@@ -145,12 +149,12 @@ def test_recall_and_precision_by_group() -> None:
     for k in range(10):
         near = TrueFruit(BOX, hidden_share=0.0, cut_off=False, distance_m=0.4)
         far = TrueFruit(AWAY, hidden_share=0.4, cut_off=True, distance_m=1.0)
-        found = [FoundFruit(BOX, 0.9, distance_m=0.4)]
+        found = [DetectedFruit(BOX, 0.9, distance_m=0.4)]
         # Every second far fruit is found; in every fifth picture a far leaf is taken for one.
-        found += [FoundFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
-        stray = FoundFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
+        found += [DetectedFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
+        stray = DetectedFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
         pictures.append(frame([near, far], found + ([stray] if k % 5 == 0 else []), f"{k}"))
-    fruit, found_too = fruit_rows(pictures, 0.3), found_rows(pictures, 0.3)
+    fruit, found_too = fruit_rows(pictures, 0.3), detection_rows(pictures, 0.3)
     whole = overall(fruit, found_too)
     assert (whole.recall.value, whole.recall.count) == (0.75, 20)
     assert whole.precision is not None

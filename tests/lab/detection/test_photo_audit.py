@@ -228,7 +228,7 @@ def test_missing_changed_and_unknown_files_are_left_out(tmp_path: Path) -> None:
 
 def test_a_folder_without_any_of_them_is_refused(tmp_path: Path) -> None:
     write_picture(tmp_path / "a.png", 10)
-    with pytest.raises(DataSetError, match="none of the audited photos is here"):
+    with pytest.raises(DataSetError, match="contains no audited photo"):
         audited(tmp_path)
 
 

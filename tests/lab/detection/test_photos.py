@@ -21,7 +21,7 @@ from cucumbervision_lab.detection.photos import (
     score_photos,
 )
 from cucumbervision_lab.detection.picture_result import Networks
-from cucumbervision_lab.detection.pictures import FoundFruit, Frame, TrueFruit
+from cucumbervision_lab.detection.pictures import DetectedFruit, Frame, TrueFruit
 from cucumbervision_lab.detection.report import photo_tables
 
 ENDS = ("blossom end", "stem end")
@@ -29,7 +29,7 @@ SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
 
 
 def photo(name: str, scene: str, true: list[TrueFruit], *found: int) -> Frame:
-    seen = tuple(FoundFruit(SPOTS[k], 0.9 - 0.1 * k) for k in found)
+    seen = tuple(DetectedFruit(SPOTS[k], 0.9 - 0.1 * k) for k in found)
     return Frame(name, scene, 300, 300, tuple(true), kept=seen)
 
 
@@ -113,7 +113,7 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
     true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
-    seen = FoundFruit(SPOTS[0], 0.9, keypoints=points)
+    seen = DetectedFruit(SPOTS[0], 0.9, keypoints=points)
     frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(seen,), kept=(seen,))
     found = score_photos([frame], ["trial"], 0.25)
     (row,) = found.ends

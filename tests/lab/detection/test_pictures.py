@@ -33,7 +33,7 @@ def test_pseudo_labels_are_no_test(tmp_path: Path) -> None:
     drawn = Label(BOX, pseudo=True)
     pictures = [picture("a", Label(BOX)), picture("b", drawn), picture("c", drawn, split="train")]
     folder = write_set(tmp_path, pictures)
-    with pytest.raises(DataSetError, match=r"1 pictures.*images/b\.png; a pseudo-label is no"):
+    with pytest.raises(DataSetError, match=r"1 pictures.*images/b\.png; move them to 'train'"):
         read_held_out(folder)
 
 
@@ -48,7 +48,7 @@ def test_pseudo_labels_may_stand_where_nothing_is_judged(tmp_path: Path) -> None
 
 def test_a_split_without_pictures_is_refused(tmp_path: Path) -> None:
     folder = write_set(tmp_path, [picture("a", split="train"), picture("b", split="val")])
-    with pytest.raises(DataSetError, match=r"split 'test' \(there are: train, val\)"):
+    with pytest.raises(DataSetError, match=r"split 'test' is empty \(available: train, val\)"):
         read_held_out(folder)
     assert len(read_held_out(folder, "all").pictures) == 2
 
@@ -57,7 +57,7 @@ def test_a_set_that_cannot_be_read_in_full_is_refused(tmp_path: Path) -> None:
     folder = write_set(tmp_path, [picture("a", Label(BOX))])
     text = (folder / "annotations.json").read_text().replace('"category_id": 1', '"category_id": 9')
     (folder / "annotations.json").write_text(text)
-    with pytest.raises(DataSetError, match="1 entries cannot be used, first"):
+    with pytest.raises(DataSetError, match="1 entries are invalid, first"):
         read_held_out(folder)
 
 

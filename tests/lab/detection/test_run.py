@@ -34,13 +34,17 @@ from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
-from cucumbervision_lab.detection.average_precision import Judged
+from cucumbervision_lab.detection.average_precision import IouType
 from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, AuditKind
-from cucumbervision_lab.detection.picture_result import detect_picture, open_networks, shipped
+from cucumbervision_lab.detection.picture_result import (
+    detect_picture,
+    merge_detections,
+    open_networks,
+)
 from cucumbervision_lab.detection.pictures import Frame, Stage
 from cucumbervision_lab.detection.report import detection_tables, summarise
 from cucumbervision_lab.detection.run import (
-    DetectionPlan,
+    DetectionOptions,
     DetectionResult,
     chosen_networks,
     evaluate_detection,
@@ -170,7 +174,7 @@ def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
     segment, pose = networks
     # SAM on one picture only: it takes most of the time.
     return evaluate_detection(
-        DetectionPlan(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
+        DetectionOptions(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
     )
 
 
@@ -180,16 +184,16 @@ def test_average_precision_and_recall(result: DetectionResult) -> None:
     assert len(found) == 5
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101
-    for key in ((Stage.SEGMENTED, Judged.BOXES), (Stage.POSED, Judged.BOXES)):
+    for key in ((Stage.SEGMENTED, IouType.BOXES), (Stage.POSED, IouType.BOXES)):
         assert found[key].map50 == pytest.approx(expected)
         assert found[key].map50_95 == pytest.approx(expected, abs=1e-6)
-    masks = found[Stage.SEGMENTED, Judged.MASKS]
+    masks = found[Stage.SEGMENTED, IouType.MASKS]
     assert masks.map50 == pytest.approx(expected)
     # All five are 3 px off: OKS = exp(-9 / (2 area 0.1²)).
     area = _area(result)
     similarity = math.exp(-9 / (2 * area * 0.1**2))
     passed = sum(similarity >= t for t in np.arange(0.5, 0.96, 0.05).round(2))
-    keypoints = found[Stage.POSED, Judged.KEYPOINTS]
+    keypoints = found[Stage.POSED, IouType.KEYPOINTS]
     assert keypoints.map50_95 == pytest.approx(expected * passed / 10)
     assert 5 <= passed <= 9
     for _, one in summary.overall:
@@ -241,7 +245,7 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
 
 def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
-    plan = DetectionPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
+    plan = DetectionOptions(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
     result = evaluate_detection(plan)
     assert summarise(result).overall[0][1].recall.value == 0.0
     rows = tables_of(result)["Accuracy against the thread, perceived masks"].values()
@@ -333,7 +337,7 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     pieces = [Instance(box_of_mask(m), 0.8, detector_mask=m) for m in (left, right, left)]
     pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)] * with_pose
     black = np.zeros((40, 120, 3), np.uint8)
-    ours = shipped(pieces, pose if with_pose else None, 0.3)
+    ours = merge_detections(pieces, pose if with_pose else None, 0.3)
     loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
     theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(black)
     # Without depth the pieces stay two.
@@ -349,9 +353,9 @@ def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
     loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
     black = np.zeros((40, 120, 3), np.uint8)
     assert Detectors(loaded[0], loaded[1]).find(black) == ()
-    assert shipped([], pose, 0.3) == ()
+    assert merge_detections([], pose, 0.3) == ()
     # Without a detector the pose network stands in.
-    assert len(shipped(None, pose, 0.3)) == 1
+    assert len(merge_detections(None, pose, 0.3)) == 1
 
 
 def test_what_is_judged_is_what_ships() -> None:

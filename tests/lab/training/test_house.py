@@ -14,7 +14,7 @@ from cucumbervision.perception.in_use import use_network
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.detection.outcomes import found_rows, fruit_rows, overall
+from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.training.house import (
     DetectorScore,
@@ -104,7 +104,7 @@ def test_better_is_better_on_the_house_and_not_worse_elsewhere(
 
 def test_a_network_that_finds_nothing_is_no_better() -> None:
     frames = [Frame("a.jpg", "s", 60, 60, (TrueFruit(np.array([0.0, 0, 50, 10])),))]
-    blind = DetectorScore.of("house", overall(fruit_rows(frames, 0.3), found_rows(frames, 0.3)))
+    blind = DetectorScore.of("house", overall(fruit_rows(frames, 0.3), detection_rows(frames, 0.3)))
     assert blind == DetectorScore("house", 0.0, 0.0, 1, 0)
     assert verdict([HOUSE, DRAWN], [blind, DRAWN])[0] is False
     assert verdict([HOUSE, DRAWN], [HOUSE, blind])[0] is False

@@ -343,7 +343,7 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
         beyond_m = float(np.linalg.norm(pose.cut_m - pose.stem_m))
         off = pose.cut_m - (stem + beyond_m * out)
         squared = float(off @ np.linalg.solve(pose.cut_covariance_m2, off))
-        found["cut_in_90"] = squared <= chi2.ppf(0.9, 3)
+        found["cut_in_90"] = bool(squared <= chi2.ppf(0.9, 3))
     return found
 
 

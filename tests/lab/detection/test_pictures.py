@@ -70,8 +70,8 @@ def test_pictures_that_are_not_those_labelled_are_refused(tmp_path: Path) -> Non
     with pytest.raises(DataSetError) as caught:
         read_held_out(folder)
     said = str(caught.value)
-    assert "2 pictures cannot be judged: images/a.png is missing, images/b.png has 32x24" in said
-    assert "its labels 64x48" in said
+    assert "2 pictures cannot be evaluated: images/a.png is missing, images/b.png has 32x24" in said
+    assert "its labels are for 64x48" in said
     (images / "c.png").write_bytes(b"no picture")
     with pytest.raises(DataSetError, match=r"3 pictures .*images/c\.png"):
         read_held_out(folder)

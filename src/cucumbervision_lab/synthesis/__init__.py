@@ -1,1 +1,1 @@
-"""Drawn scenes with exact truth: bodies, light, camera."""
+"""Synthetic scenes with exact ground truth."""

@@ -1,4 +1,4 @@
-"""How a scene looks: skins, light, leaves and materials, and pictures to take them from."""
+"""Random appearance of a scene (skins, light, leaves, materials), and picture assets."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ _LIGHT_SIZE = (128, 64)
 
 @dataclass(frozen=True, eq=False)
 class Assets:
-    """Pictures to paint with; all may be empty, then everything is drawn.
+    """Picture assets for rendering. All may be empty; everything is then generated.
 
     Parameters
     ----------
     skins : tuple of ndarray of uint8, shape (H, W, 3)
         Close-ups of skin, RGB, the longer side at most 512 px.
     backgrounds : tuple of ndarray of uint8, shape (H, W, 3)
-        What may stand far behind, RGB, the longer side at most 1600 px.
+        Distant backgrounds, RGB, the longer side at most 1600 px.
     environments : tuple of ndarray of float32, shape (64, 128, 3)
-        Light from all around, linear RGB, equirectangular, the top row up.
+        Environment maps, linear RGB, equirectangular, the top row up.
     leaves : tuple of ndarray of uint8, shape (H, W, 3)
         Close-ups of leaves, RGB, the longer side at most 512 px.
     """
@@ -64,30 +64,29 @@ class Assets:
 
 
 def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> Assets:
-    """Find pictures by the names of the folders they lie in.
+    """Load picture assets by the names of their folders.
 
-    Pictures below `textures` are skins, those below `backgrounds` backgrounds, those in a folder
-    named `leaves` leaves as well, and `.hdr` files below a folder whose name begins with `hdri`
-    environments. Each kind comes in the order of its paths.
+    Pictures below `textures` are skins, those below `backgrounds` are backgrounds, those in a
+    folder `leaves` are leaves, and `.hdr` files below a folder whose name starts with `hdri` are
+    environments. Each kind is sorted by path.
 
     Parameters
     ----------
     folder : Path, optional
-        Where to look; nothing is loaded without one.
+        Folder of the assets; without it, the result is empty.
     without : sequence of str
-        Backgrounds and leaves whose file names hold one of these, in whatever case, are passed
-        over: by default those that say they show fruit, which would stand behind a scene without
-        a label.
+        Skip backgrounds and leaves whose file names contain one of these words, ignoring case. The
+        default skips pictures of fruit, which would appear in the background without a label.
 
     Returns
     -------
     Assets
-        Downscaled. A file that cannot be read is left out, with one warning that names them all.
+        Downscaled pictures. Unreadable files are skipped with a single warning.
 
     Raises
     ------
     CaptureError
-        If the folder is missing or holds none of these.
+        If the folder does not exist or contains no assets.
 
     Examples
     --------
@@ -98,7 +97,7 @@ def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> A
         return Assets()
     if not folder.is_dir():
         raise CaptureError(
-            "there is no such folder", source=folder, remedy="give a folder of assets, or none"
+            "folder not found", source=folder, remedy="give a folder of assets, or omit the option"
         )
     bad: list[str] = []
     assets = Assets(
@@ -109,10 +108,10 @@ def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> A
     )
     if bad:
         names = ", ".join(sorted(set(bad)))
-        warnings.warn(f"{folder}: pictures left out, unreadable: {names}", stacklevel=2)
+        warnings.warn(f"{folder}: unreadable pictures skipped: {names}", stacklevel=2)
     if not (assets.skins or assets.backgrounds or assets.environments or assets.leaves):
         raise CaptureError(
-            "holds no textures, backgrounds or environment maps",
+            "contains no textures, backgrounds or environment maps",
             source=folder,
             remedy="put pictures below textures/, backgrounds/ or hdri/",
         )
@@ -143,13 +142,13 @@ def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ..
 def _read_all(
     folder: Path, pattern: str, endings: set[str], without: Sequence[str], bad: list[str]
 ) -> Iterator[NDArray[Any]]:
-    """Yield the colour pictures of a pattern, and note the names of those that are none."""
+    """Yield the colour pictures that match a pattern, and append unreadable files to `bad`."""
     flag = cv2.IMREAD_UNCHANGED if endings is _LIGHTS else cv2.IMREAD_COLOR
     for path in sorted(set(folder.glob(pattern))):
         named = any(word.lower() in path.name.lower() for word in without)
         if named or path.suffix.lower() not in endings:
             continue
-        # An empty file makes OpenCV raise, a broken one makes it give nothing.
+        # OpenCV raises for an empty file and returns None for a damaged one.
         try:
             picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)
         except (OSError, cv2.error):
@@ -204,30 +203,31 @@ _BENCHES = ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper
 
 @dataclass(frozen=True)
 class Style:
-    """How each body of a scene looks, in the order of the scene's bodies.
+    """Appearance of each body of a scene, in the order of the scene's bodies.
 
     Parameters
     ----------
     skins : tuple of Skin
-        One a fruit.
+        Skin of each fruit.
     light : Light
-        The light.
+        Light of the scene.
     far : str
-        What lies behind everything, as `ground.far_view` takes it.
+        Distant background, see `textures.far_view`.
     materials : tuple of str
-        One a plane: a material, or "far" for a wall that shows the far view.
+        Material of each plane, or "far" for a wall that shows the distant background.
     material_colors : tuple of tuple of float
-        One a plane, sRGB, 0 to 255.
+        Colour of each plane, sRGB, 0 to 255.
     leaf_colors, stem_colors : tuple of tuple of float
-        One a leaf or stem, sRGB, 0 to 255.
+        Colour of each leaf and stem, sRGB, 0 to 255.
     leaf_roles, stem_roles : tuple of str
-        One a leaf or stem: "leaf", "blossom"; "stem", "stalk", "string", "blossom", "crate".
+        Role of each leaf and stem: "leaf" or "blossom"; "stem", "stalk", "string", "blossom" or
+        "crate".
     leaf_gloss, leaf_relief : float
-        How leaves shine, and how blistered they are, 0 to 1.
+        Gloss and surface relief of leaves, 0 to 1.
     leaf_photo : float
-        How much leaves take their drawing from photos of leaves, 0 to 1.
+        Weight of photo textures on leaves, 0 to 1.
     gloom_per_m : float
-        How fast light fades behind the nearest leaves, 1/m.
+        Attenuation of light behind the nearest leaves, 1/m.
     """
 
     skins: tuple[Skin, ...]
@@ -262,22 +262,23 @@ def random_style(
     rng : numpy.random.Generator
         Random generator.
     scene : Scene
-        Its bodies.
+        The scene.
     assets : Assets
-        Richer pictures to take.
+        Picture assets.
     setting : Setting or str
-        Where the fruit are: the first plane is what they lie on unless they hang; the other
-        planes show the far view.
+        Setting of the scene. Unless the fruit hang, the first plane is the surface they lie on;
+        the other planes show the distant background.
     leaf_roles, stem_roles : sequence of str, optional
-        What each leaf and stem is; by default all leaves are leaves, and stems of less than
-        2.5 mm radius strings.
+        Role of each leaf and stem; by default all leaves are "leaf", and stems with a radius below
+        2.5 mm are "string".
     up : tuple of float, optional
-        Unit vector up, camera coordinates; by default -y, or off the first plane towards the
-        camera when the fruit lie.
+        Unit vector up in camera coordinates; by default -y for hanging fruit, otherwise the normal
+        of the first plane.
 
     Returns
     -------
     Style
+        Random appearance.
 
     Raises
     ------
@@ -298,7 +299,7 @@ def random_style(
     leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
     stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
     if unknown := {*leaves, *stems} - {*_ROLES}:
-        raise ValueError(f"no role {min(unknown)!r}: choose one of {', '.join(_ROLES)}")
+        raise ValueError(f"unknown role {min(unknown)!r}: use one of {', '.join(_ROLES)}")
     light = random_light(rng, assets, _up(scene, hanging=hanging) if up is None else up)
     bench = () if hanging else tuple(str(rng.choice(_BENCHES)) for _ in scene.planes[:1])
     beyond = len(scene.planes) - len(bench)
@@ -327,7 +328,7 @@ def _up(scene: Scene, *, hanging: bool) -> Vector:
     if hanging or not scene.planes:
         return 0.0, -1.0, 0.0
     plane = scene.planes[0]
-    # The side of the plane that the camera, at the origin, is on.
+    # Normal towards the camera, which is at the origin.
     off = plane.normal * -np.sign(plane.normal @ plane.point_m)
     x, y, z = (off / np.linalg.norm(off) + 0.0).tolist()
     return x, y, z
@@ -351,7 +352,7 @@ def _skins(rng: np.random.Generator, scene: Scene, assets: Assets) -> tuple[Skin
 
 
 def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
-    # Fruit of one plant are alike, but not the same: some ripen, some grow pale.
+    # Fruit of one plant are similar but not identical: some ripen, some become pale.
     return replace(
         kin,
         base=jitter(rng, kin.base, 0.10),

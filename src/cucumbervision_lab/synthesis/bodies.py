@@ -1,4 +1,4 @@
-"""Fruit as swept balls, whose lengths are known exactly."""
+"""Fruit as swept spheres with exactly known lengths."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cucumbervision.geometry.tube import thread_length
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-_BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
+_BALLS = 800  # every 0.3 mm for a 25 cm fruit, so that the surface ripple is below 1 µm
 
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """A swept ball in camera coordinates.
+    """A swept sphere in camera coordinates.
 
     Parameters
     ----------
     centres_m : ndarray of float64, shape (K, 3)
-        Centres of the balls in order from blossom end to stem end, metres.
+        Centres of the spheres from blossom end to stem end, metres.
     radii_m : ndarray of float64, shape (K,)
-        Their radii in metres.
+        Radii of the spheres, metres.
     outward : ndarray of float64, shape (3,)
         Unit vector in the plane of bending, towards the convex side at the middle.
     """
@@ -64,11 +64,11 @@ class Tube:
 
     @property
     def thread_m(self) -> float:
-        """Length of the outer side of the bend between the poles, metres."""
+        """Length along the outer side of the bend between the poles, metres."""
         return thread_length(self.centres_m, self.radii_m, self.outward)
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Tube:
-        """Return the body turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the body rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Tube(
             self.centres_m @ turn.T + np.asarray(by_m, dtype=float),
             self.radii_m,
@@ -89,35 +89,35 @@ def arc_tube(
     neck: float = 0.0,
     balls: int = _BALLS,
 ) -> Tube:
-    """Make a tube bent to a circular arc, centred on the origin, its chord along x.
+    """Create a tube bent to a circular arc, centred at the origin with its chord along x.
 
     Parameters
     ----------
     length_m : float
-        Centreline from pole to pole, metres; more than the two end radii.
+        Length of the centreline from pole to pole, metres; greater than the sum of the end radii.
     radius_m : float
         Radius of the body, metres.
     bend_radius_m : float
-        Radius of the axis' arc, metres; infinite for a straight fruit. Its convex side faces -y
-        (up in the picture).
+        Radius of the axis, metres; infinite for a straight fruit. The convex side faces -y (up in
+        the picture).
     neck : float
-        Share by which the stem end is thinner than the body, 0 to below 1.
+        Relative reduction of the radius at the stem end, 0 to below 1.
     balls : int
-        Number of balls.
+        Number of spheres.
 
     Returns
     -------
     Tube
-        With `centreline_m` equal to `length_m`.
+        Tube with `centreline_m` equal to `length_m`.
 
     Raises
     ------
     ValueError
-        If the body would be shorter than its round ends.
+        If `length_m` is less than the sum of the end radii.
 
     Examples
     --------
-    By hand, for an arc of radius R over an angle p, the outer side is (R + r) p + 2 r:
+    For an arc of radius R and angle p, the outer side has the length (R + r) p + 2 r:
 
     >>> tube = arc_tube(0.25, 0.02, 0.30)
     >>> angle = (0.25 - 2 * 0.02) / 0.30
@@ -131,7 +131,7 @@ def arc_tube(
     radii = radius_m * (1 - neck * taper**2 * (3 - 2 * taper))
     run = length_m - radii[0] - radii[-1]
     if run <= 0:
-        raise ValueError(f"a fruit of {length_m} m is shorter than its round ends")
+        raise ValueError(f"a length of {length_m} m is less than the sum of the end radii")
     along = (share - 0.5) * run
     if np.isinf(bend_radius_m):
         x, y = along, np.zeros_like(along)
@@ -142,7 +142,7 @@ def arc_tube(
 
 
 def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0) -> NDArray[Any]:
-    """Return a 3x3 rotation: spin about the fruit's axis x, tilt to the camera, then roll.
+    """Return a 3x3 rotation: spin about x, the axis of the fruit, then tilt, then roll.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0
     tilt_deg : float
         Angle of the axis out of the picture plane, towards +z, degrees.
     spin_deg : float
-        Turn about the fruit's own axis, degrees.
+        Angle about the axis of the fruit, degrees.
 
     Examples
     --------
@@ -167,11 +167,11 @@ def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0
     return turn
 
 
-_MAX_SLOPE = 0.45  # of a radius along the axis: steeper makes an end blunter than a half ball
+_MAX_SLOPE = 0.45  # of the radius along the axis; steeper ends are blunter than a hemisphere
 
 
 class Variety(StrEnum):
-    """Kinds of greenhouse cucumbers, by size."""
+    """Varieties of greenhouse cucumbers by size."""
 
     LONG = "long"
     MEDIUM = "medium"
@@ -181,7 +181,7 @@ class Variety(StrEnum):
 
 @dataclass(frozen=True)
 class _Sizes:
-    # Radius of the body and least radius of bending in metres, share of S-shaped fruit.
+    # Range of radius and least radius of curvature in metres, range of `neck`.
     radius_m: tuple[float, float]
     bend_radius_m: float
     neck: tuple[float, float]
@@ -196,7 +196,7 @@ _SIZES = {
 
 
 def variety_of(length_m: float) -> Variety:
-    """Return the variety that a fruit of that length counts as.
+    """Return the variety of a fruit by its length.
 
     Examples
     --------
@@ -213,27 +213,27 @@ def variety_of(length_m: float) -> Variety:
 def bent_tube(
     length_m: float, radii_m: NDArray[np.float64], curvature_per_m: NDArray[np.float64]
 ) -> Tube:
-    """Make a plane fruit from its radius and its curvature along the axis.
+    """Create a planar fruit from radius and curvature along its axis.
 
     Parameters
     ----------
     length_m : float
-        Centreline from pole to pole, metres.
+        Length of the centreline from pole to pole, metres.
     radii_m : ndarray of float64, shape (K,)
-        Radius at K points evenly along the run of the balls' centres, metres.
+        Radius at K evenly spaced sphere centres, metres.
     curvature_per_m : ndarray of float64, shape (K,)
-        Signed curvature there, 1/m.
+        Signed curvature at the same points, 1/m.
 
     Returns
     -------
     Tube
-        Centred on the origin, its chord along x, the convex side of its larger bend towards -y;
-        `centreline_m` equals `length_m`.
+        Tube with `centreline_m` equal to `length_m`, centred at the origin with its chord along x;
+        the convex side of the larger bend faces -y.
 
     Raises
     ------
     ValueError
-        If the body would be shorter than its round ends.
+        If `length_m` is less than the sum of the end radii.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def bent_tube(
     """
     run = length_m - radii_m[0] - radii_m[-1]
     if run <= 0:
-        raise ValueError(f"a fruit of {length_m} m is shorter than its round ends")
+        raise ValueError(f"a length of {length_m} m is less than the sum of the end radii")
     step = run / (len(radii_m) - 1)
     between = (curvature_per_m[1:] + curvature_per_m[:-1]) / 2
     turned = np.concatenate([[0.0], np.cumsum(between * step)])
@@ -274,33 +274,33 @@ def random_fruit(
     s_shape: bool | None = None,
     balls: int = _BALLS,
 ) -> Tube:
-    """Sample one fruit of a length.
+    """Sample a fruit of a given length.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     length_m : float
-        Centreline, pole to pole, metres.
+        Length of the centreline from pole to pole, metres.
     variety : Variety or str, optional
-        Sets thickness, neck and how sharply it may bend; by default that of the length.
+        Determines the ranges of radius, neck and curvature; by default chosen by length.
     bend_radius_m : float, optional
-        Mean radius of bending, metres, infinite for a straight fruit; by default drawn, most
-        often slight.
+        Mean radius of curvature, metres, infinite for a straight fruit; by default random, mostly
+        large.
     s_shape : bool, optional
-        Whether it bends to and fro; by default one in eight.
+        Whether the fruit is S-shaped; by default with a probability of 1/8.
     balls : int
-        Number of balls.
+        Number of spheres.
 
     Returns
     -------
     Tube
-        As `bent_tube` gives it, with `centreline_m` equal to `length_m`.
+        Tube of `bent_tube` with `centreline_m` equal to `length_m`.
 
     Raises
     ------
     ValueError
-        If the fruit would be shorter than its round ends.
+        If `length_m` is less than the sum of the end radii.
 
     Examples
     --------
@@ -312,7 +312,7 @@ def random_fruit(
     share = np.linspace(0.0, 1.0, balls)
     radii = _radii(rng, length_m, sizes, share)
     if bend_radius_m is None:
-        # Uniform in curvature squared's root: many nearly straight, few at the limit.
+        # Mostly small curvatures, few near the limit.
         bend = rng.beta(1.0, 2.5) / sizes.bend_radius_m
     else:
         bend = 1.0 / bend_radius_m
@@ -342,7 +342,7 @@ def _radii(
     )
     point, neck = rng.uniform(0.10, 0.50), rng.uniform(*sizes.neck)
     run = max(length_m - radius * (2 - point - neck), radius)
-    # The blossom end rounds off towards its pole, the neck draws in and runs on.
+    # The blossom end is rounded, the neck tapers.
     width = max(rng.uniform(0.05, 0.15), 2.0 * point * radius / (_MAX_SLOPE * run))
     blossom = 1 - point * np.clip(1 - share / width, 0.0, None) ** 2
     width = max(rng.uniform(0.15, 0.35), 1.5 * neck * radius / (_MAX_SLOPE * run))

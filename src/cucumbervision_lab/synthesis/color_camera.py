@@ -1,4 +1,4 @@
-"""The colour camera: exposure, blur, noise, tone curve and compression."""
+"""Simulate a colour camera: exposure, blur, noise, tone curve and compression."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from cucumbervision_lab.synthesis.colors import to_srgb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_KEY = 0.20  # what an automatic exposure makes of the picture's mean
+_KEY = 0.20  # mean brightness that automatic exposure aims at
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """How a camera takes a picture.
+    """Settings and imperfections of a colour camera.
 
     Parameters
     ----------
     highlights : float
-        The most that its metering makes of the brightest parts, full light being 1.
+        Maximum brightness of highlights after metering; saturation is 1.
     stops : float
-        Error of the exposure: 1 is twice the light.
+        Exposure error in stops.
     warmth, tint : float
         Error of the white balance: red over blue, green over both.
     contrast : float
-        Power of the tone curve about middle grey; above 1 is harder.
+        Exponent of the tone curve about middle grey; above 1 increases contrast.
     saturation : float
         1 leaves colours as they are.
     blur_px : float
-        Standard deviation of the lens' blur.
+        Standard deviation of the lens blur.
     motion_px, motion_deg : float
-        Length and direction of a movement.
+        Length and direction of motion blur.
     focus_m, aperture_px_m : float
-        Distance in focus, and blur per unit of |1/distance - 1/focus|, pixel metres.
+        Focus distance, and blur per |1/distance - 1/focus|, pixel metres.
     shot, read : float
-        Noise: variance per light, and standard deviation in the dark, both of full light 1.
+        Shot noise (variance per brightness) and read noise (standard deviation); saturation is 1.
     vignette : float
-        Share of the light that the corners lack.
+        Relative loss of brightness in the corners.
     sharpen : float
-        Strength of the camera's own sharpening.
+        Strength of in-camera sharpening.
     quality : int
-        Of JPEG, 1 to 100; 0 for no compression.
+        JPEG quality, 1 to 100; 0 for no compression.
     """
 
     highlights: float = 1.5
@@ -67,14 +67,14 @@ class Exposure:
 
 
 def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
-    """Sample an exposure: most good, some dark, bright, blurred or noisy.
+    """Sample camera settings: mostly good, some dark, bright, blurred or noisy.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     width : int
-        Of the picture, pixels: blurs go with it.
+        Width of the picture, pixels; blur is scaled with it.
 
     Examples
     --------
@@ -110,18 +110,18 @@ def expose(
     rng: np.random.Generator,
     depth_m: NDArray[np.float64] | None = None,
 ) -> NDArray[np.uint8]:
-    """Take a picture.
+    """Simulate a picture of the colour camera.
 
     Parameters
     ----------
     linear : ndarray of float32, shape (H, W, 3)
-        Linear RGB of any brightness: the camera sets its exposure by it.
+        Linear RGB of any scale; exposure is automatic.
     exposure : Exposure
-        How.
+        Camera settings.
     rng : numpy.random.Generator
-        Random generator of the noise.
+        Random generator for noise.
     depth_m : ndarray of float, shape (H, W), optional
-        Metres, 0 for far; without it all is in focus.
+        Depth in metres, 0 for infinity, for defocus blur.
 
     Returns
     -------
@@ -136,10 +136,10 @@ def expose(
     >>> picture.shape, picture.dtype.name, int(picture[16, 16, 0])
     ((32, 32, 3), 'uint8', 124)
     """
-    light = _gained(linear, exposure)
+    light = _apply_exposure(linear, exposure)
     light = _blurred(light, exposure, depth_m)
-    light = _noisy(light, exposure, rng)
-    picture: NDArray[Any] = to_srgb(_toned(light, exposure))
+    light = _add_noise(light, exposure, rng)
+    picture: NDArray[Any] = to_srgb(_apply_tone_curve(light, exposure))
     if exposure.sharpen > 0:
         soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
         picture = cv2.addWeighted(picture, 1 + exposure.sharpen, soft, -exposure.sharpen, 0)
@@ -148,7 +148,7 @@ def expose(
     return np.asarray(picture, np.uint8)
 
 
-def _gained(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+def _apply_exposure(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
     few = linear[::8, ::8].reshape(-1, 3) @ np.array([0.25, 0.6, 0.15], np.float32)
     mean = float(np.minimum(few, 8 * np.median(few) + 1e-6).mean())
     bright = float(np.quantile(few, 0.98))
@@ -180,7 +180,7 @@ def _blurred(
 def _defocused(
     light: NDArray[np.float32], exposure: Exposure, depth_m: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    # Far things blur into one another; sharp ones keep their outline.
+    # Blur only defocused regions, so that sharp objects keep their outline.
     far = np.where(depth_m > 0, depth_m, 10.0).astype(np.float32)
     blur = exposure.aperture_px_m * np.abs(1 / far - 1 / exposure.focus_m)
     for sigma in (1.0, 2.0, 4.0):
@@ -203,7 +203,7 @@ def _path(exposure: Exposure) -> NDArray[np.float32]:
     return np.asarray(kernel / kernel.sum())
 
 
-def _noisy(
+def _add_noise(
     light: NDArray[np.float32], exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     if exposure.shot == 0 and exposure.read == 0:
@@ -211,15 +211,15 @@ def _noisy(
     height, width = light.shape[:2]
     green: NDArray[Any] = rng.standard_normal((height, width), dtype=np.float32)
     green = cv2.GaussianBlur(green, (0, 0), 0.5)
-    # One in four pixels of a Bayer pattern sees red, one blue; the rest lies between them.
+    # In a Bayer pattern, a quarter of the pixels are red and a quarter blue: interpolate them.
     half = rng.standard_normal((2, -(-height // 2), -(-width // 2)), dtype=np.float32)
     red, blue = (cv2.resize(n, (width, height), interpolation=cv2.INTER_LINEAR) for n in half)
     spread = np.sqrt(np.float32(exposure.shot) * light + np.float32(exposure.read**2))
     return np.asarray(light + spread * np.dstack([1.4 * red, 1.3 * green, 1.6 * blue]))
 
 
-def _toned(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
-    # Highlights roll off before they clip.
+def _apply_tone_curve(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+    # Highlights are compressed before clipping.
     light = np.maximum(light, 0)
     grey = light @ np.array([0.25, 0.6, 0.15], np.float32)
     light = grey[..., None] + np.float32(exposure.saturation) * (light - grey[..., None])

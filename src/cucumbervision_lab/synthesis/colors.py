@@ -1,4 +1,4 @@
-"""Linear colours and sRGB, and colours that differ smoothly from place to place."""
+"""Colour conversion, smooth noise and texture lookup."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     Grain = float | tuple[float, float]
 
 _SRGB_LEVELS = 4096
-_ROW = 1024  # OpenCV's remap takes no row of 32767 pixels or more
+_ROW = 1024  # OpenCV's remap does not accept rows of 32767 or more pixels
 
 
 def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
-    """Convert sRGB of 0 to 255 to linear light of 0 to 1 (IEC 61966-2-1).
+    """Convert sRGB (0 to 255) to linear RGB (0 to 1), IEC 61966-2-1.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Convert linear light to sRGB, cut off at 0 and 1.
+    """Convert linear RGB, clipped to 0 to 1, to sRGB.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mix colours: `a` where the share is 0, `b` where it is 1.
+    """Interpolate between two colours: `a` for a share of 0, `b` for 1.
 
     Parameters
     ----------
     a, b : array_like
-        One colour of shape (3,), or one for each place, shape (..., 3).
+        A single colour, shape (3,), or one per element, shape (..., 3).
     share : ndarray of float32, shape (...)
         0 to 1.
 
@@ -90,21 +90,21 @@ def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32
 
 
 def scale_colors(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
-    """Multiply each colour of shape (..., 3) by its own factor, shape (...).
+    """Multiply colours of shape (..., 3) by factors of shape (...).
 
     Examples
     --------
     >>> scale_colors(np.ones((1, 3), np.float32), np.array([0.5], np.float32)).tolist()
     [[0.5, 0.5, 0.5]]
     """
-    # NumPy would loop over three numbers at a time, which takes five times as long.
+    # Broadcasting over an axis of length 3 is five times slower in NumPy.
     flat = factor.reshape(-1, 1)
     threefold = cv2.merge([flat, flat, flat]).reshape(picture.shape)
     return np.asarray(picture * threefold)
 
 
 def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
-    """Rise smoothly from 0 at `low` to 1 at `high`; falls where `high` is the lower.
+    """Return the smoothstep function, 0 at `low` and 1 at `high`; decreasing if `high < low`.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
 def jitter(
     rng: np.random.Generator, color: ArrayLike, spread: float = 0.12
 ) -> tuple[float, float, float]:
-    """Sample a colour near another: brightness and each channel vary by a factor.
+    """Sample a colour near another by random factors on brightness and channels.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def jitter(
     color : array_like, shape (3,)
         sRGB, 0 to 255.
     spread : float
-        Standard deviation of the brightness; each channel's own is a third of it.
+        Standard deviation of the brightness factor; that of each channel is a third of it.
     """
     factor = 1 + spread * rng.standard_normal() + spread / 3 * rng.standard_normal(3)
     red, green, blue = np.clip(np.asarray(color, float) * factor, 2, 253).tolist()
@@ -137,7 +137,7 @@ def jitter(
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
 ) -> NDArray[np.float32]:
-    """Generate noise of mean 0 and a spread of about 0.7, smooth over `grain_px`.
+    """Generate smooth noise with mean 0 and a standard deviation of about 0.7.
 
     Parameters
     ----------
@@ -146,9 +146,9 @@ def smooth_noise(
     shape : tuple of int
         Rows and columns.
     grain_px : float or tuple of float
-        Size of a grain in pixels, one for both directions or (along rows, along columns).
+        Grain size in pixels, for both directions or as (vertical, horizontal).
     wrap : bool
-        Whether the last column goes over into the first.
+        Make the noise periodic in both directions.
 
     Returns
     -------
@@ -170,14 +170,14 @@ def smooth_noise(
 def sample(
     texture: NDArray[np.float32], x_px: NDArray[np.float32], y_px: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Look up a texture between its pixels; beyond its borders it repeats.
+    """Interpolate a periodic texture at subpixel positions.
 
     Parameters
     ----------
     texture : ndarray of float32, shape (H, W) or (H, W, C)
-        C at most 4.
+        Texture with at most 4 channels.
     x_px, y_px : ndarray of float32, shape (N,)
-        Column and row.
+        Column and row positions.
 
     Returns
     -------

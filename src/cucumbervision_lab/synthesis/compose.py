@@ -1,7 +1,6 @@
-"""Random whole scenes: fruit on the plant, on a bench or in a crate, seen by a handheld camera.
+"""Compose random scenes: fruit on the plant, on a bench or in a crate, with a handheld camera.
 
-Everything is placed in the camera's coordinates. What each leaf and rod stands for is kept beside
-the scene, for the renderer.
+All bodies are in camera coordinates. The roles of leaves and rods are stored for the renderer.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _LENGTHS_M = {
     Variety.MINI: (0.12, 0.18),
     Variety.SMALL: (0.06, 0.12),
 }
-# How often a variety is drawn, and from how far it is looked at: a grower goes near to small fruit.
+# Frequency of each variety, and its distance range: small fruit are viewed from nearby.
 _SHARES = {Variety.LONG: 0.42, Variety.MEDIUM: 0.28, Variety.MINI: 0.2, Variety.SMALL: 0.1}
 _REACH_M = {
     Variety.LONG: (0.42, 1.2),
@@ -50,7 +49,7 @@ _REACH_M = {
 
 
 class Setting(StrEnum):
-    """Where the fruit are."""
+    """Setting of a scene."""
 
     HANGING = "hanging"
     BENCH = "bench"
@@ -59,22 +58,22 @@ class Setting(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """A composed scene, and what its bodies stand for.
+    """A composed scene with the roles of its bodies.
 
     Parameters
     ----------
     scene : Scene
-        In the camera's coordinates.
+        The scene in camera coordinates.
     setting : Setting
-        Where the fruit are.
+        Setting of the scene.
     variety : Variety
-        Of all its cucumbers.
+        Variety of all cucumbers.
     cucumber : tuple of bool
-        Whether each body of `scene.fruit` is a cucumber; others are decoys of its shape.
+        Whether each body of `scene.fruit` is a cucumber; the others are decoys.
     leaf_roles, stem_roles : tuple of str
         'leaf' or 'blossom'; 'stem', 'stalk', 'string', 'blossom' or 'crate'.
     up : tuple of float
-        Unit vector against gravity, camera coordinates: light comes from there.
+        Unit vector against gravity, camera coordinates.
     """
 
     scene: Scene
@@ -93,15 +92,15 @@ class Difficulty:
     Parameters
     ----------
     nearer, farther : float
-        Factors on the least and the greatest distance.
+        Factors for the minimum and maximum distance.
     stop : float
-        Chance that no more fruit follow on the plant or the bench; their number is geometric.
+        Parameter of the geometric distribution of the number of fruit on a plant or bench.
     most : int
-        Fruit at most.
+        Maximum number of fruit.
     covered : float
-        How often a leaf is put before a fruit on the plant.
+        Probability that a leaf occludes a fruit on the plant.
     leaves : float
-        Factor on the loose leaves before them.
+        Factor for the number of loose leaves in the foreground.
     """
 
     nearer: float = 1.0
@@ -113,10 +112,10 @@ class Difficulty:
 
 
 PLAIN = Difficulty()
-"""What is tested by."""
+"""Difficulty of test scenes."""
 
 HARD = Difficulty(nearer=0.75, farther=1.9, stop=0.16, most=18, covered=0.65, leaves=1.5)
-"""Small and large in the picture, crowded, hidden: to learn from."""
+"""Difficulty for training: smaller and larger fruit, more crowded and more occluded."""
 
 
 def compose(
@@ -125,23 +124,23 @@ def compose(
     setting: Setting | str,
     difficulty: Difficulty = PLAIN,
 ) -> Composition:
-    """Compose a scene.
+    """Compose a random scene.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Random generator; the same seed gives the same scene.
+        Random generator.
     camera : Intrinsics
         The camera.
     setting : Setting or str
-        Where the fruit are.
+        Setting of the scene.
     difficulty : Difficulty
-        How hard they are to find.
+        Difficulty of the scene.
 
     Returns
     -------
     Composition
-        With 0 to 12 cucumbers, none inside another, at 0.3 to 1.2 m, if `difficulty` is plain.
+        Scene of cucumbers that do not intersect; for `PLAIN`, 0 to 12 at 0.3 to 1.2 m.
 
     Raises
     ------
@@ -164,22 +163,22 @@ def compose(
     distance = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     count = _count(rng, setting, difficulty)
     if setting is Setting.HANGING:
-        return _on_the_plant(rng, camera, variety, distance, count, difficulty)
-    return _laid(rng, camera, setting, variety, distance, count)
+        return _compose_hanging(rng, camera, variety, distance, count, difficulty)
+    return _compose_lying(rng, camera, setting, variety, distance, count)
 
 
 def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -> int:
     if setting is Setting.CRATE:
         return int(rng.integers(4, difficulty.most + 1))
-    # One picture in twelve shows no fruit: what is not one has to be learnt too.
+    # 8 % of the pictures show no fruit, as negatives.
     return 0 if rng.random() < 0.08 else int(min(rng.geometric(difficulty.stop), difficulty.most))
 
 
-def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
+def _random_of_variety(rng: np.random.Generator, variety: Variety) -> Tube:
     return random_fruit(rng, float(rng.uniform(*_LENGTHS_M[variety])), variety, balls=400)
 
 
-def _on_the_plant(
+def _compose_hanging(
     rng: np.random.Generator,
     camera: Intrinsics,
     variety: Variety,
@@ -190,8 +189,8 @@ def _on_the_plant(
     placed: list[Tube] = []
     for _ in range(count):
         for _ in range(_TRIES):
-            fruit = _hung(rng, camera, variety, distance_m)
-            if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _apart(fruit, placed):
+            fruit = _random_hanging(rng, camera, variety, distance_m)
+            if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _is_separate(fruit, placed):
                 placed.append(fruit)
                 break
     scene = _behind(rng, camera, tuple(placed), distance_m)
@@ -216,7 +215,7 @@ def _on_the_plant(
         leaves=(*scene.leaves, *before, *petals),
         stems=(*scene.stems, *rods, *strings),
     )
-    scene, up = _held(rng, scene)
+    scene, up = _tilt_view(rng, scene)
     return Composition(
         scene,
         Setting.HANGING,
@@ -228,14 +227,14 @@ def _on_the_plant(
     )
 
 
-def _hung(
+def _random_hanging(
     rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float
 ) -> Tube:
     z = distance_m * rng.uniform(0.88, 1.2)
     u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
     x, y = (float(r) for r in camera.rays(u, v))
     return place_hanging(
-        _grown(rng, variety),
+        _random_of_variety(rng, variety),
         (x * z, y * z, z),
         roll_deg=-90.0 + rng.normal(0, 14),
         tilt_deg=float(np.clip(rng.normal(0, 20), -65, 65)),
@@ -248,7 +247,7 @@ def _behind(
 ) -> Scene:
     if fruit:
         return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
-    stand_in = (place_hanging(_grown(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
+    stand_in = (place_hanging(_random_of_variety(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
     return replace(trellis(rng, camera, stand_in), fruit=())
 
 
@@ -256,7 +255,7 @@ def _loose_leaves(
     rng: np.random.Generator, camera: Intrinsics, distance_m: float, factor: float, *, close: bool
 ) -> tuple[Leaf, ...]:
     leaves = []
-    # Without fruit leaves come close: one that fills the picture is often taken for a fruit.
+    # Without fruit, leaves are near: leaves that fill the picture cause many false positives.
     many, nearest = (5.0, 0.3) if close else (2.2, 0.6)
     for _ in range(int(rng.poisson(factor * many))):
         length = rng.uniform(0.05, 0.11)
@@ -295,7 +294,7 @@ def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, 
 def _end_details(
     rng: np.random.Generator, fruit: Tube
 ) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
-    """Return a fruit's withered blossom and its stalk, which tell its ends apart."""
+    """Return the withered blossom and the stalk of a fruit, which identify its ends."""
     blossom, stem = fruit.poles_m
     radius = float(fruit.radii_m.max())
     petals: list[Leaf] = []
@@ -333,8 +332,8 @@ def _stalk(
     return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.2))
 
 
-def _held(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
-    """Rotate a scene as a hand-held camera sees it, mostly level; return the up vector too."""
+def _tilt_view(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
+    """Return the scene and its up vector after a random, mostly level camera rotation."""
     pick = rng.random()
     if pick < 0.68:
         roll = rng.normal(0, 6)
@@ -347,7 +346,7 @@ def _held(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, f
     middle = _middle(scene)
     for turn in (rotation(tilt_deg=float(rng.normal(0, 6))), _pitch(float(rng.normal(0, 11)))):
         tilted = turned.moved(turn, middle - turn @ middle)
-        # Bodies that would come to lie behind the camera keep it from tilting.
+        # Skip a rotation that would move bodies behind the camera.
         if _all_in_front(tilted):
             turned, up = tilted, turn @ up
     return turned, (float(up[0]), float(up[1]), float(up[2]))
@@ -371,7 +370,7 @@ def _all_in_front(scene: Scene) -> bool:
     )
 
 
-def _apart(fruit: Tube, others: list[Tube]) -> bool:
+def _is_separate(fruit: Tube, others: list[Tube]) -> bool:
     own, radii = fruit.centres_m[::8], fruit.radii_m[::8]
     for other in others:
         gap = np.linalg.norm(own[:, None] - other.centres_m[None, ::8], axis=2)
@@ -380,7 +379,7 @@ def _apart(fruit: Tube, others: list[Tube]) -> bool:
     return True
 
 
-def _laid(
+def _compose_lying(
     rng: np.random.Generator,
     camera: Intrinsics,
     setting: Setting,
@@ -389,17 +388,17 @@ def _laid(
     count: int,
 ) -> Composition:
     crated = setting is Setting.CRATE
-    bodies = [_grown(rng, variety) for _ in range(count)]
+    bodies = [_random_of_variety(rng, variety) for _ in range(count)]
     real = [True] * count
     if not crated:
-        # Carrots, bananas and pipes: what has the shape but not the skin.
+        # Decoys with the shape but not the skin of a cucumber: carrots, bananas, pipes.
         for _ in range(int(rng.random() < 0.3) + int(rng.random() < 0.15)):
-            bodies.append(_grown(rng, Variety(rng.choice([v.value for v in Variety]))))
+            bodies.append(_random_of_variety(rng, Variety(rng.choice([v.value for v in Variety]))))
             real.append(False)
     longest = max((f.chord_m for f in bodies), default=0.2)
     inner_m = (float(longest * rng.uniform(1.08, 1.5)), float(longest * rng.uniform(0.35, 0.8)))
     if crated:
-        # Near enough to fill much of the picture.
+        # Near enough to fill a large part of the picture.
         distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
     ground = Ground.seen(rng, distance_m)
     placed, kept = place_lying(rng, camera, ground, bodies, inner_m if crated else None)

@@ -1,7 +1,7 @@
-"""Colours as a RealSense D435 sees a greenhouse, for pictures by other cameras.
+"""Transfer the colours of a RealSense D435 in a greenhouse to pictures of other cameras.
 
-Its filter lets infrared through and its white balance hardly follows the light: leaves are grey to
-pinkish, bright ones most of all, highlights are burnt, and fruit in the shade are dark.
+The D435 transmits some infrared and its white balance adapts little: leaves appear grey to pink,
+especially bright ones, highlights are saturated, and shaded fruit are dark.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SEEN = np.array(
         [52.0, -2.9, 9.2, 16.0, 8.5, 19.0],
     ]
 )
-"""Mean and standard deviation of L, a and b (CIELAB) of six captures in a greenhouse."""
+"""Mean and standard deviation of L, a, b (CIELAB) of six captures in a greenhouse."""
 _SPREAD = np.array([4.0, 2.0, 4.0, 2.0, 1.0, 2.0])
 _LEAST_GAIN = np.array([0.6, 0.25, 0.25])
 _MOST_GAIN = np.array([1.6, 1.3, 1.4])
@@ -38,11 +38,12 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     color : uint8 array, shape (height, width, 3)
         RGB.
     rng : numpy.random.Generator
-        Draws which of the greenhouses it resembles, and how strongly.
+        Random generator.
 
     Returns
     -------
     uint8 array, shape (height, width, 3)
+        RGB.
 
     Examples
     --------
@@ -58,7 +59,7 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     spread = lab.reshape(-1, 3).std(0) + 1e-3
     gain = np.clip(wanted[3:] / spread, _LEAST_GAIN, _MOST_GAIN)
     lab = (lab - lab.reshape(-1, 3).mean(0)) * gain + wanted[:3]
-    if rng.random() < 0.5:  # infrared: the brighter a leaf, the more pink it is
+    if rng.random() < 0.5:  # infrared makes bright leaves pink
         lab[..., 1] += np.clip((lab[..., 0] - 45) / 30, 0, 1) * rng.uniform(0, 8)
     if rng.random() < 0.35:
         lab[..., 0] *= rng.uniform(0.55, 0.9)

@@ -1,4 +1,4 @@
-"""A stereo depth camera of the D400 family, from exact scenes to the frames that it gives."""
+"""Simulate a stereo depth camera of the D400 series."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.scene import Scene, View
 
-_GAP_LOST = 0.95  # of the pixels in a gap
-_COARSE_SIGMA = 1.5  # px of a coarse grid: the blur that cubic enlarging still draws smoothly
+_GAP_LOST = 0.95  # share of invalid pixels in a gap
+_COARSE_SIGMA = 1.5  # least blur on a coarse grid, px, for smooth cubic upsampling
 
 
 @dataclass(frozen=True)
 class Matcher:
-    """How a stereo matcher errs where depth jumps and where it finds no texture.
+    """Error model of a stereo matcher at depth discontinuities and without texture.
 
     Parameters
     ----------
     ramp_px : float
-        Standard deviation of the blur that the matching window lays over small steps, pixels.
+        Standard deviation of the blur by the matching window at small disparity steps, pixels.
     jump_px : float
-        Step of disparity, pixels, up to which both sides run into each other; from twice that on
-        each pixel takes one side.
+        Disparity step, pixels, below which both sides are blended; above twice this value each
+        pixel belongs to one side.
     fatten_px : int
-        How far at most the nearer side grows over such a jump, pixels.
+        Maximum foreground fattening at such a jump, pixels.
     gap_px : int
-        Width of the gap that such a jump leaves on its farther side, pixels.
+        Width of the gap on the farther side of such a jump, pixels.
     border_lost : float
-        Share of the nearer side's border pixels lost at such a jump.
+        Share of invalid border pixels on the nearer side of such a jump.
     steep : float
-        Slope of the blurred disparity, pixels a pixel, above which there is no reading.
+        Slope of the blurred disparity, pixels per pixel, above which readings are invalid.
     flying_share : float
-        Share of all those pixels that read something between both sides nevertheless.
+        Share of these pixels that return an interpolated value (flying pixels) instead.
     hidden_filled : float
-        Share of what the right imager cannot see that is read nevertheless, as the farther side.
+        Share of pixels occluded in the right imager that return the farther side instead.
     thin_px : int
-        What is thinner is lost by `thin_lost` of its pixels.
+        Width in pixels below which objects count as thin.
     thin_lost : float
-        See `thin_px`.
+        Share of invalid pixels on thin objects.
     speckle : float
-        Share of lonely pixels anywhere without a reading.
+        Share of isolated invalid pixels.
     clump_px : float
-        Size of holes in clumps, pixels.
+        Size of clustered holes, pixels.
     """
 
     ramp_px: float = 2.5
@@ -73,16 +73,16 @@ class Matcher:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """What stays the same in all frames of a burst.
+    """Matching result shared by all frames of a burst.
 
     Parameters
     ----------
     disparity_px : ndarray of float32, shape (H, W)
-        Without noise.
+        Disparity without noise.
     valid : ndarray of bool, shape (H, W)
-        Where there is a reading in most frames.
+        Pixels with a reading in most frames.
     unsure : ndarray of bool, shape (H, W)
-        Where readings come and go: along the jumps.
+        Pixels near discontinuities whose readings flicker.
     """
 
     disparity_px: NDArray[np.float32]
@@ -93,20 +93,20 @@ class Matched:
 def smooth_field(
     shape: tuple[int, ...], sigma_px: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Generate normal noise, smooth over some pixels, of mean 0 and standard deviation 1.
+    """Generate smooth Gaussian noise with mean 0 and standard deviation 1.
 
     Parameters
     ----------
     shape : tuple of int
         (H, W).
     sigma_px : float
-        Standard deviation of the Gaussian that white noise is blurred by.
+        Standard deviation of the Gaussian filter applied to white noise, pixels.
     rng : numpy.random.Generator
         Random generator.
 
     Notes
     -----
-    Wide blurs are drawn on a coarser grid and enlarged, which is many times faster.
+    Wide filters are applied on a coarser grid and upsampled, which is much faster.
 
     Examples
     --------
@@ -124,22 +124,22 @@ def smooth_field(
         size = round(coarse[1] * scale), round(coarse[0] * scale)
         field = cv2.resize(field, size, interpolation=cv2.INTER_CUBIC)
     field = field[:height, :width]
-    # By theory, not by this draw: a wide blur's few waves must be free to differ in strength.
+    # Normalise by the expected variance, not the sample variance, which varies for wide filters.
     strength = np.float32(2 * np.sqrt(np.pi) * sigma_px / scale)
     return np.asarray(field * strength, np.float32)
 
 
 def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which pixels of the left imager the right one cannot see.
+    """Return the pixels of the left imager that are occluded in the right imager.
 
-    The point at column x is seen at x - d by the right imager; it is hidden when something
-    further right in the row is seen there or left of it. The band stands to the left of what is
-    near, and is as wide as the jump of disparity.
+    A point at column x appears at x - d in the right imager. It is occluded if a point further
+    right in the row appears at the same column or further left. The occluded band is left of the
+    nearer object and as wide as the disparity step.
 
     Parameters
     ----------
     disparity_px : ndarray of float32, shape (H, W)
-        The left imager's.
+        Disparity in the left imager.
 
     Examples
     --------
@@ -150,38 +150,38 @@ def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     at = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
     least = np.minimum.accumulate(at[:, ::-1], axis=1)[:, ::-1]
     hidden = np.zeros(at.shape, np.bool_)
-    # A quarter pixel of slack: the far side's last pixel must not fall by rounding.
+    # Tolerance of a quarter pixel against rounding at the last pixel of the far side.
     hidden[:, :-1] = least[:, 1:] < at[:, :-1] + 0.25
     return hidden
 
 
 def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator) -> Matched:
-    """Simulate a stereo matcher on exact disparity, before noise.
+    """Simulate a stereo matcher on exact disparity, without noise.
 
     Parameters
     ----------
     disparity_px : ndarray of float32, shape (H, W)
-        Exact; 0 where nothing is.
+        Exact disparity; 0 for no object.
     matcher : Matcher
-        How it errs.
+        Error model.
     rng : numpy.random.Generator
         Random generator.
 
     Returns
     -------
     Matched
-        The part that a burst shares.
+        Result shared by a burst.
     """
     blurred = cv2.GaussianBlur(disparity_px, (0, 0), matcher.ramp_px)
     soft = np.asarray(blurred, np.float32)
     reach = 2 * int(np.ceil(2.0 * matcher.ramp_px)) + 1
     steps = _steps(disparity_px, reach) / np.float32(matcher.jump_px)
     apart = np.asarray(np.clip(steps - np.float32(1), 0, 1), np.float32)
-    sharp = _fattened(disparity_px, matcher, rng)
+    sharp = _fatten_foreground(disparity_px, matcher, rng)
     read = np.asarray(soft + apart * (sharp - soft), np.float32)
 
     clump = smooth_field(read.shape, matcher.clump_px / 2, rng)
-    # Small steps leave holes where the ramp is steep, great ones a gap on the farther side.
+    # Small steps cause holes where the ramp is steep, large steps a gap on the farther side.
     slope = (1 - apart) * _steps(soft, 3) / np.float32(2)
     lost = slope > np.float32(matcher.steep) * (np.float32(1) + np.float32(0.25) * clump)
     gap = cv2.dilate(sharp, _disc(matcher.gap_px)) - sharp > np.float32(matcher.jump_px)
@@ -209,11 +209,11 @@ def _steps(disparity_px: NDArray[np.float32], window_px: int) -> NDArray[np.floa
     return cv2.dilate(disparity_px, window) - cv2.erode(disparity_px, window)
 
 
-def _fattened(
+def _fatten_foreground(
     disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    # The matching window sees the nearer side's edge before its middle is there; how much before
-    # depends on the texture, so the border is ragged.
+    # Foreground fattening: the matching window reaches the nearer side before its centre does. The
+    # extent depends on texture, so the border is irregular.
     texture = smooth_field(disparity_px.shape, 3.0, rng)
     fat = disparity_px.copy()
     for k in range(1, matcher.fatten_px + 1):
@@ -237,42 +237,42 @@ _NO_TURN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _MARGIN_PX = 24
 
-_FLICKER = 0.1  # of the readings beside a jump, gone in one frame and back in the next
+_FLICKER = 0.1  # share of missing readings per frame near discontinuities
 
 
 @dataclass(frozen=True)
 class D4xx:
-    """One camera.
+    """Parameters of a depth camera.
 
     Parameters
     ----------
     color, depth : Intrinsics
-        Of the colour camera and of the depth camera (the left imager).
+        Intrinsics of the colour camera and of the depth camera (the left imager).
     rotation : tuple
         R of x_color = R x_depth + t, rows first.
     translation_m : tuple of float
-        t; on a D435 the colour camera stands 15 mm beside the left imager.
+        t; 15 mm along x for a D435.
     baseline_m : float
-        Between the imagers; 50 mm on a D435.
+        Distance between the imagers; 50 mm for a D435.
     disparity_rms_px : float
-        Noise of disparity, pixels of the depth camera, all waves together.
+        RMS noise of disparity, pixels of the depth camera.
     fixed_share : float
-        Share of its variance that stays from frame to frame.
+        Share of the noise variance that is constant over time.
     correlation_px : float
-        Standard deviation of the Gaussian that makes the noise smooth, depth pixels.
+        Standard deviation of the Gaussian filter of the noise, depth pixels.
     subpixel_step_px : float
-        Disparity comes in such steps.
+        Quantisation of disparity.
     scale_error : float
-        This camera's own: it reads depth times 1 + scale_error.
+        Depth scale error of the camera: depth is multiplied by 1 + scale_error.
     matcher : Matcher
-        How the matching errs at edges.
+        Error model of the matcher.
     foliage_holes, glare_holes : float
-        Share of leaves' pixels lost in clumps, and share of a fruit's shining side lost: 0 for
-        dry fruit in shade.
+        Share of invalid pixels on leaves, and on the glossy side of fruit (0 for dry fruit in
+        shade).
     unit_m : float
-        Depth comes in such units, metres.
+        Quantisation of depth, metres.
     min_z_m : float
-        Nothing nearer is read, metres.
+        Minimum depth, metres.
 
     Examples
     --------
@@ -299,9 +299,9 @@ class D4xx:
 
     @classmethod
     def like(cls, color: Intrinsics) -> D4xx:
-        """Make a D435 for a colour calibration, its depth mode of the same size.
+        """Create a D435 from colour intrinsics, with depth frames of the same size.
 
-        A D435's imagers have a focal length of half the width at 16:9; at 4:3 the sides are cut.
+        The focal length of a D435's imagers is half the width at 16:9; 4:3 modes crop the sides.
         """
         focal = color.height * 640.0 / 720.0
         centre = (color.width / 2, color.height / 2)
@@ -318,29 +318,28 @@ def sense(
     Parameters
     ----------
     scene : Scene
-        In the colour camera's coordinates.
+        Scene in the coordinates of the colour camera.
     camera : D4xx
         The camera.
     rng : numpy.random.Generator
-        The random generator; the same seed gives the same frames.
+        Random generator.
     frames : int
-        Size of the burst. Its frames share the part of the noise that is fixed in space, and
-        most holes.
+        Number of frames. They share the temporally constant part of the noise and most holes.
 
     Returns
     -------
     list of ndarray of float32, shape (color height, color width)
-        Metres, multiples of `unit_m`; 0 where there is no reading.
+        Depth in metres, multiples of `unit_m`; 0 for no reading.
 
     Raises
     ------
     ValueError
-        If a body reaches behind a camera.
+        If a body extends behind a camera.
 
     Notes
     -----
-    Disparity noise of RMS s is depth noise of z² s / (f B). Which depth pixel a colour pixel
-    takes is found once for the burst: the noise in time moves it by less than a tenth of a pixel.
+    Disparity noise of RMS s corresponds to depth noise of z² s / (f B). The alignment to colour
+    is computed once per burst, because temporal noise shifts it by less than a tenth of a pixel.
 
     Examples
     --------
@@ -352,14 +351,14 @@ def sense(
     >>> len(burst), bool(abs(np.median(burst) - 0.5) < 0.005)
     (3, True)
     """
-    seen_by = _in_sight(camera)
+    seen_by = _visible_part(camera)
     back = np.asarray(camera.rotation).T
     view = render(scene.moved(back, -back @ np.asarray(camera.translation_m)), seen_by)
     focal_baseline = seen_by.fx_px * camera.baseline_m
     depth = view.depth_m.astype(np.float32)
     exact = np.divide(focal_baseline, depth, out=np.zeros_like(depth), where=depth > 0)
     matched = match(exact, camera.matcher, rng)
-    valid = matched.valid & ~_lost_on_surfaces(view, seen_by, camera, rng)
+    valid = matched.valid & ~_surface_holes(view, seen_by, camera, rng)
     waves = smooth_field(exact.shape, camera.correlation_px, rng)
     waves *= np.float32(camera.disparity_rms_px * np.sqrt(camera.fixed_share))
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
@@ -396,7 +395,7 @@ def _frame(
     return reading
 
 
-def _lost_on_surfaces(
+def _surface_holes(
     view: View, seen_by: Intrinsics, camera: D4xx, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
     lost = np.zeros(view.depth_m.shape, np.bool_)
@@ -418,8 +417,8 @@ def _lost_on_surfaces(
 
 
 @lru_cache(maxsize=8)
-def _in_sight(camera: D4xx) -> Intrinsics:
-    """Return the part of the depth camera's picture that the colour camera can see into."""
+def _visible_part(camera: D4xx) -> Intrinsics:
+    """Return the intrinsics of the part of the depth picture that the colour camera can see."""
     color, depth = camera.color, camera.depth
     u = np.array([0, color.width / 2, color.width - 1, 0, color.width - 1] * 2, dtype=float)
     v = np.array([0, 0, 0, color.height - 1, color.height - 1] * 2, dtype=float)
@@ -434,7 +433,7 @@ def _in_sight(camera: D4xx) -> Intrinsics:
         )
     low = np.min(spans, axis=(0, 2)) - _MARGIN_PX
     high = np.max(spans, axis=(0, 2)) + _MARGIN_PX
-    # What hides a pixel from the right imager stands up to the largest disparity to its right.
+    # Objects up to the largest disparity further right can occlude a pixel in the right imager.
     high[0] += depth.fx_px * camera.baseline_m / camera.min_z_m
     left, top = np.maximum(np.floor(low), 0).astype(int).tolist()
     right, bottom = np.minimum(np.ceil(high), [depth.width, depth.height]).astype(int).tolist()
@@ -450,28 +449,28 @@ def _in_sight(camera: D4xx) -> Intrinsics:
 def color_sources(
     depth_m: NDArray[np.float32], seen_by: Intrinsics, camera: D4xx
 ) -> NDArray[np.int32]:
-    """Return which depth pixel each colour pixel takes its reading from.
+    """Return the depth pixel that each colour pixel takes its reading from.
 
-    The rule is `align_depth_to_color`'s, as indices, so that a burst needs it once.
+    Follows the rule of `align_depth_to_color`, but returns indices that can be reused for a burst.
 
     Parameters
     ----------
     depth_m : ndarray of float32, shape (h, w)
-        Metres; 0 where there is no reading.
+        Depth in metres; 0 for no reading.
     seen_by : Intrinsics
-        Of that picture: the depth camera's, or of a part of it.
+        Intrinsics of `depth_m`, the whole depth picture or a part of it.
     camera : D4xx
-        The colour camera, and where it stands.
+        Camera parameters.
 
     Returns
     -------
     ndarray of int32, shape (color height, color width)
-        Flat index into `depth_m`; -1 where no reading falls. Of several the nearest.
+        Flat index into `depth_m` of the nearest reading; -1 for none.
     """
     width, height = camera.color.size
     flat = np.flatnonzero(depth_m > 0)
     z = depth_m.ravel()[flat]
-    # Far before near: the last one written stays. 0.1 mm is finer than any depth unit in use.
+    # Sort from far to near, so that near readings overwrite far ones; 0.1 mm is finer than a unit.
     order = np.argsort(np.minimum(z * 1e4, 65535).astype(np.uint16), kind="stable")[::-1]
     flat, z = flat[order].astype(np.int32), z[order]
     v, u = np.divmod(flat, np.int32(seen_by.width))

@@ -1,4 +1,4 @@
-"""One labelled picture: the scene, its colours, what a D435 reads of it, and the truth."""
+"""Render one labelled frame: scene, colour, simulated depth and ground truth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _BURST = 3
 _AXIS_POINTS = 41
-# A D435's colour camera has a focal length of 0.71 of its width.
+# The focal length of a D435's colour camera is 0.71 of its width.
 _FOCAL_SHARE = (0.69, 0.73)
 # Carrot, banana, aubergine, wood, steel, a black hose, a white pipe; sRGB.
 _DECOYS = (
@@ -45,21 +45,20 @@ _DECOYS = (
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """What every frame of a set has in common.
+    """Options shared by all frames of a set.
 
     Parameters
     ----------
     width, height : int
-        Of the pictures, pixels.
+        Size of the pictures, pixels.
     shares : tuple of float
-        How often a frame shows fruit hanging, on a bench, in a crate; they sum to 1.
+        Probabilities of hanging, bench and crate scenes; their sum is 1.
     depth : bool
-        Whether a D435 reads depth too.
+        Also simulate the depth of a D435.
     scale_sd : float
-        Standard deviation of each camera's own error of depth scale, as a share; 0 for
-        calibrated cameras.
+        Standard deviation of the relative depth scale error; 0 for calibrated cameras.
     hard : bool
-        Whether fruit are smaller, larger, more crowded and more hidden than those tested by.
+        Use `HARD` scenes instead of `PLAIN` ones.
     """
 
     width: int = 1280
@@ -72,27 +71,27 @@ class FrameOptions:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A drawn frame.
+    """A synthetic frame.
 
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     camera : Intrinsics
-        Who looked.
+        Intrinsics.
     staged : Composition
         The scene.
     truth : tuple of FruitTruth
-        Of its cucumbers, in the order of `bodies`.
+        Ground truth of the cucumbers, in the order of `bodies`.
     bodies : tuple of Tube
         The cucumbers.
     exact_m : ndarray of float64, shape (H, W)
-        Depth as it is, metres; 0 where nothing is.
+        Exact depth, metres; 0 for no object.
     depth_m : ndarray of float32, shape (H, W), optional
-        Depth as a D435 reads it, aligned to colour, a burst of three fused, metres; 0 where there
-        is no reading.
+        Simulated depth of a D435 aligned to colour, fused from three frames, metres; 0 for no
+        reading.
     depth_scale : float
-        What that camera reads over what is.
+        Ratio of simulated to exact depth.
     """
 
     color: NDArray[np.uint8]
@@ -117,21 +116,20 @@ def draw_frame(
     Parameters
     ----------
     seed, index : int
-        Of the set, and the frame's number in it: the same pair gives the same frame, whatever
-        else is drawn.
+        Seed of the set and index of the frame. A frame depends only on these and the options.
     options : FrameOptions
-        What all frames have in common.
+        Options of the set.
     assets : Assets
-        Textures, backgrounds and lights; may be empty.
+        Picture assets; may be empty.
     restyle : callable, optional
-        Changes the frame's look before it is painted: a house with skins or light of its own.
+        Modifies the appearance before rendering, for example to simulate a particular greenhouse.
 
     Returns
     -------
     Frame
-        With 0 to 12 cucumbers, 0 to 18 if they are to be hard to find.
+        Frame with 0 to 12 cucumbers, or 0 to 18 for `hard`.
     """
-    # Colour and depth draw from streams of their own: a frame with depth looks as one without.
+    # Separate random streams, so that the colour picture does not depend on `depth`.
     streams = np.random.default_rng([seed, index]).spawn(3)
     rng, painter, sensor = streams
     camera = _camera(rng, options)
@@ -192,7 +190,7 @@ def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Sty
 
 
 def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
-    """Return the skin of something that has a cucumber's shape only."""
+    """Return the skin of a decoy, an object with the shape of a cucumber."""
     color = np.array(_DECOYS[int(rng.integers(len(_DECOYS)))]) * rng.uniform(0.8, 1.1)
     red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()
     base = (red, green, blue)
@@ -200,21 +198,21 @@ def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
 
 
 def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
-    """Return a fruit's metric truth as plain numbers, to be written beside its label.
+    """Return the metric ground truth of a fruit for `Label.extras`.
 
     Parameters
     ----------
     body : Tube
         The fruit, camera coordinates.
     truth : FruitTruth
-        What is known of it.
+        Ground truth of the fruit.
 
     Returns
     -------
     dict
-        `centreline_m`, `thread_m`, `chord_m`, `distance_m` (depth of its middle), `tilt_deg` (of
-        its chord out of the picture plane), and `axis_m` with `radius_m` at 41 points evenly
-        along the axis, blossom end first, camera coordinates.
+        `centreline_m`, `thread_m`, `chord_m`, `distance_m` (depth of the midpoint), `tilt_deg`
+        (angle between chord and picture plane), and `axis_m` with `radius_m` at 41 evenly spaced
+        points of the axis from the blossom end, camera coordinates.
 
     Examples
     --------

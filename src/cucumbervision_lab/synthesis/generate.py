@@ -1,4 +1,4 @@
-"""Labelled pictures by the thousand: each frame from its own seed, in parallel, resumable."""
+"""Generate synthetic data sets in parallel; interrupted runs can be resumed."""
 
 from __future__ import annotations
 
@@ -49,29 +49,29 @@ def parse_options(
     depth: bool = True,
     hard: bool = False,
 ) -> SynthOptions:
-    """Parse the command line's words into options.
+    """Parse command-line options.
 
     Parameters
     ----------
     frames, seed, depth, hard : int, int, bool, bool
-        As `SynthOptions` and `FrameOptions`.
+        See `SynthOptions` and `FrameOptions`.
     size : str
-        '1280x720': width x height in pixels.
+        Width x height in pixels, as in '1280x720'.
     shares : str
-        '0.6,0.22,0.18': weights of hanging, bench and crate, not all 0.
+        Weights of hanging, bench and crate scenes, as in '0.6,0.22,0.18'.
     split : str
         '', 'train', 'val' or 'test'.
     assets : Path, optional
-        Folder of textures, backgrounds and lights.
+        Folder of picture assets.
     paste : Path, optional
-        Folder of a set with masks whose fruit are pasted in.
+        Folder of a set with masks whose fruit are pasted into the frames.
     onto : Path, optional
-        Folder of a set whose pictures without fruit are pasted onto, in place of drawn frames.
+        Folder of a set whose pictures without fruit replace the synthetic frames.
 
     Raises
     ------
     DataSetError
-        Naming the option that means nothing.
+        If an option is invalid.
 
     Examples
     --------
@@ -85,19 +85,19 @@ def parse_options(
         width = height = 0
     if not all(_SMALLEST_PX <= side <= _LARGEST_PX for side in (width, height)):
         raise DataSetError(
-            f"{size!r} is no size from {_SMALLEST_PX} to {_LARGEST_PX} px",
+            f"invalid size {size!r}",
             source="--size",
-            remedy="write it as 1280x720",
+            remedy=f"give WIDTHxHEIGHT, each from {_SMALLEST_PX} to {_LARGEST_PX} px",
         )
     if split not in ("", "train", "val", "test"):
         raise DataSetError(
-            f"no split is called {split!r}", source="--split", remedy="write train, val or test"
+            f"unknown split {split!r}", source="--split", remedy="use train, val or test"
         )
     if paste is not None and depth:
         raise DataSetError("pasted fruit have no depth", source="--paste", remedy="add --no-depth")
     if onto is not None and (paste is None or split != "train"):
         raise DataSetError(
-            "photos are pasted onto to train on only",
+            "montages are for training only",
             source="--onto",
             remedy="add --paste SET --split train",
         )
@@ -120,41 +120,41 @@ _DEPTH_UNIT_M = 0.001
 
 _EXACT_UNIT_M = 0.0001
 
-# In twenty frames fourteen train, three validate, three test: the paper's 70:15:15.
+# 70:15:15, as in the paper.
 _SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
 
-# A fruit of which less is visible counts as neither fruit nor background.
+# Fruit with a smaller visible share are ignored.
 _LEAST_SHARE = 0.12
 
-_PASTED = 1.2  # real fruit a training frame, on average
+_PASTED = 1.2  # mean number of real fruit per training frame
 
-_LEAST_PX = 0.0001  # of the picture's pixels
+_LEAST_PX = 0.0001  # share of the picture's pixels below which fruit are ignored
 
 
 @dataclass(frozen=True)
 class SynthOptions:
-    """What a set is drawn from; the same options give the same files.
+    """Options of a synthetic set; the same options give the same files.
 
     Parameters
     ----------
     frames : int
-        How many pictures.
+        Number of frames.
     seed : int
-        Random generator.
+        Random seed.
     frame : FrameOptions
         Size, settings and depth of every frame.
     assets : str
-        Folder of textures, backgrounds and lights; empty for none.
+        Folder of picture assets; empty for none.
     quality : int
         JPEG quality of the colour pictures, 1 to 100.
     split : str
-        'train', 'val' or 'test' for all frames, or empty: 70:15:15 by frame.
+        'train', 'val' or 'test' for all frames; empty for 70:15:15.
     paste : str
-        Folder of a set with masks whose fruit are pasted into the training frames, which then
-        have no depth; empty for none.
+        Folder of a set with masks whose fruit are pasted into the training frames, which then have
+        no depth; empty for none.
     onto : str
-        Folder of a labelled set: its pictures without fruit are pasted onto, and nothing is drawn;
-        empty for none. The frames' size holds, their settings do not.
+        Folder of a labelled set whose pictures without fruit replace the synthetic frames; empty
+        for none. Only the size of `frame` is then used.
     """
 
     frames: int = 1500
@@ -173,36 +173,36 @@ def generate(
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
-    """Render a set, or what of it is still missing.
+    """Generate a synthetic set, or its missing frames.
 
     Parameters
     ----------
     options : SynthOptions
-        What to draw.
+        Options of the set.
     out : Path
-        The set's folder: `images/`, `depth/` (as a D435 reads it, millimetres), `exact/` (as it
-        is, tenths of a millimetre), `fragments/` and `annotations.json`.
+        Folder for `images/`, `depth/` (simulated, millimetres), `exact/` (tenths of a millimetre),
+        `fragments/` and `annotations.json`.
     workers : int
-        Processes that draw.
+        Number of processes.
     progress : callable, optional
-        Called with how many frames were just found or done.
+        Called with the number of frames completed since the last call; existing frames count.
 
     Returns
     -------
     DataSet
-        All frames, as `annotations.json` now holds them.
+        All frames of the set.
 
     Raises
     ------
     DataSetError
-        If the folder holds a set of other options, or cannot be written.
+        If the folder contains a set with other options, or is not writable.
 
     Notes
     -----
-    A frame's labels are written after its pictures, so an interrupted run draws the frame again;
-    a run with more frames than before adds the new ones.
+    The labels of a frame are written last, so an interrupted frame is generated again. A run with
+    more frames adds the missing ones.
     """
-    _claim(options, out)
+    _check_options(options, out)
     missing = [k for k in range(options.frames) if not _fragment(out, k).exists()]
     if progress is not None:
         progress(options.frames - len(missing))
@@ -211,17 +211,17 @@ def generate(
     return write_coco(collect_fragments(out, _FRAGMENTS), out)
 
 
-def _claim(options: SynthOptions, out: Path) -> None:
-    """Note the options in the folder, or see that they are the same as those noted there."""
+def _check_options(options: SynthOptions, out: Path) -> None:
+    """Write the options to the folder, or check that they match the existing ones."""
     folders = {key: Path(getattr(options, key)).name for key in ("assets", "paste", "onto")}
     wanted = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
     file = out / _MANIFEST
     try:
         if file.exists() and json.loads(file.read_text(encoding="utf-8")) != wanted:
             raise DataSetError(
-                "holds a set drawn with other options",
+                "contains a set with other options",
                 source=out,
-                remedy="give the same options to go on, or another folder",
+                remedy="use the same options to resume, or another folder",
             )
         for name in ("images", _FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
             (out / name).mkdir(parents=True, exist_ok=True)
@@ -232,7 +232,7 @@ def _claim(options: SynthOptions, out: Path) -> None:
         ) from None
     except ValueError:
         raise DataSetError(
-            "is damaged", source=file, remedy="delete it, and the set will be drawn on"
+            "is damaged", source=file, remedy="delete it and run the command again to resume"
         ) from None
 
 
@@ -248,21 +248,21 @@ def _cutouts(folder: str) -> tuple[Cutout, ...]:
 
 @lru_cache(maxsize=1)
 def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
-    """Return the photos to paste onto, by their source: a few of a canopy weigh as much as many."""
+    """Return the photos for montages grouped by source, so that every source has equal weight."""
     data = read_coco(Path(folder))
     wide = [p for p in data.in_split("train") if fruitless(p)]
     if not wide:
         raise DataSetError(
-            "has no large pictures without fruit in train",
+            "contains no large training pictures without fruit",
             source=folder,
-            remedy="add some: canopies, leaves, benches",
+            remedy="add pictures of canopies, leaves or benches",
         )
     sources = sorted({picture.source for picture in wide})
     return tuple(tuple((p, data.path(p)) for p in wide if p.source == one) for one in sources)
 
 
 def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
-    """Paste fruit onto a photo in place of drawing a frame."""
+    """Write a montage of fruit on a photo instead of a synthetic frame."""
     rng = np.random.default_rng([options.seed, index, 2])
     grounds = _grounds(options.onto)
     of_one_source = grounds[int(rng.integers(len(grounds)))]
@@ -293,7 +293,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
     picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
     color = frame.color
     if options.paste and split == "train":
-        # Real fruit carry pseudo-labels, which nothing may be tested on.
+        # Pasted fruit have pseudo-labels, so they are used for training only.
         rng = np.random.default_rng([options.seed, index, 1])
         cutouts = _cutouts(options.paste)
         count = int(rng.poisson(_PASTED))
@@ -315,24 +315,24 @@ def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]
 
 
 def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
-    """Return a drawn frame's labels.
+    """Return the labels of a synthetic frame.
 
     Parameters
     ----------
     frame : Frame
-        As drawn.
+        The frame.
     name : str
-        Its files are called so.
+        Base name of its files.
     scene : str
-        What it shares with its near-duplicates.
+        Scene name.
     split : str
         'train', 'val' or 'test'.
 
     Returns
     -------
     LabelledPicture
-        A fruit of which nothing is seen has no label; one of which too little is seen for anyone
-        to tell (12 % of it, or a ten-thousandth of the picture) is to be ignored.
+        Labels of all visible fruit. Fruit are ignored if less than 12 % is visible, or less than
+        0.01 % of the picture.
     """
     height, width = frame.color.shape[:2]
     labels = []

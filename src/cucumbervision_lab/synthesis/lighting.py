@@ -1,4 +1,4 @@
-"""Light on a scene: environment, sun, ambient occlusion and cast shadows."""
+"""Lighting of a scene: environment, sun, ambient occlusion and cast shadows."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _SKY = (32, 64)
 
 _MAP = 96
 
-_PEAK = 25.0  # times the mean: what shines brighter is the sun, which is drawn by itself
+_PEAK = 25.0  # times the mean; brighter pixels are the sun, which is modelled separately
 
 
 @dataclass(frozen=True)
 class Light:
-    """Where light comes from. White matt ground under the whole sky without sun has radiance 1.
+    """Light sources, normalised so that white matt ground without sun has a radiance of 1.
 
     Parameters
     ----------
@@ -40,17 +40,17 @@ class Light:
     up : tuple of float
         Unit vector, camera coordinates.
     yaw_deg : float
-        By how much the environment is turned about `up`.
+        Rotation of the environment about `up`.
     environment : int
-        Index among the assets; -1 for a drawn sky.
+        Index among the assets; -1 for a generated sky.
     zenith, horizon, ground : tuple of float
-        sRGB of a drawn sky, 0 to 255.
+        sRGB of a generated sky, 0 to 255.
     panels : int
-        Number of bright panes in a drawn sky.
+        Number of bright panes in a generated sky.
     shade : float
-        Share of the sun that leaves out of sight take away, in spots, 0 to 1.
+        Strength of dappled shade by leaves outside the view, 0 to 1.
     spot_m : float
-        Size of these spots, metres.
+        Size of the spots of dappled shade, metres.
     """
 
     sun: Vector
@@ -69,15 +69,15 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class LightMaps:
-    """Light over the normals that face a camera.
+    """Light as a function of the surface normal.
 
     Parameters
     ----------
     front, back : ndarray of float32, shape (S, S, 3)
-        Diffuse radiance of a white matt surface at normal (x, y), and at the opposite one; x and
-        y run from -1 to 1 over the columns and rows.
+        Diffuse radiance of a white matt surface with normal (x, y), and with the opposite normal;
+        x and y range from -1 to 1 over columns and rows.
     sharp, soft : ndarray of float32, shape (S, S, 3)
-        What a mirror with that normal shows: a glossy one, and a dull one.
+        Specular reflection for that normal, glossy and dull.
     """
 
     front: NDArray[np.float32]
@@ -87,19 +87,19 @@ class LightMaps:
 
 
 def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1.0, 0.0)) -> Light:
-    """Sample a light: overcast, under glass, sunny, under lamps, deep in the leaves.
+    """Sample a light: overcast, under glass, sunny, under lamps or inside the canopy.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     assets : Assets
-        Environments to take, in half of all cases where there are any.
+        Environments, used with a probability of 0.5 if available.
     up : tuple of float
         Unit vector, camera coordinates.
     """
     high = np.asarray(up, float)
-    # From above, rather from the camera's side.
+    # Mostly from above and from the side of the camera.
     towards = 1.2 * high + rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, -0.35])
     towards /= np.linalg.norm(towards)
     sunny = rng.random() < 0.55
@@ -132,21 +132,21 @@ def _triple(values: NDArray[np.float64]) -> Vector:
 
 
 def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightMaps:
-    """Compute a light for all normals.
+    """Compute the light maps of a light.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The random generator, for a drawn sky.
+        Random generator, for a generated sky.
     light : Light
-        Its sun is not in the maps.
+        Light; its sun is not included in the maps.
     assets : Assets
-        Where `light.environment` points to.
+        Assets that `light.environment` refers to.
     """
     if light.environment >= 0 and assets.environments:
         sky = assets.environments[light.environment % len(assets.environments)]
         sky = np.minimum(sky, _PEAK * sky.mean())
-        # A camera's white balance takes most of a sky's colour away.
+        # Automatic white balance removes most of the sky's colour.
         sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
     else:
         sky = _drawn_sky(rng, light)
@@ -159,7 +159,7 @@ def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightM
     beyond = np.maximum(np.hypot(x, y), 1.0)
     x, y = x / beyond, y / beyond
     normal = np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)
-    # The mirror image of the line of sight: 2 (n . v) n - v with v = (0, 0, -1).
+    # Reflected viewing direction: 2 (n . v) n - v with v = (0, 0, -1).
     mirrored = -2 * normal[..., 2:] * normal - np.array([0.0, 0.0, -1.0])
     flat = (normal @ frame.T).reshape(-1, 3)
     shape = (_MAP, _MAP, 3)
@@ -221,7 +221,7 @@ def _basis(d: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the nine coefficients of an environment's light.
+    """Return the nine spherical harmonic coefficients of an environment.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
 
     Examples
     --------
-    Light of 1 from everywhere gives an irradiance of pi:
+    A uniform radiance of 1 gives an irradiance of pi:
 
     >>> nine = harmonics(np.ones((32, 64, 3), np.float32))
     >>> irradiance(nine, np.array([[0.0, 0.0, 1.0]])).round(2).tolist()
@@ -253,12 +253,12 @@ def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the irradiance at normals (Ramamoorthi and Hanrahan 2001, equation 6).
+    """Return the irradiance for given normals (Ramamoorthi and Hanrahan 2001, equation 6).
 
     Parameters
     ----------
     nine : ndarray of float64, shape (9, 3)
-        As `harmonics` gives them.
+        Coefficients from `harmonics`.
     normal : ndarray of float64, shape (N, 3)
         Unit vectors, z up.
 
@@ -299,8 +299,8 @@ _REACH_M = 0.40
 
 _TILE = 256
 
-# A small pixel astride an outline would leave a bright rim about what stands before: the darker of
-# neighbours counts.
+# Downsampled pixels on an outline would cause a bright rim around foreground objects: take the
+# minimum of the neighbours.
 _AROUND = np.ones((3, 3), np.uint8)
 
 
@@ -330,21 +330,21 @@ def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> NDArray[np
 def sun_shadow(
     rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
 ) -> NDArray[np.float32]:
-    """Compute the share of sunlight that each pixel gets, from the depth in sight.
+    """Compute the share of sunlight at each pixel from the visible depth.
 
-    From each point a few steps are taken towards the sun; where the picture shows something
-    nearer to the camera than such a step, and not far nearer, that thing is in the way.
+    Marches from each point towards the sun in screen space. A step that lies slightly behind the
+    visible surface counts as shadowed.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Random generator: steps are jittered, which makes soft edges.
+        Random generator; steps are jittered for soft edges.
     depth_m : ndarray of float32, shape (H, W)
-        Metres, far where nothing is.
+        Depth in metres, large for no object.
     camera : Intrinsics
-        The camera; its distortion is left out of account.
+        The camera; distortion is ignored.
     light : Light
-        Whose sun.
+        Light with the sun.
 
     Returns
     -------
@@ -377,7 +377,7 @@ def sun_shadow(
 def dappled_shade(
     rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
 ) -> NDArray[np.float32]:
-    """Compute the share of sunlight that leaves outside the picture let through.
+    """Compute the share of sunlight that passes leaves outside the picture.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def dappled_shade(
     camera : Intrinsics
         The camera.
     light : Light
-        Its sun's direction, `shade` and `spot_m`.
+        Light with the sun's direction, `shade` and `spot_m`.
 
     Returns
     -------
@@ -414,19 +414,19 @@ def dappled_shade(
 
 
 def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.float32]:
-    """Compute each pixel's ambient occlusion from the depth around it.
+    """Compute the ambient occlusion of each pixel from the surrounding depth.
 
     Parameters
     ----------
     depth_m : ndarray of float32, shape (H, W)
         Metres.
     strength : float
-        0 leaves all open.
+        Strength of the occlusion; 0 for none.
 
     Returns
     -------
     ndarray of float32, shape (H, W)
-        Above 0 (deep between things) to 1 (open).
+        Above 0 (enclosed) to 1 (open).
 
     Notes
     -----
@@ -439,7 +439,7 @@ def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> ND
     for sigma, weight in ((2.5, 0.4), (7.0, 0.35), (18.0, 0.25)):
         around = cv2.GaussianBlur(near, (0, 0), sigma)
         before = np.maximum(around - near, 0) * small
-        # What stands far before hides little of the light.
+        # Objects far in front occlude little of the light.
         closed += weight * before / (before + 0.010) * 0.08 / (before + 0.08)
     opened = 1 - np.float32(0.95 * strength) * closed
     return _grown(cv2.erode(opened, _AROUND), depth_m.shape, step)

@@ -1,9 +1,9 @@
-"""Real fruit pasted into real photos without fruit, partly behind their foreground.
+"""Paste real fruit into real photos without fruit, partly behind the foreground.
 
-In a canopy the leaves in front are bright and the gaps between them dark, so that a fruit comes to
-lie in the gaps: where a smoothed brightness exceeds a threshold the photo stays as it is. Some
-fruit are crossed by a leaf-shaped piece of the same photo or by a string. The fruit take up the
-light of their place. They carry pseudo-labels and have no length.
+In a canopy, foreground leaves are bright and the gaps between them are dark. Fruit are placed in
+the gaps: pixels above a brightness threshold keep the photo. Some fruit are occluded by a
+leaf-shaped piece of the same photo or by a string. Fruit are adapted to the local brightness.
+They have pseudo-labels and no length.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.paste import Cutout
 
 _LEAST_GROUND_PX = 340
-_LENGTH_SHARE = (0.07, 0.75)  # of the picture's longer side
+_LENGTH_SHARE = (0.07, 0.75)  # length of fruit relative to the picture's longer side
 _MOST_FRUIT = 10
-_HANGING = 0.6  # how often fruit hang
-_HIDDEN = 0.6  # how often something in front is looked for
-_MOST_HIDDEN = 0.55  # of a fruit, by what is brighter
+_HANGING = 0.6  # probability that fruit hang
+_HIDDEN = 0.6  # probability that a fruit is placed behind the foreground
+_MOST_HIDDEN = 0.55  # maximum share of a fruit occluded by the foreground
 
 
 def fruitless(picture: LabelledPicture) -> bool:
-    """Return whether a photo can be pasted onto: it is large enough and shows no fruit.
+    """Return whether a photo is large enough and has no labels.
 
-    A region to be ignored may hide fruit.
+    Photos with ignore regions are excluded, because these may contain fruit.
     """
     return not picture.labels and min(picture.width, picture.height) >= _LEAST_GROUND_PX
 
@@ -45,30 +45,30 @@ def montage(
     cutouts: Sequence[Cutout],
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], tuple[Label, ...]]:
-    """Paste fruit into a part of a photo.
+    """Paste fruit into a random crop of a photo.
 
     Parameters
     ----------
     ground : ndarray of uint8, shape (H, W, 3)
-        RGB; shows no fruit.
+        RGB photo without fruit.
     size : tuple of int
-        Width and height of the picture wanted.
+        Width and height of the result.
     cutouts : sequence of Cutout
-        To choose from.
+        Fruit to choose from.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------
     color : ndarray of uint8, shape (height, width, 3)
         RGB.
     labels : tuple of Label
-        Of the fruit pasted, marked `pseudo`; one of which too little is seen is to be ignored.
+        Pseudo-labels of the pasted fruit.
     """
     picture = _part_of(ground, size, rng).astype(np.float32)
     light = cv2.GaussianBlur(picture.mean(axis=2), (0, 0), 0.004 * max(size))
     longest = float(np.exp(rng.uniform(*np.log(_LENGTH_SHARE)))) * max(size)
-    # Small fruit come in numbers.
+    # More fruit if they are small.
     many = 1.2 + 4.0 * (1 - longest / (_LENGTH_SHARE[1] * max(size)))
     hangs = rng.random() < _HANGING
     labels: list[Label] = []
@@ -110,7 +110,7 @@ def montage(
 def _part_of(
     ground: NDArray[np.uint8], size: tuple[int, int], rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Cut a part of a photo with the picture's form out and bring it to size."""
+    """Return a random crop of a photo with the aspect ratio of `size`, resized to it."""
     width, height = size
     h, w = ground.shape[:2]
     most = min(w / width, h / height)
@@ -125,7 +125,7 @@ def _part_of(
 
 
 def _around(amodal: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return rows and columns of a fruit and of its shadow."""
+    """Return the row and column slices of a fruit and its shadow."""
     ys, xs = np.nonzero(amodal.any(axis=1))[0], np.nonzero(amodal.any(axis=0))[0]
     margin = int(0.6 * np.sqrt(np.count_nonzero(amodal))) + 8
     rows = slice(max(int(ys[0]) - margin, 0), int(ys[-1]) + margin)
@@ -133,7 +133,7 @@ def _around(amodal: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _upright(cutout: Cutout) -> float:
-    """Return the turn in degrees that lets a cut-out hang, whichever end is up."""
+    """Return the rotation in degrees that makes a cutout vertical."""
     pixels = np.argwhere(cutout.mask)[:, ::-1].astype(np.float64)
     _, axes = np.linalg.eigh(np.cov((pixels - pixels.mean(axis=0)).T))
     x, y = axes[:, -1]
@@ -143,7 +143,7 @@ def _upright(cutout: Cutout) -> float:
 def _behind(
     light: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return how much of each pixel something brighter in front covers, 0 to 1."""
+    """Return the occlusion of each pixel by the brighter foreground, 0 to 1."""
     none = np.zeros_like(light)
     if rng.random() > _HIDDEN:
         return none
@@ -164,7 +164,7 @@ def _softened(mask: ArrayLike, sigma_px: float) -> NDArray[np.float32]:
 def _leaf_over(
     picture: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return a leaf-shaped piece of the photo that lies over part of a fruit, and where it does."""
+    """Return a shifted copy of the photo, and the mask of a leaf over part of a fruit."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
     k = int(rng.integers(len(xs)))
@@ -174,7 +174,7 @@ def _leaf_over(
     slim, lean = rng.uniform(0.5, 1.0), rng.uniform(0, np.pi)
     outline = radius * lobes * np.stack([np.cos(turn), slim * np.sin(turn)])
     wheel = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
-    # Its middle lies beside the fruit, so that it covers a part only.
+    # Shift the centre, so that the leaf covers only a part of the fruit.
     middle = np.array([xs[k], ys[k]]) + rng.normal(0, 0.6 * radius, 2)
     points = (wheel @ outline).T + middle
     cover = np.zeros((height, width), np.uint8)
@@ -187,7 +187,7 @@ def _leaf_over(
 def _string_over(
     picture: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return a string or thin stem that crosses a fruit, and where it does."""
+    """Return the colour of a string or thin stem across a fruit, and its mask."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
     k = int(rng.integers(len(xs)))
@@ -208,11 +208,11 @@ def _blend(
     hidden: NDArray[np.float32],
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Put a fruit into the picture in the light of its place, with its shadow behind it."""
+    """Blend a fruit into the picture with local brightness and a shadow."""
     amodal = fruit.amodal
     near = cv2.dilate(amodal.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
     place, own = picture[near].mean(axis=0) + 4, fruit.color[amodal].mean(axis=0) + 4
-    # Its brightness goes most of the way to that of its place, its colour a little.
+    # Adapt brightness to the surroundings largely, colour slightly.
     level = (place.mean() / own.mean()) ** rng.uniform(0.3, 0.9)
     cast = ((place / place.mean()) / (own / own.mean())) ** rng.uniform(0.0, 0.3)
     gain = np.clip(level * rng.uniform(0.8, 1.4), 0.35, 2.2) * cast
@@ -227,7 +227,7 @@ def _blend(
         lit = cv2.GaussianBlur(lit, (0, 0), soft)
     dark = picture
     if rng.random() < 0.6:
-        # What is behind a fruit lies in its shadow.
+        # Darken the background next to the fruit.
         reach = 0.12 * np.sqrt(len(xs)) + 1
         shadow = cv2.GaussianBlur(fruit.alpha, (0, 0), float(reach))
         shift = np.array([[1, 0, rng.normal(0, reach)], [0, 1, rng.uniform(0, reach)]], np.float32)

@@ -1,7 +1,7 @@
-"""Paste real fruit, cut out of photos by their masks, into drawn frames.
+"""Paste real fruit, cut out of photos by their masks, into synthetic frames.
 
-A pasted fruit stands at a depth: what the frame shows nearer hides it, and it hides what lies
-behind. Its labels are pseudo-labels, since a network drew its mask. It has no length.
+A pasted fruit has a depth: nearer parts of the frame occlude it, and it occludes farther parts.
+Its label is a pseudo-label, because a network predicted the mask. It has no length.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MARGIN_PX = 4
 _LEAST_SIDE_PX = 40
 _LEAST_PX = 60
 _SOLID = 0.78
-_LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
+_LENGTH_SHARE = (0.10, 0.55)  # length of fruit relative to the frame's longer side
 LEAST_SEEN = 0.12
 
 
@@ -42,11 +42,11 @@ class Cutout:
     color : ndarray of uint8, shape (h, w, 3)
         RGB.
     mask : ndarray of bool, shape (h, w)
-        The fruit.
+        Mask of the fruit.
     keypoints : ndarray of float64, shape (5, 3), optional
-        In pixels of the cutout.
+        Keypoints in pixels of the cutout.
     by_place : bool
-        Whether the stem's end is unknown.
+        Whether the keypoints are ordered by position because the stem end is unknown.
     """
 
     color: NDArray[np.uint8]
@@ -56,15 +56,15 @@ class Cutout:
 
 
 def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
-    """Cut the whole fruit out of the pictures of a split.
+    """Cut out all complete fruit of a split.
 
     Parameters
     ----------
     dataset : DataSet
-        With masks; labels to be ignored, cut off by the border, hidden in part or smaller than
-        40 px are left out.
+        Data set with masks. Labels that are ignored, cut off, occluded or smaller than 40 px are
+        skipped.
     split : str
-        Which pictures; never those that something is tested on.
+        Split to use; do not use the test split.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
 
 
 def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | None:
-    """Return a fruit's mask if all of it is in sight and nothing else is: a hand leaves hollows."""
+    """Return the mask of a complete, convex fruit, or None; a hand would cause concavities."""
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
     hidden = label.ignore or label.cut_off or (label.hidden_share or 0) > 0.05
@@ -103,7 +103,7 @@ def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cut
     points = label.keypoints
     if points is not None:
         points = points - np.array([left, top, 0.0])
-    # The outermost pixels show what lay behind the fruit too.
+    # Erode, because the outermost pixels contain background.
     body = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     by_place = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
     return Cutout(color[part].copy(), body[part].copy(), points, by_place)
@@ -122,15 +122,15 @@ def paste(
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
-        RGB; not changed.
+        RGB; not modified.
     depth_m : ndarray of float64, shape (H, W)
-        Exact depth, metres; 0 where nothing is.
+        Exact depth, metres; 0 for no object.
     labels : sequence of Label
-        The frame's own.
+        Labels of the frame.
     cutouts : sequence of Cutout
-        To choose from.
+        Fruit to choose from.
     count : int
-        How many to paste.
+        Number of fruit to paste.
     rng : numpy.random.Generator
         Random generator.
 
@@ -139,7 +139,7 @@ def paste(
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     labels : tuple of Label
-        The frame's own, less what is now hidden, and the pasted ones, marked `pseudo`.
+        Labels of the frame without newly occluded parts, and pseudo-labels of the pasted fruit.
     """
     picture, depth = color.copy(), np.where(depth_m > 0, depth_m, np.inf)
     kept = list(labels)
@@ -169,18 +169,18 @@ def paste(
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A cut-out as it comes to lie in a picture.
+    """A transformed cutout.
 
     Parameters
     ----------
     color : ndarray of float32, shape (H, W, 3)
-        RGB, 0 to 255; black outside of it.
+        RGB, 0 to 255; black outside the fruit.
     alpha : ndarray of float32, shape (H, W)
-        How much of it covers a pixel, 0 to 1.
+        Coverage of each pixel, 0 to 1.
     keypoints : ndarray of float64, shape (5, 3), optional
-        In pixels of the picture.
+        Keypoints in pixels of the picture.
     by_place : bool
-        As of the cutout.
+        See `Cutout`.
     """
 
     color: NDArray[np.float32]
@@ -190,7 +190,7 @@ class Placed:
 
     @property
     def amodal(self) -> NDArray[np.bool_]:
-        """Where it would be seen if nothing hid it."""
+        """Mask of the fruit without occlusion."""
         return self.alpha > 0.5
 
 
@@ -202,7 +202,7 @@ def place_cutout(
     length_px: float,
     turn_deg: float,
 ) -> Placed | None:
-    """Lay a cut-out into a picture, somewhere, in a light that differs a little.
+    """Transform a cutout to a random position with a random brightness.
 
     Parameters
     ----------
@@ -211,20 +211,20 @@ def place_cutout(
     shape : tuple of int
         Height and width of the picture.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     length_px : float
-        Of the longer side of its box before it is turned; it is never blown up by more than 1.3.
+        Longer side of the box before rotation; the scale is limited to 1.3.
     turn_deg : float
-        By which it is turned.
+        Rotation, degrees.
 
     Returns
     -------
     Placed or None
-        None where too little of it is inside the picture.
+        None if too little of the fruit is inside the picture.
     """
     height, width = shape
     h, w = cutout.mask.shape
-    # Blowing a small photo up would paste a blur.
+    # Enlarging further would blur the fruit.
     scale = min(length_px / max(h, w), 1.3)
     turn = np.deg2rad(turn_deg)
     flip = rng.choice([-1.0, 1.0])
@@ -237,7 +237,7 @@ def place_cutout(
     tone = rng.uniform(0.6, 1.25) * rng.uniform(0.94, 1.06, 3)
     toned = np.clip(cutout.color * tone, 0, 255).astype(np.float32)
     if scale < 0.7:
-        # Warping alone would skip pixels.
+        # Low-pass filter against aliasing.
         toned = cv2.GaussianBlur(toned, (0, 0), 0.35 / scale).astype(np.float32)
     fruit = cv2.warpAffine(toned, matrix, (width, height), flags=cv2.INTER_LINEAR)
     soft = cv2.GaussianBlur(cutout.mask.astype(np.float32), (0, 0), max(0.6, 0.4 / scale))
@@ -253,14 +253,14 @@ def place_cutout(
 
 
 def less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
-    """Return what is left of a label where something new hides part of it, or None.
+    """Remove newly occluded pixels from a label; return None if nothing is left.
 
     Parameters
     ----------
     label : Label
-        With a mask.
+        Label with a mask.
     hidden : ndarray of bool, shape (H, W)
-        What is hidden now.
+        Newly occluded pixels.
     """
     mask = label.mask
     if mask is None or not (mask & hidden).any():
@@ -303,16 +303,16 @@ def label_of(
     *,
     by_place: bool = False,
 ) -> Label:
-    """Label a pasted fruit.
+    """Create the pseudo-label of a pasted fruit.
 
     Parameters
     ----------
     seen, amodal : ndarray of bool, shape (H, W)
-        What of it is seen, at least one pixel, and what would be if nothing hid it.
+        Visible pixels, at least one, and pixels without occlusion.
     points : ndarray of float64, shape (5, 3), optional
-        Its keypoints.
+        Keypoints.
     by_place : bool
-        Whether the stem's end is unknown; the label records this.
+        Whether the keypoints are ordered by position; recorded in the label.
     """
     height, width = seen.shape
     if points is not None:

@@ -1,4 +1,4 @@
-"""Place fruit: hanging among leaves, or lying on a surface or in a crate."""
+"""Place fruit: hanging in a canopy, or lying on a surface or in a crate."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
 
-_COARSE = 0.5  # the search for a leaf's size looks at every second pixel
+_COARSE = 0.5  # resolution factor of the search for a leaf's size
 
 _SEARCH_STEPS = 14
 
-_NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
+_NEAREST = 0.4  # maximum distance of a leaf from its fruit, as a share of the fruit's distance
 
 
 def place_hanging(
@@ -42,18 +42,17 @@ def place_hanging(
     tilt_deg: float = 0.0,
     spin_deg: float = 0.0,
 ) -> Tube:
-    """Place a fruit made about the origin.
+    """Move a fruit from the origin to its position.
 
     Parameters
     ----------
     fruit : Tube
-        As `bent_tube` and `random_fruit` give it.
+        Fruit from `bent_tube` or `random_fruit`.
     at_m : tuple of float
-        Where its middle goes, camera coordinates, metres.
+        Position of the centre, camera coordinates, metres.
     roll_deg, tilt_deg, spin_deg : float
-        As `rotation` takes them: with a roll of -90 it hangs, stem end up; tilt leans the axis
-        out of the picture plane; spin turns the bend about the axis, 0 being in the picture
-        plane and 90 towards or from the camera.
+        See `rotation`. With a roll of -90 the fruit hangs with the stem end up; tilt moves the axis
+        out of the picture plane; with a spin of 0 the bend is in the picture plane.
 
     Examples
     --------
@@ -72,23 +71,23 @@ def foliage(
     depth_m: float = 0.35,
     density: float = 1.6,
 ) -> tuple[Leaf, ...]:
-    """Generate a layer of leaves that fills the view.
+    """Generate a layer of leaves that fills the picture.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     camera : Intrinsics
-        The camera whose view is filled.
+        The camera.
     distance_m, depth_m : float
-        The nearest leaf's middle and how far back the layer goes, metres.
+        Distance and thickness of the layer, metres.
     density : float
-        Leaf area for each area of the view, seen flat.
+        Leaf area per area of the view.
 
     Returns
     -------
     tuple of Leaf
-        Far ones first.
+        Leaves from far to near.
 
     Examples
     --------
@@ -114,7 +113,7 @@ def foliage(
 def _leaf(
     rng: np.random.Generator, centre_m: tuple[float, float, float], length_m: float, width_m: float
 ) -> Leaf:
-    # Blades face the light more or less, that is up and to the camera.
+    # Blades face the light, that is up and towards the camera.
     turn = rotation(rng.uniform(0, 360), rng.normal(0, 25), rng.normal(0, 25))
     lean = rotation(spin_deg=rng.uniform(-10, 50))
     bend = rng.normal(0, 1.5, 2)
@@ -131,18 +130,18 @@ def _leaf(
 def string(
     rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015, lean: float = 0.03
 ) -> Stem:
-    """Generate a string or a stem from above the view to below it.
+    """Generate a string or stem that crosses the view vertically.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     x_m, z_m : float
-        Where it crosses the height of the camera, metres.
+        Position at the height of the camera, metres.
     radius_m : float
-        Metres: a string has 1 to 2 mm, a main stem 4 to 6.
+        Radius, metres: 1 to 2 mm for a string, 4 to 6 mm for a main stem.
     lean : float
-        How far it leans and bows, as a share of its height.
+        Standard deviation of inclination and bow relative to the height.
     """
     y = np.linspace(-1.2, 1.2, 9) * z_m
     x = x_m + rng.normal(0, lean) * y + rng.normal(0, lean) * np.cos(2 * y / z_m) * 0.3 * z_m
@@ -156,7 +155,7 @@ def trellis(
     fruit: tuple[Tube, ...],
     behind_m: float = 0.15,
 ) -> Scene:
-    """Hang fruit before leaves, strings and stems, a wall far behind.
+    """Add leaves, strings, stems and a distant wall behind hanging fruit.
 
     Parameters
     ----------
@@ -165,17 +164,17 @@ def trellis(
     camera : Intrinsics
         The camera.
     fruit : tuple of Tube
-        Placed, in the camera's coordinates.
+        Fruit in camera coordinates.
     behind_m : float
-        How far behind the farthest point of the fruit the leaves begin, metres.
+        Distance between the fruit and the leaves, metres.
 
     Returns
     -------
     Scene
-        Nothing of it but fruit hides fruit: `occlude` adds that.
+        Scene without occlusion of fruit by leaves; see `occlude`.
     """
     back = max(float((f.centres_m[:, 2] + f.radii_m).max()) for f in fruit)
-    # A leaf may lean forward by its own length.
+    # Leaves can extend forward by their length.
     leaves = foliage(rng, camera, back + behind_m + 0.10)
     half = camera.width / (2 * camera.fx_px) * (back + behind_m)
     stems = [
@@ -197,28 +196,27 @@ def occlude(
     *,
     ends_free: bool = True,
 ) -> Scene:
-    """Hang one leaf before a fruit so that it hides a share of it.
+    """Add a leaf that occludes a given share of a fruit.
 
     Parameters
     ----------
     scene : Scene
-        Whose fruit `index` is not hidden yet.
+        Scene in which the fruit is not occluded.
     camera : Intrinsics
         The camera.
     index : int
-        Which fruit.
+        Index of the fruit.
     hidden_share : float
-        Share of its outline's pixels to hide, 0 to 0.6 with both ends free, to 0.9 otherwise.
+        Share of pixels to occlude, up to 0.6 with free ends, otherwise up to 0.9.
     rng : numpy.random.Generator
         Random generator.
     ends_free : bool
-        Whether both ends stay in sight; otherwise the leaf hides one end.
+        Keep both ends visible; otherwise the leaf occludes one end.
 
     Returns
     -------
     Scene
-        With one leaf more. The share is met to a few per cent of itself, less by what lies
-        outside the picture; `truth_of` says what it is.
+        Scene with the leaf. The share is approximate; `truth_of` returns the exact one.
 
     Examples
     --------
@@ -244,7 +242,7 @@ def occlude(
     where = 0.5 + rng.uniform(-0.5, 0.5) * (0.75 - hidden_share) if ends_free else 0.0
     if not ends_free and rng.random() < 0.5:
         where = 1.0
-    # A half length of half the share would do for an oblong leaf; this one has lobes.
+    # Half the share would suffice for a rectangular leaf, but this one has lobes.
     low, high = 0.0, (0.9 if ends_free else 1.8) * hidden_share
     for _ in range(_SEARCH_STEPS):
         reach = (low + high) / 2
@@ -263,7 +261,7 @@ def _blade(
     ahead, back = min(k + 1, len(tube.radii_m) - 1), max(k - 1, 0)
     along = tube.centres_m[ahead] - tube.centres_m[back]
     along /= np.linalg.norm(along)
-    # Parallel to the fruit there, on the ray from the camera, so that it hides this very spot.
+    # Parallel to the fruit, on the camera ray through the point to occlude.
     distance = float(np.linalg.norm(tube.centres_m[k]))
     sight = -tube.centres_m[k] / distance
     off = sight - (sight @ along) * along
@@ -292,23 +290,23 @@ def _hides(leaf: Leaf, fruit: Hit, camera: Intrinsics) -> float:
 
 _STEEPEST_DEG = 55.0
 
-NEAREST_M = 0.24  # nothing is drawn nearer to the camera
+NEAREST_M = 0.24  # minimum distance of bodies from the camera
 
-_EVERY = 8  # of a body's balls stand for it when it is laid
+_EVERY = 8  # every eighth sphere of a body is used for collision tests
 
 _TRIES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A level surface that the camera looks down on.
+    """A horizontal surface viewed from above.
 
     Parameters
     ----------
     point_m : ndarray of float64, shape (3,)
-        Where the optical axis meets it, camera coordinates, metres.
+        Intersection with the optical axis, camera coordinates, metres.
     frame : ndarray of float64, shape (3, 3)
-        Rows: two unit vectors in the surface, and its normal, towards the camera.
+        Rows: two unit vectors in the surface, and its normal towards the camera.
     """
 
     point_m: NDArray[np.float64]
@@ -316,7 +314,7 @@ class Ground:
 
     @classmethod
     def seen(cls, rng: np.random.Generator, distance_m: float) -> Ground:
-        """Sample a view of it: from straight above to 55 degrees off, at any heading.
+        """Sample a surface viewed from 0 to 55 degrees off the vertical, at any heading.
 
         Examples
         --------
@@ -326,7 +324,7 @@ class Ground:
         """
         off = np.deg2rad(rng.uniform(0, _STEEPEST_DEG))
         about = rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
-        # The far side of a bench is up in the picture: the normal leans there (y points down).
+        # The far side of a bench is at the top of the picture (y points down).
         normal = np.array([0.0, -np.sin(off), -np.cos(off)])
         across = np.array([1.0, 0.0, 0.0])
         turn = np.array(
@@ -341,15 +339,15 @@ class Ground:
 
     @property
     def plane(self) -> Plane:
-        """The surface itself."""
+        """The surface as a plane."""
         return Plane(self.point_m, self.frame[2])
 
     def at(self, x_m: float, y_m: float, height_m: float) -> NDArray[np.float64]:
-        """Return a point by its place on the surface and height above it, metres."""
+        """Return a point from surface coordinates and height, metres."""
         return np.asarray(self.point_m + np.array([x_m, y_m, height_m]) @ self.frame)
 
     def below(self, camera: Intrinsics, u: float, v: float) -> tuple[float, float]:
-        """Return the place on the surface that a pixel sees, metres."""
+        """Return the surface coordinates seen by a pixel, metres."""
         x, y = camera.rays(u, v)
         ray = np.array([float(x), float(y), 1.0])
         met = ray * float(self.frame[2] @ self.point_m) / float(self.frame[2] @ ray)
@@ -364,33 +362,33 @@ def place_lying(
     bodies: Sequence[Tube],
     inner_m: tuple[float, float] | None = None,
 ) -> tuple[list[Tube], list[int]]:
-    """Lay bodies down one after another.
+    """Place bodies on a surface one after another.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     camera : Intrinsics
-        The camera: on an open surface they lie where it sees them.
+        The camera; on an open surface, bodies are placed inside its view.
     ground : Ground
-        What they lie on.
+        The surface.
     bodies : sequence of Tube
-        Plane bends about the origin, as `random_fruit` gives them.
+        Planar fruit from `random_fruit`.
     inner_m : tuple of float, optional
-        Length and width of the crate that they lie in, its middle where the optical axis meets
-        the ground; they lie along it, more or less.
+        Length and width of a crate centred on the optical axis; bodies are roughly parallel to its
+        length.
 
     Returns
     -------
     placed : list of Tube
-        In camera coordinates, none inside another.
+        Bodies in camera coordinates that do not intersect.
     kept : list of int
-        Which of `bodies` they are: one for which there was no room is left out.
+        Their indices in `bodies`; bodies too close to the camera are dropped.
 
     Notes
     -----
-    A body keeps level and is let down until it touches the surface or another body. On an open
-    surface the lowest of a few places is taken, so that they seldom lie on one another.
+    A body stays horizontal and is lowered until it touches the surface or another body. The lowest
+    of several random positions is used, so that fruit on an open surface are rarely stacked.
     """
     placed: list[Tube] = []
     kept: list[int] = []
@@ -423,7 +421,7 @@ def _spot(
     body: Tube,
     inner_m: tuple[float, float] | None,
 ) -> tuple[tuple[float, float], NDArray[np.float64]]:
-    """Sample a place and a rotation; rows of the rotation are ground axes."""
+    """Sample a position and a rotation to ground coordinates."""
     if inner_m is None:
         yaw = rng.uniform(0, 2 * np.pi)
         u, v = rng.uniform(0.08, 0.92) * camera.width, rng.uniform(0.1, 0.9) * camera.height
@@ -434,7 +432,7 @@ def _spot(
         x, y = rng.uniform(-1, 1, 2) * np.maximum(room, 0)
         spot = float(x), float(y)
     cos, sin = np.cos(yaw), np.sin(yaw)
-    over = rng.choice([-1.0, 1.0])  # either flank may lie down
+    over = rng.choice([-1.0, 1.0])  # either side may face down
     turn = np.array([[cos, -sin * over, 0.0], [sin, cos * over, 0.0], [0.0, 0.0, over]])
     return spot, turn
 
@@ -444,7 +442,7 @@ def _rest(
     radii_m: NDArray[np.float64],
     lain: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> float:
-    """Return the height at which a level body, let down, touches something."""
+    """Return the height at which a lowered body touches the ground or another body."""
     height = float((radii_m - flat_m[:, 2]).max())
     for centres, radii in lain:
         across = ((flat_m[:, None, :2] - centres[None, :, :2]) ** 2).sum(axis=2)
@@ -458,22 +456,21 @@ def _rest(
 def crate_rods(
     rng: np.random.Generator, ground: Ground, inner_m: tuple[float, float]
 ) -> tuple[Stem, ...]:
-    """Build a crate of bars around the middle of the ground.
+    """Create a crate of bars around the centre of the ground.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Random generator: height, thickness and number of bars.
+        Random generator for height, thickness and number of bars.
     ground : Ground
-        What it stands on.
+        The surface.
     inner_m : tuple of float
-        Length and width inside, metres.
+        Inner length and width, metres.
 
     Returns
     -------
     tuple of Stem
-        Level bars around, and posts at the corners; those that would reach behind the camera are
-        left out.
+        Horizontal bars and corner posts, without those that extend behind the camera.
     """
     radius = float(rng.uniform(0.004, 0.009))
     height = float(rng.uniform(0.07, 0.16))

@@ -1,4 +1,4 @@
-"""Leaves, stems, planes and swept balls, and where each pixel's ray first meets them."""
+"""Ray casting of leaves, stems, planes and swept spheres."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _COARSE_BALLS = 100
 
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """What one body shows in its window of the picture.
+    """Intersection of the pixels' rays with one body.
 
     Parameters
     ----------
     window : tuple of slice
         Rows and columns of the picture, shape (h, w).
     depth_m : ndarray of float64, shape (h, w)
-        Depth along z in metres; infinite where the ray misses.
+        Depth along z in metres; infinite if the ray misses.
     part : ndarray of int32, shape (h, w)
-        Index of the ball or segment met; 0 where the ray misses.
+        Index of the sphere or segment; 0 if the ray misses.
     """
 
     window: Window
@@ -47,7 +47,7 @@ class Hit:
         return np.isfinite(self.depth_m)
 
     def add(self, window: Window, depth_m: NDArray[np.float64], part: int) -> None:
-        """Lay one more part over, within its own window of the picture; the nearer stays."""
+        """Merge a further part, keeping the nearer intersection of each pixel."""
         rows, columns = self.window
         here = np.s_[
             window[0].start - rows.start : window[0].stop - rows.start,
@@ -60,12 +60,12 @@ class Hit:
 
 @dataclass(frozen=True, eq=False)
 class RayGrid:
-    """The rays of a camera's pixels, and their range in each column and row.
+    """Rays of a camera's pixels, and their range in each column and row.
 
     Parameters
     ----------
     x, y : ndarray of float64, shape (H, W)
-        Rays (x/z, y/z), lens distortion undone; read-only.
+        Undistorted rays (x/z, y/z); read-only.
     columns, rows : tuple of two ndarrays of float64, shape (W,) and (H,)
         Least and largest x of each column, y of each row.
     """
@@ -76,7 +76,7 @@ class RayGrid:
     rows: tuple[NDArray[np.float64], NDArray[np.float64]]
 
     def window(self, low: ArrayLike, high: ArrayLike) -> Window | None:
-        """Return the pixels whose rays can lie between two corners (x, y), or None."""
+        """Return the window of pixels whose rays can lie between two corners (x, y), or None."""
         (x_low, y_low), (x_high, y_high) = np.asarray(low), np.asarray(high)
         left, right = (
             np.searchsorted(self.columns[1], x_low),
@@ -90,7 +90,7 @@ class RayGrid:
 
 @lru_cache(maxsize=8)
 def ray_grid(camera: Intrinsics) -> RayGrid:
-    """Return the rays of all pixels of a camera, kept for the next call.
+    """Return the rays of all pixels of a camera; the result is cached.
 
     Examples
     --------
@@ -102,14 +102,14 @@ def ray_grid(camera: Intrinsics) -> RayGrid:
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     x, y = (np.asarray(r, dtype=np.float64) for r in camera.rays(u, v))
     x.flags.writeable = y.flags.writeable = False
-    # Rays grow with the pixel but for a lens' last wiggle: the search needs certain order.
+    # Distortion can make rays slightly non-monotonic, but the binary search needs sorted values.
     columns = tuple(np.maximum.accumulate(r) for r in (x.min(axis=0), x.max(axis=0)))
     rows = tuple(np.maximum.accumulate(r) for r in (y.min(axis=1), y.max(axis=1)))
     return RayGrid(x, y, (columns[0], columns[1]), (rows[0], rows[1]))
 
 
 def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
-    """Return a camera that sees the same in pixels so many times smaller; 0.5 halves the picture.
+    """Return a camera with a scaled picture size; 0.5 halves width and height.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
     >>> half.size, half.fx_px, half.cx_px
     ((320, 240), 300.0, 159.5)
     """
-    # Pixel centres are whole numbers: the middle of two by two lies at 0.5.
+    # Pixel centres are integers, so the centre of 2 x 2 pixels is at 0.5.
     return replace(
         camera,
         width=max(int(camera.width * factor), 1),
@@ -133,7 +133,7 @@ def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
 def _ball_bounds(
     centre_m: NDArray[np.float64], radius_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners, in rays, of the rectangle that a ball's outline just fits in.
+    """Return the bounding rectangle of a projected sphere, in ray coordinates.
 
     Parameters
     ----------
@@ -145,16 +145,16 @@ def _ball_bounds(
     Returns
     -------
     low, high : ndarray of float64, shape (2,)
-        Least and largest x/z and y/z of the ball.
+        Minimum and maximum x/z and y/z of the sphere.
 
     Raises
     ------
     ValueError
-        If the ball reaches behind the camera.
+        If the sphere extends behind the camera.
 
     Examples
     --------
-    A ball straight ahead is seen within tan(asin(r / z)):
+    A sphere on the optical axis has a half angle of asin(r / z):
 
     >>> low, high = _ball_bounds(np.array([0.0, 0.0, 0.5]), 0.3)
     >>> high.round(6).tolist()
@@ -162,15 +162,15 @@ def _ball_bounds(
     """
     across, z = centre_m[:2], float(centre_m[2])
     if z <= radius_m:
-        raise ValueError("a body reaches behind the camera")
-    # The two planes through the eye and the other image axis that touch the ball.
+        raise ValueError("a body extends behind the camera")
+    # Tangent planes through the camera centre, parallel to the other image axis.
     root = radius_m * np.sqrt(across**2 + z * z - radius_m**2)
     scale = z * z - radius_m**2
     return (across * z - root) / scale, (across * z + root) / scale
 
 
 def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
-    """Intersect each pixel's ray with a swept ball.
+    """Intersect each pixel's ray with a swept sphere.
 
     Parameters
     ----------
@@ -182,18 +182,17 @@ def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
     Returns
     -------
     Hit or None
-        The nearest of all the tube's balls in each pixel, `part` its index; None when no pixel
-        sees the tube.
+        Nearest sphere of each pixel with its index in `part`; None if the tube is not visible.
 
     Raises
     ------
     ValueError
-        If the tube reaches behind the camera.
+        If the tube extends behind the camera.
 
     Notes
     -----
-    Every eighth ball or so, a trifle larger, finds the pixels and the region; a search by halves
-    among its neighbours finds the ball (along the axis the depth has a single minimum).
+    A coarse pass with slightly enlarged spheres finds the pixels; a binary search among the
+    neighbours then finds the exact sphere (depth has a single minimum along the axis).
 
     Examples
     --------
@@ -263,7 +262,7 @@ def _refine(
     def score(k: NDArray[np.int32]) -> NDArray[np.float64]:
         b = x * cx[k] + y * cy[k] + cz[k]
         disc = b * b - a * constant[k]
-        # A miss is worse than any hit, and the worse the wider it is.
+        # A miss scores worse than any hit, increasing with its distance.
         met = (b - np.sqrt(np.maximum(disc, 0))) / a
         return np.asarray(np.where(disc > 0, met, 1e3 - disc))
 
@@ -280,7 +279,7 @@ def _refine(
 
 
 def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
-    """Intersect each pixel's ray with a stem or string, its ends and joints round.
+    """Intersect each pixel's ray with a stem or string with round ends and joints.
 
     Parameters
     ----------
@@ -292,12 +291,12 @@ def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
     Returns
     -------
     Hit or None
-        `part` is the segment's index; None when no pixel sees the stem.
+        Intersection with the segment index in `part`; None if the stem is not visible.
 
     Raises
     ------
     ValueError
-        If the stem reaches behind the camera.
+        If the stem extends behind the camera.
 
     Examples
     --------
@@ -338,7 +337,7 @@ def _cylinder(
     length = float(np.linalg.norm(axis))
     ax, ay, az = (axis / length).tolist()
     sx, sy, sz = start_m.tolist()
-    # The ray and the start, each less its part along the axis: |z across - from|² = r².
+    # Components of ray and start point perpendicular to the axis: |z across - from|² = r².
     along = x * ax + y * ay + az
     foot = sx * ax + sy * ay + sz * az
     a = x * x + y * y + 1 - along * along
@@ -352,7 +351,7 @@ def _cylinder(
 
 @dataclass(frozen=True, eq=False)
 class Stem:
-    """A round rod along a polyline: a stem, a leaf's stalk, a string.
+    """A cylinder along a polyline: stem, stalk or string.
 
     Parameters
     ----------
@@ -366,20 +365,20 @@ class Stem:
     radius_m: float
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Stem:
-        """Return the rod turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the stem rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Stem(self.vertices_m @ turn.T + np.asarray(by_m, dtype=float), self.radius_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A bench, a wall.
+    """An infinite plane, such as a bench or a wall.
 
     Parameters
     ----------
     point_m : ndarray of float64, shape (3,)
-        Any point of it, camera coordinates, metres.
+        A point of the plane, camera coordinates, metres.
     normal : ndarray of float64, shape (3,)
-        Any vector at right angles to it.
+        A normal vector of any length.
     """
 
     point_m: NDArray[np.float64]
@@ -387,7 +386,7 @@ class Plane:
 
     @classmethod
     def facing(cls, distance_m: float, tilt_deg: float = 0.0, turn_deg: float = 0.0) -> Plane:
-        """Make a plane that meets the optical axis at a distance.
+        """Create a plane from its distance on the optical axis.
 
         Parameters
         ----------
@@ -406,7 +405,7 @@ class Plane:
         return cls(np.array([0.0, 0.0, distance_m]), np.array([right, -up, -1.0]) + 0.0)
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Plane:
-        """Return the plane turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the plane rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Plane(
             turn @ self.point_m + np.asarray(by_m, dtype=float),
             turn @ self.normal,
@@ -414,12 +413,12 @@ class Plane:
 
 
 def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
-    """Intersect a plane with every pixel's ray.
+    """Intersect each pixel's ray with a plane.
 
     Returns
     -------
     Hit
-        Over the whole picture; infinite where the ray never meets the plane.
+        Intersection over the whole picture; infinite if the ray misses.
 
     Examples
     --------
@@ -438,14 +437,14 @@ def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
     return Hit(whole, depth, np.zeros(depth.shape, np.int32))
 
 
-_LOBES = 5  # a cucumber leaf has five
+_LOBES = 5  # number of lobes of a cucumber leaf
 _TEETH = 41
 _NOTCH, _NOTCH_RAD = 0.35, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Leaf:
-    """A thin curved blade: a paraboloid cut by a lobed ellipse.
+    """A thin curved blade: a paraboloid with a lobed elliptic outline.
 
     Parameters
     ----------
@@ -456,13 +455,13 @@ class Leaf:
     half_length_m, half_width_m : float
         Half axes of the ellipse, metres.
     bend_per_m : tuple of float
-        Curvatures along and across, 1/m; the blade's height off its middle is
+        Curvatures along and across, 1/m; the height above the tangent plane is
         (bend_along s² + bend_across t²) / 2.
     lobe : float
-        By how much of the ellipse the five lobes stand out and in, 0 to 0.5.
+        Relative amplitude of the five lobes, 0 to 0.5.
     teeth : float
-        By how much of the ellipse a serrated edge stands out and in, 0 to 0.1; such a leaf has a
-        notch where its stalk joins, too.
+        Relative amplitude of a serrated edge, 0 to 0.1; a serrated leaf also has a notch at its
+        stalk.
     """
 
     centre_m: NDArray[np.float64]
@@ -474,7 +473,7 @@ class Leaf:
     teeth: float = 0.0
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Leaf:
-        """Return the leaf turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the leaf rotated about the origin by a 3x3 matrix, then translated by metres."""
         centre = self.centre_m @ turn.T + np.asarray(by_m, dtype=float)
         return replace(self, centre_m=centre, frame=self.frame @ turn.T)
 
@@ -492,13 +491,12 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
     Returns
     -------
     Hit or None
-        The nearer of the two points where a ray meets the paraboloid inside the outline; None
-        when no pixel sees the leaf.
+        Nearer intersection with the paraboloid inside the outline; None if the leaf is not visible.
 
     Raises
     ------
     ValueError
-        If the leaf reaches behind the camera.
+        If the leaf extends behind the camera.
 
     Examples
     --------
@@ -514,14 +512,14 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
     if window is None:
         return None
     x, y = grid.x[window], grid.y[window]
-    # A point z (x, y, 1) in the leaf's frame is z d - c.
+    # In the leaf's frame, the point z (x, y, 1) is z d - c.
     d_s, d_t, d_n = (f[0] * x + f[1] * y + f[2] for f in leaf.frame.tolist())
     c_s, c_t, c_n = (leaf.frame @ leaf.centre_m).tolist()
     k_s, k_t = leaf.bend_per_m
     a = (k_s * d_s * d_s + k_t * d_t * d_t) / 2
     b = d_n + k_s * c_s * d_s + k_t * c_t * d_t
     c = c_n + (k_s * c_s * c_s + k_t * c_t * c_t) / 2
-    # a z² - b z + c = 0, in the form that stays good when a vanishes: z = 2 c / (b ± root).
+    # Numerically stable solution of a z² - b z + c = 0 for small a: z = 2 c / (b ± root).
     square = b * b - 4 * a * c
     root = np.sqrt(np.maximum(square, 0.0))
     depth = np.full(x.shape, np.inf)
@@ -533,14 +531,14 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
 
 
 def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    # The rays to the corners of the box that holds the blade hold those to the blade.
+    # The projection of the bounding box contains the projection of the blade.
     s, t = ((1 + leaf.lobe + leaf.teeth) * half for half in (leaf.half_length_m, leaf.half_width_m))
     rise = [k * half**2 / 2 for k, half in zip(leaf.bend_per_m, (s, t), strict=True)]
     low, high = sum(min(r, 0.0) for r in rise), sum(max(r, 0.0) for r in rise)
     corners = np.array([(p, q, n) for p in (-s, s) for q in (-t, t) for n in (low, high)])
     corners = leaf.centre_m + corners @ leaf.frame
     if corners[:, 2].min() <= 0:
-        raise ValueError("a leaf reaches behind the camera")
+        raise ValueError("a leaf extends behind the camera")
     rays = corners[:, :2] / corners[:, 2:]
     return rays.min(axis=0), rays.max(axis=0)
 
@@ -550,14 +548,14 @@ def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> N
     square = p * p + q * q
     if leaf.lobe == leaf.teeth == 0:
         return np.asarray(square <= 1)
-    # Only between the innermost and the outermost reach of the edge does the angle matter.
+    # Evaluate the outline only between the inner and outer radius of the edge.
     innermost = 1 - leaf.lobe - leaf.teeth - (_NOTCH if leaf.teeth else 0)
     inside = np.asarray(square <= innermost**2)
     unsure = ~inside & (square <= (1 + leaf.lobe + leaf.teeth) ** 2)
     angle = np.arctan2(q[unsure], p[unsure])
     rim = 1 + leaf.lobe * np.cos(_LOBES * angle)
     if leaf.teeth:
-        # A triangular wave, and a notch at the stalk, where the angle is 180 degrees.
+        # Triangle wave, and a notch at the stalk (180 degrees).
         rim += leaf.teeth * (4 * np.abs((_TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
         rim -= _NOTCH * np.exp(-(((np.pi - np.abs(angle)) / _NOTCH_RAD) ** 2))
     inside[unsure] = square[unsure] <= rim * rim

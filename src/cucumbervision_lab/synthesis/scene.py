@@ -1,4 +1,4 @@
-"""A scene: fruit among leaves, stems and strings before a backdrop, and its exact truth."""
+"""Scenes of fruit, leaves, stems and planes, and their exact ground truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class Kind(IntEnum):
-    """What a pixel sees."""
+    """Kind of body that a pixel sees."""
 
     NOTHING = 0
     PLANE = 1
@@ -44,18 +44,18 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Bodies in the coordinates of one camera; what is nearest is seen.
+    """Bodies in the coordinates of one camera.
 
     Parameters
     ----------
     fruit : tuple of Tube
         The fruit.
     leaves : tuple of Leaf
-        Before and behind the fruit.
+        Leaves in front of and behind the fruit.
     stems : tuple of Stem
         Stems, stalks and strings.
     planes : tuple of Plane
-        Bench, walls.
+        Benches and walls.
     """
 
     fruit: tuple[Tube, ...]
@@ -65,11 +65,11 @@ class Scene:
 
     @classmethod
     def of(cls, *fruit: Tube, backdrop_m: float | None = None) -> Scene:
-        """Return a scene of fruit alone, or before a plane that faces the camera at a distance."""
+        """Create a scene of fruit, optionally in front of a plane that faces the camera."""
         return cls(fruit, planes=() if backdrop_m is None else (Plane.facing(backdrop_m),))
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Scene:
-        """Return the scene turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the scene rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Scene(
             tuple(body.moved(turn, by_m) for body in self.fruit),
             tuple(body.moved(turn, by_m) for body in self.leaves),
@@ -80,12 +80,12 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What each pixel's ray meets first, and each fruit's whole outline.
+    """Visible body of each pixel, and the unoccluded mask of each fruit.
 
     Parameters
     ----------
     depth_m : ndarray of float64, shape (H, W)
-        Depth along z in metres; 0 where nothing is.
+        Depth along z in metres; 0 for no object.
     share : ndarray of float32, shape (H, W)
         Position along the fruit's axis, 0 at the blossom end, 1 at the stem end; 0 elsewhere.
     normal : ndarray of float32, shape (H, W, 3)
@@ -93,9 +93,9 @@ class View:
     kind : ndarray of uint8, shape (H, W)
         A `Kind`.
     body : ndarray of int32, shape (H, W)
-        Index of the fruit, leaf, stem or plane within its kind; -1 where nothing is.
+        Index of the body within its kind; -1 for no object.
     amodal : tuple of ndarray of bool, shape (H, W)
-        Each fruit's outline as if nothing hid it, within the picture.
+        Mask of each fruit without occlusion, inside the picture.
     """
 
     depth_m: NDArray[np.float64]
@@ -112,27 +112,27 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class FruitTruth:
-    """All that is known exactly of one fruit in one view.
+    """Exact ground truth of one fruit in one view.
 
     Parameters
     ----------
     centreline_m, thread_m, chord_m : float
         The three lengths, metres.
     axis_m : ndarray of float64, shape (K, 3)
-        The central axis from blossom end to stem end, camera coordinates, metres.
+        Central axis from blossom end to stem end, camera coordinates, metres.
     radius_m : ndarray of float64, shape (K,)
-        The body's radius at each vertex of the axis, 0 at both poles, metres.
+        Radius at each vertex of the axis, 0 at both poles, metres.
     visible, amodal : ndarray of bool, shape (H, W)
-        Pixels that see the fruit, and those that would if nothing hid it.
+        Visible pixels, and pixels without occlusion.
     hidden_share : float
-        Share of the amodal pixels that something hides, 0 to 1.
+        Occluded share of the amodal pixels, 0 to 1.
     cut_off : bool
-        Whether the outline reaches the picture's border.
+        Whether the mask touches the picture's border.
     keypoints_px : ndarray of float64, shape (5, 2)
-        KP0 (blossom end) to KP4 (stem end): the axis' points at shares 0, 1/4, 1/2, 3/4 and 1 of
-        its length, as the camera sees them, (u, v) in pixels.
+        Projected points of the axis at 0, 1/4, 1/2, 3/4 and 1 of its length, KP0 (blossom end) to
+        KP4 (stem end), (u, v) in pixels.
     keypoint_visibility : ndarray of int8, shape (5,)
-        2 seen, 1 hidden by something or by the fruit itself, 0 outside the picture (COCO).
+        2 visible, 1 hidden by another body or the fruit itself, 0 outside the picture (COCO).
     """
 
     centreline_m: float
@@ -149,24 +149,24 @@ class FruitTruth:
 
 
 def render(scene: Scene, camera: Intrinsics) -> View:
-    """Render a scene exactly, by ray casting.
+    """Render a scene by ray casting.
 
     Parameters
     ----------
     scene : Scene
-        In the camera's coordinates.
+        Scene in camera coordinates.
     camera : Intrinsics
-        The camera, its lens distortion included.
+        The camera, including lens distortion.
 
     Returns
     -------
     View
-        What every pixel sees.
+        Visible body of each pixel.
 
     Raises
     ------
     ValueError
-        If a body reaches behind the camera.
+        If a body extends behind the camera.
 
     Examples
     --------
@@ -216,21 +216,21 @@ def _hits(scene: Scene, camera: Intrinsics) -> Iterator[tuple[Kind, int, Hit | N
 
 
 def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tuple[FruitTruth, ...]:
-    """Return the truth of each fruit of a scene.
+    """Return the ground truth of each fruit of a scene.
 
     Parameters
     ----------
     scene : Scene
-        In the camera's coordinates.
+        Scene in camera coordinates.
     camera : Intrinsics
         The camera.
     view : View, optional
-        What `look` gave for them, if at hand.
+        Result of `render`, if available.
 
     Returns
     -------
     tuple of FruitTruth
-        In the order of `scene.fruit`; a fruit outside the picture has empty masks and a
+        In the order of `scene.fruit`. A fruit outside the picture has empty masks and a
         `hidden_share` of 0.
 
     Examples
@@ -247,7 +247,7 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
 
 
 def reaches_border(mask: NDArray[np.bool_]) -> bool:
-    """Return whether a mask of shape (H, W) has a pixel in the picture's outermost rows or columns.
+    """Return whether a mask of shape (H, W) touches the picture's border.
 
     Examples
     --------
@@ -281,7 +281,7 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
 
 
 _GROWN_SHARE = 0.2
-"""Half the width of a stalk or a blossom, as a share of the fruit's largest radius."""
+"""Half the width of a stalk or blossom relative to the fruit's largest radius."""
 
 
 def _visibility(
@@ -295,13 +295,13 @@ def _visibility(
     height, width = visible.shape
     thick_m = float(tube.radii_m.max())
     found = np.zeros(len(pixels), np.int8)
-    # An inner point lies a radius under the skin; a pole is on it, or behind the fruit's body.
+    # Inner points lie below the skin; a pole lies on the skin or is hidden by the fruit itself.
     allowed = [0.5 * tube.radii_m[0], *[np.inf] * (len(pixels) - 2), 0.5 * tube.radii_m[-1]]
     for k, (u, v) in enumerate(np.rint(pixels).astype(int).tolist()):
         if not (0 <= u < width and 0 <= v < height):
             continue
-        # A pole's own pixel may just miss the outline: its neighbours count too. And where a stalk
-        # or a blossom grows, the end is in sight all the same: as far as these reach.
+        # Include neighbouring pixels: the projected pole may miss the mask by a pixel, and an end
+        # covered only by its stalk or blossom still counts as visible.
         about = 1
         if k in (0, len(pixels) - 1):
             about += int(np.ceil(_GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))

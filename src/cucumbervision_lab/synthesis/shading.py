@@ -1,4 +1,4 @@
-"""Shade a rendered scene: the material of each body, then light on all of it at once."""
+"""Shade a rendered scene: materials of all bodies, then lighting."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _FAR_M = 8.0
 _PHOTOS = 3
-_SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # a leaf against the light is yellower
+_SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # leaves transmit yellowish light
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,32 +82,32 @@ def shade(
     assets: Assets,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Compute the light that reaches each pixel.
+    """Compute the radiance of each pixel.
 
     Parameters
     ----------
     scene : Scene
-        In the camera's coordinates.
+        Scene in camera coordinates.
     view : View
-        What `render` gives for it.
+        Result of `render`.
     camera : Intrinsics
         The camera.
     style : Style
-        How each body looks.
+        Appearance of each body.
     assets : Assets
-        Richer pictures to take.
+        Picture assets.
     rng : numpy.random.Generator
         Random generator.
 
     Returns
     -------
     ndarray of float32, shape (H, W, 3)
-        Linear RGB; `optics.expose` makes a picture of it.
+        Linear RGB, input of `color_camera.expose`.
 
     Raises
     ------
     ValueError
-        If the style has not one look for each body.
+        If the numbers of bodies in `style` and `scene` differ.
 
     Examples
     --------
@@ -167,7 +167,7 @@ def _check(scene: Scene, style: Style) -> None:
 
 
 def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
-    # One stable sort of 16-bit keys gives the pixels of every body at once.
+    # A single stable sort of 16-bit keys groups the pixels by body.
     most = int(view.body.max()) + 2
     key = (view.kind.astype(np.int32) * most + view.body + 1).ravel()
     key = key.astype(np.uint16) if key.max() < 2**16 else key
@@ -234,7 +234,7 @@ def _leaf(
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
     normal = frame[2] - slopes @ frame[:2]
-    # Both faces of a blade are lit from the camera's side.
+    # Flip normals towards the camera, because both faces of a blade are visible.
     side = np.sign(np.einsum("ij,ij->i", normal, points))
     under = float(side.mean()) > 0
     layers.normal[at] = _unit(normal, -np.where(side == 0, 1, side))
@@ -324,11 +324,11 @@ def _lit(job: _Job) -> NDArray[np.float32]:
     nearest = float(np.quantile(depth[::8, ::8], 0.02))
     gloom = np.exp(-np.float32(style.gloom_per_m) * np.maximum(depth - nearest, 0))
     front = scale_colors(front, open_ * gloom)
-    # Away from the picture's middle the line of sight leans, and the mirror image with it.
+    # The viewing direction, and with it the reflection, is inclined away from the picture's centre.
     x += np.float32(0.5) * half * grid.x.astype(np.float32)
     y += np.float32(0.5) * half * grid.y.astype(np.float32)
     x, y = np.clip(x, 0, size - 1), np.clip(y, 0, size - 1)
-    # Schlick's approximation, for a coat of wax.
+    # Schlick's approximation for a wax coating.
     edge = np.clip(1 + normal[..., 2], 0, 1) ** 4
     shine = gloss * (np.float32(0.045) + np.float32(0.35) * edge)
     gleam = found(maps.soft, x, y)

@@ -1,4 +1,4 @@
-"""Cucumber skin of each variety, as textures unrolled from the fruit."""
+"""Procedural cucumber skin by variety, as unrolled textures."""
 
 from __future__ import annotations
 
@@ -30,36 +30,36 @@ _TILE_M = 0.05  # what a close-up of skin shows from side to side
 
 @dataclass(frozen=True)
 class Skin:
-    """The look of one fruit.
+    """Appearance parameters of one fruit.
 
     Parameters
     ----------
     base, tip, stripe : tuple of float
-        sRGB, 0 to 255: the body, the blossom end, the stripes.
+        Colours of body, blossom end and stripes, sRGB, 0 to 255.
     stripes : int
-        Number of stripes about the fruit.
+        Number of stripes around the fruit.
     stripe_strength, stripe_reach : float
-        How much they show, 0 to 1; how far from the blossom end they run, as a share.
+        Contrast of the stripes, 0 to 1; their length from the blossom end, as a share.
     tip_reach : float
-        How far the blossom end's colour runs up, as a share of the length.
+        Extent of the blossom end's colour, as a share of the length.
     mottle : float
-        Spread of the skin's tone.
+        Variation of the skin's brightness.
     warts_per_cm2, wart_m : float
-        How many warts, and how high they are, metres.
+        Density and height of warts, 1/cm² and metres.
     wart_tone : float
         Brightness of a wart relative to the skin.
     ridges : int
-        Number of ridges about the fruit.
+        Number of ridges around the fruit.
     ridge_m : float
-        Height of a ridge over the furrow beside it, metres.
+        Height of the ridges, metres.
     gloss : float
-        How wet it shines, 0 to 1.
+        Gloss, 0 to 1.
     bloom : float
-        Whitish wax on the skin, 0 to 1.
+        Amount of whitish wax, 0 to 1.
     neck : float
-        How pale the stem end is, 0 to 1.
+        Paleness of the stem end, 0 to 1.
     texture : int
-        Index of a close-up among the assets, -1 for none.
+        Index of a close-up among the assets; -1 for none.
     """
 
     base: Color
@@ -83,14 +83,14 @@ class Skin:
 
 @dataclass(frozen=True, eq=False)
 class SkinMaps:
-    """A fruit's skin unrolled: rows from the blossom end to the stem end, columns about it.
+    """Unrolled skin of a fruit: rows from blossom end to stem end, columns around the axis.
 
     Parameters
     ----------
     albedo : ndarray of float32, shape (A, C, 3)
         Linear RGB.
     relief : ndarray of float32, shape (A, C, 3)
-        Slope along the fruit, slope about it (both metres by metres), and gloss 0 to 1.
+        Slope along and around the fruit (metres per metre), and gloss, 0 to 1.
     """
 
     albedo: NDArray[np.float32]
@@ -175,7 +175,7 @@ LOOKS: dict[str, _Look] = {
 
 
 def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
-    """Sample the appearance of a fruit.
+    """Sample the skin of a fruit.
 
     Parameters
     ----------
@@ -184,12 +184,12 @@ def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
     variety : str
         One of `LOOKS`: "long", "slicing", "pale", "mini", "pickling".
     assets : Assets
-        Close-ups of skin to take, in half of all cases where there are any.
+        Close-ups of skin, used with a probability of 0.5 if available.
 
     Raises
     ------
     ValueError
-        If there is no such variety.
+        If the variety is unknown.
 
     Examples
     --------
@@ -238,25 +238,25 @@ def skin_maps(
     texel_m: float,
     assets: Assets,
 ) -> SkinMaps:
-    """Generate the texture maps of a fruit's skin.
+    """Generate the texture maps of a skin.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     skin : Skin
-        What to draw.
+        Appearance parameters.
     length_m, radius_m : float
-        From pole to pole, and of the body, metres.
+        Length from pole to pole, and radius, metres.
     texel_m : float
-        What one pixel of the map spans, metres: about what one of the picture does.
+        Size of a texel, metres; about that of a pixel on the fruit.
     assets : Assets
-        Where `skin.texture` points to.
+        Assets that `skin.texture` refers to.
 
     Returns
     -------
     SkinMaps
-        The last column goes over into the first.
+        Maps that are periodic around the fruit.
     """
     rows = int(np.clip(np.ceil(length_m / texel_m), *_ROWS))
     columns = int(np.clip(np.ceil(2 * np.pi * radius_m / texel_m), *_COLUMNS))
@@ -294,7 +294,7 @@ def _ground(
     assets: Assets,
     texel_m: tuple[float, float],
 ) -> NDArray[np.float32]:
-    # Yellow towards the blossom, stripes that run out of it, mottled all over.
+    # Yellow towards the blossom end, stripes from the blossom end, mottling.
     ripe = smoothstep(skin.tip_reach, 0.0, along + 0.06 * coarse)
     color = mix(to_linear(skin.base), to_linear(skin.tip), 0.8 * ripe)
     wave = np.cos(skin.stripes * around + 0.5 * coarse) + 0.35 * np.cos(
@@ -311,12 +311,12 @@ def _ground(
 def _close_up(
     picture: NDArray[np.uint8], shape: tuple[int, ...], texel_m: tuple[float, float]
 ) -> NDArray[np.float32]:
-    # Mirrored about the fruit and along it, so that it has no seam; its own light and colour out.
+    # Mirrored in both directions to avoid seams; brightness and colour of the photo are removed.
     size = tuple(max(int(_TILE_M / m), 4) for m in reversed(texel_m))
     tile = to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     tile /= cv2.GaussianBlur(tile, (0, 0), max(size[0] / 5, 1.0)) + np.float32(0.01)
     tile = np.clip(tile, 0.5, 2.0)
-    # Streaks run along a fruit, whichever way the close-up was held.
+    # Orient the streaks along the fruit.
     grey = cv2.GaussianBlur(tile.mean(axis=2), (0, 0), max(size[0] / 40, 0.5))
     if np.abs(np.diff(grey, axis=0)).sum() > np.abs(np.diff(grey, axis=1)).sum():
         tile = tile.transpose(1, 0, 2)
@@ -335,7 +335,7 @@ def _warts(
     count = rng.poisson(skin.warts_per_cm2 * area_cm2)
     if count == 0:
         return spots, spots.copy()
-    # Few near the neck.
+    # Fewer warts near the neck.
     row = (rows * rng.beta(1.1, 1.5, count)).astype(int)
     np.add.at(spots, (row, rng.integers(columns, size=count)), rng.uniform(0.4, 1.0, count))
     radius_m = 0.0011 + 0.6 * skin.wart_m
@@ -355,7 +355,7 @@ def _ends(
     length_m: float,
     noise: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    # What tells the ends apart: a corky scar in a pale ring, and a pale neck with a rim.
+    # Blossom end: a corky scar in a pale ring. Stem end: a pale neck with a rim.
     size = np.clip(length_m / 0.2, 0.5, 1.1)
     at = from_blossom_m + 0.0012 * noise
     color = mix(color, to_linear(skin.tip), 0.7 * smoothstep(0.014 * size, 0.004 * size, at))

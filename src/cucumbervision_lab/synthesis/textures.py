@@ -1,4 +1,4 @@
-"""Textures of leaves, surfaces and far views."""
+"""Textures of leaves, surfaces and distant backgrounds."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ _MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
 
 @lru_cache(maxsize=4 * LEAF_TEXTURES)
 def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
-    """Generate a leaf's blade.
+    """Generate the texture of a leaf.
 
     Parameters
     ----------
     number : int
-        Which of them, from 0 to `LEAF_TEXTURES` - 1; each is drawn once and kept.
+        Number of the texture, from 0 to `LEAF_TEXTURES` - 1; results are cached.
     level : int
-        How coarse, as `leaf_level` says.
+        Level of detail from `leaf_level`.
 
     Returns
     -------
     ndarray of float32, shape (192, 192, 4)
-        Tone about 1; vein, 0 to 1; slope along and across the blade, for relief 1. Rows run
-        across the blade, columns along it to its tip, over 1.3 half axes to each side.
+        Brightness with mean 1; veins, 0 to 1; slope along and across the blade for a relief of 1.
+        Rows run across the blade, columns along it to the tip, over 1.3 half axes to each side.
     """
     if level:
         return _coarser(leaf_texture(number), level)
@@ -71,7 +71,7 @@ def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
         off = reach * np.sin(np.clip(np.abs(away), 0, np.pi / 2))
         main = np.maximum(main, np.exp(-((off / wide) ** 2)))
         side = np.minimum(side, np.abs(away))
-    # Side veins leave the main ones forward, each pair a step farther out.
+    # Pairs of side veins branch off the main veins at regular steps.
     often = rng.uniform(3.5, 6.0)
     step = (often * reach * (1 - 0.8 * side) + 0.5 * smooth_noise(rng, s.shape, 30)) % 1.0
     branch = np.exp(-(((step - 0.5) / 0.07) ** 2)) * smoothstep(0.05, 0.4, reach)
@@ -88,20 +88,19 @@ def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
 
 
 def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
-    """Cut a piece of a leaf out of a photo.
+    """Crop a random leaf texture from a photo.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     assets : Assets
-        Whose `leaves` to cut from.
+        Assets with `leaves`.
 
     Returns
     -------
     tuple of ndarray of float32, shape (192, 192, 3)
-        Linear RGB over its own mean, a third to half of the photo, for each `leaf_level`; empty
-        without leaves.
+        Linear RGB divided by its mean, for each `leaf_level`; empty without leaves.
     """
     if not assets.leaves:
         return ()
@@ -122,9 +121,9 @@ def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArra
 
 
 def leaf_level(half_px: float) -> int:
-    """Return how often a texture must be halved for a leaf of so many pixels from middle to tip.
+    """Return the level of detail for a leaf of `half_px` pixels from centre to tip.
 
-    Without it veins would flicker on small leaves.
+    Each level halves the resolution, to avoid aliasing of veins on small leaves.
 
     Examples
     --------
@@ -136,14 +135,14 @@ def leaf_level(half_px: float) -> int:
 
 
 def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
-    # Blurred as much as halving it so often would; its size stays.
+    # Equivalent blur at the original size.
     if level == 0:
         return texture
     return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
 
 
 def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert a place on the blade, in half axes from its middle, to the texture's pixel."""
+    """Convert a position on the blade, in half axes from its centre, to texture pixels."""
     return (place / np.float32(_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
 
 
@@ -173,7 +172,7 @@ MATERIALS = tuple(_COLORS)
 
 
 def material_color(rng: np.random.Generator, material: str) -> tuple[float, float, float]:
-    """Sample a colour that a material comes in, sRGB, 0 to 255."""
+    """Sample a typical colour of a material, sRGB, 0 to 255."""
     choices = _COLORS[material]
     return jitter(rng, choices[rng.integers(len(choices))], 0.08)
 
@@ -195,7 +194,7 @@ def material_tile(
     color : tuple of float
         sRGB, 0 to 255.
     pixel_m : float
-        What a pixel of the picture spans on it, metres: finer grain would flicker, and is blurred.
+        Size of a pixel on the surface, metres; finer structures are blurred to avoid aliasing.
 
     Returns
     -------
@@ -205,7 +204,7 @@ def material_tile(
     Raises
     ------
     ValueError
-        If there is no such material.
+        If the material is unknown.
     """
     if material not in _COLORS:
         raise ValueError(f"no material {material!r}: choose one of {', '.join(MATERIALS)}")
@@ -287,19 +286,19 @@ _TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
 def far_view(
     rng: np.random.Generator, kind: str, width: int, height: int, assets: Assets
 ) -> NDArray[np.float32]:
-    """Generate a distant background with its own light.
+    """Generate a distant background.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Random generator.
     kind : str
-        "photo" (of the assets; leaves without any), "leaves", "film" (a pale wall of plastic or
-        glass), "dark".
+        "photo" (from the assets, or "leaves" without any), "leaves", "film" (a pale wall of plastic
+        or glass) or "dark".
     width, height : int
         Pixels.
     assets : Assets
-        For their backgrounds.
+        Assets with backgrounds.
 
     Returns
     -------

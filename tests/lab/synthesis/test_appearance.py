@@ -60,9 +60,9 @@ def test_unreadable_files_are_named_and_the_rest_is_kept(tmp_path: Path) -> None
 
 
 def test_a_folder_that_is_missing_or_holds_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="no such folder"):
+    with pytest.raises(CaptureError, match="folder not found"):
         load_assets(tmp_path / "none")
-    with pytest.raises(CaptureError, match="holds no textures"):
+    with pytest.raises(CaptureError, match="contains no textures"):
         load_assets(tmp_path)
 
 
@@ -130,5 +130,5 @@ def test_unknown_settings_and_roles_are_refused() -> None:
     rng = np.random.default_rng(1)
     with pytest.raises(ValueError, match="'field' is not a valid Setting"):
         random_style(rng, Scene(()), Assets(), "field")
-    with pytest.raises(ValueError, match="no role 'rope'"):
+    with pytest.raises(ValueError, match="unknown role 'rope'"):
         random_style(rng, Scene(()), Assets(), "bench", stem_roles=("rope",))

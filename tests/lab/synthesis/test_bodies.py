@@ -63,7 +63,7 @@ def test_the_larger_bend_faces_outward() -> None:
 
 
 def test_too_short_is_refused() -> None:
-    with pytest.raises(ValueError, match="shorter than its round ends"):
+    with pytest.raises(ValueError, match="less than the sum of the end radii"):
         random_fruit(np.random.default_rng(1), 0.02, Variety.LONG)
 
 
@@ -104,7 +104,7 @@ def test_helix_by_hand(helix: Callable[[float, float, float], NDArray[np.float64
 
 
 def test_too_short_for_its_ends() -> None:
-    with pytest.raises(ValueError, match="shorter than its round ends"):
+    with pytest.raises(ValueError, match="less than the sum of the end radii"):
         arc_tube(0.03, 0.02)
 
 

@@ -110,5 +110,5 @@ def test_onto_needs_fruit_to_paste_and_trains_only(tmp_path: Path) -> None:
         parse_options(**words, split="test", paste=tmp_path, onto=tmp_path)  # type: ignore[arg-type]
     fruit = a_set(tmp_path / "fruit", fruit=True)
     options = parse_options(**words, split="train", paste=fruit, onto=fruit)  # type: ignore[arg-type]
-    with pytest.raises(DataSetError, match="no large pictures without fruit"):
+    with pytest.raises(DataSetError, match="no large training pictures without fruit"):
         generate(options, tmp_path / "out")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -369,6 +370,19 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(
         assert (keys[0], keys[2]) in linked
     back = test.run().button(key=f"back_{keys[1]}").label
     assert back.startswith(r"Restore: \!\[x\]\(http\://a\)")
+
+
+def test_the_example_says_that_it_is_being_measured(house: Path) -> None:
+    with open_store(house) as store:
+        round_for_capture(store, "", simulated=True)
+    done = threading.Event()
+    resources.worker().submit("Measuring the bundled captures", lambda _: done.wait(600))
+    words = said(app("today", round=DEMONSTRATION))
+    done.set()
+    wait_for_jobs()
+    assert "The example is being measured" in words
+    assert "no stops yet" not in words
+    assert "no stops yet" in said(app("today", round=DEMONSTRATION))
 
 
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:

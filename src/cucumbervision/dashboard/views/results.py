@@ -87,7 +87,7 @@ def page(one: RoundView) -> None:
 
 def _empty(one: RoundView) -> None:
     if resources.worker().unfinished():
-        st.info("The first captures are being measured; their fruit appear here.")
+        st.info("The first photos are being measured; their fruit appear here.")
     elif one.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
     else:

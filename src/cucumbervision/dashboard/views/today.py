@@ -67,7 +67,9 @@ def _next(one: RoundView, today: Today) -> None:
     if waiting:
         resources.wake()
         steps.append((f"{waiting} captures are still being measured.", "capture", "Capture"))
-    if not one.stops and not waiting:
+    if not one.stops and is_demonstration(one.key) and resources.worker().unfinished():
+        st.info("The example is being measured; its fruit appear here.")
+    elif not one.stops and not waiting:
         steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
     elif today.age is not Age.FRESH:
         steps.append(("Start a new round and walk again.", "capture", "Capture"))

@@ -418,7 +418,7 @@ def visit(store: Path, replay: Path) -> Iterator[Visit]:
             )
             page = browser.new_page(viewport={"width": 1280, "height": 800}, has_touch=True)
             page.set_default_timeout(300_000)
-            while True:
+            while server.poll() is None:
                 try:
                     page.request.get(f"{address}/_stcore/health")
                     break
@@ -469,16 +469,16 @@ def dashboard(quick: bool) -> list[Figure]:
                 seen.page.locator("svg.view polygon").first.wait_for()
             pages = {
                 "results": ".fruit button",
-                "map": "canvas",
-                "forecast": "canvas",
+                "map": "[data-testid=stVegaLiteChart] :is(svg, canvas)",
+                "forecast": "[data-testid=stVegaLiteChart] :is(svg, canvas)",
                 "accuracy": "[data-testid=stDataFrame] canvas",
             }
             cold, within = [], []
             for name, shown in pages.items():
                 cold.append(seen.open(f"/{name}?round={LONG.key}", shown))
             for name, shown in pages.items():
-                way = seen.page.locator(f'.st-key-nav a[href*="/{name}"]')
-                within.append(seen.seconds(way.click, f"{shown}"))
+                way = seen.page.locator(".st-key-nav a").filter(has_text=re.compile(name, re.I))
+                within.append(seen.seconds(way.click, shown))
                 seen.page.wait_for_timeout(2000)
     return [
         Figure("presses that are one stop each", 100 * kept / presses, "%", ">= 100"),

@@ -423,7 +423,7 @@ class Placed:
 DEMONSTRATION = key_of("demonstration")
 """Key of the demonstration's round."""
 
-_NAME = "Demonstration (simulated captures)"
+_NAME = "Demonstration (computer-made example)"
 
 
 def is_demonstration(round_key: str) -> bool:

@@ -469,8 +469,8 @@ def dashboard(quick: bool) -> list[Figure]:
                 seen.page.locator("svg.view polygon").first.wait_for()
             pages = {
                 "results": ".fruit button",
-                "map": "[data-testid=stVegaLiteChart] :is(svg, canvas)",
-                "forecast": "[data-testid=stVegaLiteChart] :is(svg, canvas)",
+                "map": "text=One mark per fruit",
+                "forecast": "text=Growth comes from",
                 "accuracy": "[data-testid=stDataFrame] canvas",
             }
             cold, within = [], []

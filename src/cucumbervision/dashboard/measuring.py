@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -68,6 +69,8 @@ class SharedMeasurer:
         first = next(iter(open_source(example_captures()))).load()
         # Without the masks that come with it, which would be taken in the networks' place.
         self.with_options(options).measure(replace(first, masks=()))
+        with suppress(InstancesError):  # whatever it outlines there
+            self.mask_from_click(first, (first.width / 2, first.height / 2))
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point.

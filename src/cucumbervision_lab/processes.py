@@ -1,4 +1,4 @@
-"""One function of many jobs, on several processes."""
+"""Run a function for many jobs in several processes."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Result = TypeVar("Result")
 def each_done(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int
 ) -> Iterator[Result]:
-    """Yield what a function makes of each job, as they are done.
+    """Yield the results of a function for each job as they complete.
 
     Parameters
     ----------
     function : callable
-        Can be pickled; runs with one thread of OpenCV in each process.
+        Function that can be pickled; runs with one OpenCV thread per process.
     jobs : sequence
-        What it is called with.
+        Arguments of the calls.
     workers : int
-        Processes; with one, or for one job, all is done in this one, in order.
+        Number of processes. With one worker or one job, everything runs in this process, in order.
 
     Yields
     ------
     object
-        A result. After an error or an interruption no further job is begun.
+        A result. No further job is started after an error or an interruption.
 
     Examples
     --------
@@ -45,7 +45,7 @@ def each_done(
     if workers <= 1 or len(jobs) <= 1:
         yield from map(function, jobs)
         return
-    # Forking a process that runs threads of OpenCV or Torch may hang.
+    # Forking a process with OpenCV or torch threads may deadlock.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _begin_worker) as pool:
         waiting = [pool.submit(function, job) for job in jobs]
@@ -62,7 +62,7 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when the command has been killed: its results have no reader."""
+    """Exit when the parent process has been killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -1,8 +1,7 @@
-"""Lengths by other tools on the same mask and depth: skan and PlantCV.
+"""Baseline lengths by skan and PlantCV on the same mask and depth.
 
-The skeleton tools give a line of pixels; what lifts it into space is the same for both
-(`lifted_length`). Nothing is added at the ends, where a skeleton may stop up to one fruit radius
-short of the tip: that is the tools' own way.
+Both tools return a skeleton path in pixels, whose 3D length is computed by `lifted_length`. The
+path is not extended at the ends, although a skeleton may stop up to one radius before the tip.
 """
 
 from __future__ import annotations
@@ -27,29 +26,29 @@ if TYPE_CHECKING:
 
 Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
 
-_HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints
-_SMOOTH_PX = 41  # longest window of the smoothing along the path
+_HALF_WINDOW_PX = 2  # median of a 5x5 window, as in M4
+_SMOOTH_PX = 41  # maximum window of the smoothing along the path
 _MIN_PATH_PX = 5
 
 
 def skan_length(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
 ) -> float | None:
-    """Measure a mask by skan: the longest shortest path of its skeleton, lifted into space.
+    """Compute the 3D length of a mask's longest shortest skeleton path by skan.
 
     Parameters
     ----------
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour; 0 is no reading.
     mask : ndarray of bool, shape (H, W)
-        The fruit's pixels.
+        Mask of the fruit.
     intrinsics : Intrinsics
-        The colour stream's.
+        Intrinsics of the colour stream.
 
     Returns
     -------
     float or None
-        Length in metres; None where there is no path.
+        Length in metres; None without a path.
 
     Raises
     ------
@@ -70,10 +69,10 @@ def skan_length(
     if np.count_nonzero(thin) < _MIN_PATH_PX:
         return None
     skeleton = skan.Skeleton(thin)
-    with warnings.catch_warnings(action="ignore"):  # packages lag behind what they depend on
+    with warnings.catch_warnings(action="ignore"):  # skan uses deprecated functions
         branches = skan.summarize(skeleton, separator="_")
         main = skan.csr.find_main_branches(branches)
-    # Each part of a mask that leaves cut in pieces has a main path of its own: the longest counts.
+    # Each connected part of the mask has a main path: take the longest.
     part = branches["skeleton_id"].to_numpy()
     lengths = np.bincount(part[main], branches["branch_distance"].to_numpy()[main])
     main &= part == lengths.argmax()
@@ -85,28 +84,28 @@ def skan_length(
 def plantcv_length(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
 ) -> float | None:
-    """Measure a mask by PlantCV: the longest segment of its pruned skeleton, lifted into space.
+    """Compute the 3D length of the longest segment of a mask's pruned skeleton by PlantCV.
 
     Parameters
     ----------
     depth_m, mask, intrinsics
-        As for `skan_length`.
+        See `skan_length`.
 
     Returns
     -------
     float or None
-        Length in metres; None where there is no segment.
+        Length in metres; None without a segment.
 
     Raises
     ------
     CucumberVisionError
-        If PlantCV is not installed. It asks for another OpenCV wheel and an older SciPy than
-        this program, so that no extra can carry it.
+        If PlantCV is not installed. No extra includes it, because it requires another OpenCV
+        package and an older SciPy.
 
     Notes
     -----
-    `morphology.skeletonize`, `prune` of all barbs shorter than the mask is wide, and of the
-    segments left the one that `segment_path_length` gives the greatest length in pixels.
+    `morphology.skeletonize`, then `prune` of all branches shorter than the width of the mask, then
+    the segment with the greatest `segment_path_length` in pixels.
     """
     pcv = _plantcv()
     window = mask_window(mask)
@@ -133,7 +132,7 @@ BASELINES: dict[str, Baseline] = {
 
 
 def available_baselines() -> dict[str, Baseline]:
-    """Return those of `BASELINES` whose packages are installed.
+    """Return the baselines whose packages are installed.
 
     Examples
     --------
@@ -154,20 +153,19 @@ def lifted_length(
     mask: NDArray[np.bool_],
     intrinsics: Intrinsics,
 ) -> float | None:
-    """Lift a line of pixels into space and give its length.
+    """Compute the 3D length of a path of pixels.
 
-    Each pixel takes the median of the valid readings of the mask in the 5x5 window around it
-    (none: interpolated along the path) and is deprojected. The three coordinates are smoothed
-    along the path by a Savitzky-Golay filter (second order, 41 px or the path), which takes the
-    pixels' staircase and the depth's noise out and leaves the ends where they are; the length
-    is the polyline's. Without the smoothing a diagonal path would read up to 8 % too long.
+    Each pixel is deprojected with the median of the valid readings of the mask in a 5x5 window;
+    missing values are interpolated along the path. The points are smoothed along the path by a
+    Savitzky-Golay filter (second order, at most 41 px), which removes the staircase of pixels and
+    depth noise but keeps the ends. Without smoothing, a diagonal path would be up to 8 % too long.
 
     Parameters
     ----------
     path_px : ndarray, shape (N, 2)
         Pixels (u, v) in order.
     depth_m, mask, intrinsics
-        As for `skan_length`.
+        See `skan_length`.
 
     Returns
     -------
@@ -210,11 +208,11 @@ def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.
 
 
 def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
-    """Return branches joined end to end; each shares an end with its neighbours."""
+    """Join branches end to end; neighbouring branches share an end."""
     rest = [np.asarray(branch, float) for branch in branches]
     path = rest.pop(0)
     while rest:
-        # The nearest of the four ways to go on, at either end of what is joined so far.
+        # Find the smallest gap between either end of the path and either end of a remaining branch.
         gaps = [
             (float(np.linalg.norm(path[end] - branch[start])), end, k, start)
             for end in (0, -1)
@@ -229,7 +227,7 @@ def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
 
 
 def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
-    """Return a line from its outline, which runs out along it and back again."""
+    """Return a line from its closed outline, which runs along it in both directions."""
     half = len(loop_px) // 2
     across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
     return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])
@@ -247,7 +245,7 @@ def _plantcv() -> ModuleType:
         return import_module("plantcv.plantcv")
     except ModuleNotFoundError as error:
         raise CucumberVisionError(
-            f"PlantCV cannot be used ({error})",
-            remedy="in an environment of the benchmark's own: pip install --no-deps "
+            f"PlantCV cannot be imported ({error})",
+            remedy="in a separate environment: pip install --no-deps "
             "plantcv==4.11.3 and pip install 'altair<6' flyr nd2 scikit-learn statsmodels xarray",
         ) from None

@@ -1,4 +1,4 @@
-"""The benchmark's captures: the paper's, simulated, and a stress set beyond them."""
+"""Simulated captures of the benchmark: the paper's protocol and a stress set."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 
 
 class Suite(StrEnum):
-    """Which part of the benchmark a capture belongs to."""
+    """Part of the benchmark."""
 
     PAPER = "paper"
     VALIDATION = "validation"
     STRESS = "stress"
 
 
-CAMERA = Intrinsics(1280, 720, 910.22, 910.39, 642.8, 358.5)  # the paper's, table 2
+CAMERA = Intrinsics(1280, 720, 910.22, 910.39, 642.8, 358.5)  # from the paper, table 2
 
-# Seven cucumbers in three sizes over the paper's range, by thread (cm), and its five validation
-# specimens.
+# Thread lengths (cm): seven cucumbers in three sizes over the paper's range, and its five
+# validation specimens.
 PAPER_THREADS_CM = (6.9, 8.2, 9.1, 12.6, 13.8, 23.6, 25.0)
 
 _PAPER_CAPTURES = 48
 
 _VALIDATION_THREADS_CM = (25.70, 14.72, 15.52, 23.92, 38.00)
 
-_FRAME_SHARE = 0.86  # of the picture's height and width that a fruit may take
+_FRAME_SHARE = 0.86  # maximum extent of a fruit relative to the picture's height and width
 
 _PROTOCOL_DISTANCE_M = (0.40, 0.90)
 
@@ -63,34 +63,34 @@ _TIGHTEST_BEND_M = 0.15
 
 @dataclass(frozen=True)
 class Case:
-    """One capture to simulate; everything in it follows from these numbers.
+    """Parameters of a simulated capture, which determine it completely.
 
     Parameters
     ----------
     name : str
-        Unique within the suite.
+        Name, unique within the suite.
     suite : Suite
-        The part of the benchmark.
+        Part of the benchmark.
     fruit : str
-        The fruit; captures of one fruit share `fruit_seed` and so its shape.
+        Name of the fruit; captures of one fruit share `fruit_seed` and thus the shape.
     fruit_seed : int
-        Seed of the fruit's shape.
+        Random seed of the fruit's shape.
     capture_seed : int
-        Seed of pose, surroundings and noise.
+        Random seed of pose, surroundings and noise.
     length_m : float
         Thread length for the paper's suites, centreline for the stress set, metres.
     by_thread : bool
-        Whether `length_m` is the thread.
+        Whether `length_m` is the thread length.
     bend_radius_m : float or None
-        Radius of the bend, metres; None for straight fruit.
+        Radius of curvature, metres; None for straight fruit.
     distance_m : float
-        Distance of the fruit's middle, metres.
+        Distance of the fruit's centre, metres.
     tilt_deg, roll_deg, spin_deg : float
-        As `synthesis.tube.rotation` takes them.
+        See `synthesis.bodies.rotation`.
     hidden_share : float
-        Share of the fruit's outline that leaves are to hide, 0 to 1.
+        Share of the fruit to be occluded by leaves, 0 to 1.
     hidden_end : bool
-        Whether an end is hidden; otherwise both ends are seen.
+        Whether an end is occluded; otherwise both ends are visible.
     condition : str
         'plain', 'sun' or 'wet'.
     """
@@ -113,7 +113,7 @@ class Case:
 
 
 def paper_cases(count: int = _PAPER_CAPTURES) -> list[Case]:
-    """Return the paper's benchmark: 48 captures of seven cucumbers, in turn.
+    """Return the paper's benchmark: 48 captures of seven cucumbers in turn.
 
     Examples
     --------
@@ -128,7 +128,7 @@ def paper_cases(count: int = _PAPER_CAPTURES) -> list[Case]:
 
 
 def validation_cases() -> list[Case]:
-    """Return the paper's five validation specimens, one capture each, as the paper has it."""
+    """Return the paper's five validation specimens with one capture each."""
     return [
         _plain_case(Suite.VALIDATION, k, k, _VALIDATION_THREADS_CM)
         for k in range(len(_VALIDATION_THREADS_CM))
@@ -140,7 +140,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
     shape = np.random.default_rng(seed + 100 + which)
     pose = np.random.default_rng(seed + 500 + k)
     length_m = threads_cm[which] / 100
-    # The paper's median radius is 42 cm; a fruit is no rounder than its length allows.
+    # The paper's median radius is 42 cm; the radius is at least the length of the fruit.
     bend_m = float(np.exp(shape.normal(np.log(0.42), 0.35)))
     roll = float(pose.normal(-90, 15))
     near = max(_PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
@@ -161,17 +161,17 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
 
 
 def stress_cases(count: int, first: int = 0) -> list[Case]:
-    """Return independent fruit beyond the protocol, one capture each.
+    """Return independent fruit outside the paper's protocol, with one capture each.
 
-    Tilt 0 to 60 degrees, 0.3 to 1.2 m, straight to bent with a radius of 15 cm, hidden 0 to 60 %
-    in the middle or at an end, sun and wet leaves.
+    Tilt of 0 to 60 degrees, distance of 0.3 to 1.2 m, radius of curvature from 15 cm, 0 to 60 %
+    occluded in the middle or at an end, sun and wet leaves.
 
     Parameters
     ----------
     count : int
-        How many.
+        Number of cases.
     first : int
-        Number of the first; the same number is always the same case.
+        Number of the first case; a number always refers to the same case.
 
     Examples
     --------
@@ -212,9 +212,9 @@ def _stress_case(k: int) -> Case:
 
 
 def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
-    """Compute the distance from which a whole fruit fits into the picture.
+    """Return the minimum distance at which a complete fruit fits into the picture.
 
-    A fruit tilted to the camera has one end nearer by half its depth, which is added.
+    For a tilted fruit, the depth of its nearer half is added.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
 
 _FRAMES = 5
 
-SCALE_SD = 0.01  # the data sheet allows 2 % at 2 m, taken as two standard deviations
+SCALE_SD = 0.01  # the data sheet specifies 2 % at 2 m, taken as two standard deviations
 
 _SUN_NOISE, _SUN_HOLES = 1.5, 0.10
 
@@ -243,17 +243,17 @@ _BACKGROUND_LEAVES = 14
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """One simulated capture with its truth.
+    """A simulated capture with ground truth.
 
     Parameters
     ----------
     capture : Capture
-        The burst, fused; black where `paint` was not asked. Its depth scale is exact.
+        Fused burst with exact depth scale; the colour picture is black without `paint`.
     truth : FruitTruth
-        Of its one fruit.
+        Ground truth of the fruit.
     depth_scale : float
-        What this camera would read over what is, had it not been calibrated: the sensor's scale
-        error multiplies every depth, and so every length, by it.
+        Depth scale of the camera without calibration, by which depths and lengths would be
+        multiplied.
     """
 
     capture: Capture
@@ -262,7 +262,7 @@ class Simulated:
 
 
 def build_fruit(case: Case) -> Tube:
-    """Return the case's fruit, lying along x with its middle at the origin.
+    """Return the fruit of a case, centred at the origin with its chord along x.
 
     Examples
     --------
@@ -273,22 +273,22 @@ def build_fruit(case: Case) -> Tube:
     bend = np.inf if case.bend_radius_m is None else case.bend_radius_m
     variety = variety_of(case.length_m)
 
-    def grown(length_m: float) -> Tube:
+    def sample(length_m: float) -> Tube:
         rng = np.random.default_rng(case.fruit_seed)
         return random_fruit(rng, length_m, variety, bend_radius_m=bend)
 
-    tube = grown(case.length_m)
+    tube = sample(case.length_m)
     if not case.by_thread:
         return tube
     length_m = case.length_m
-    for _ in range(5):  # the thread grows almost evenly with the centreline
+    for _ in range(5):  # fixed-point iteration: the thread is nearly proportional to the centreline
         length_m *= case.length_m / tube.thread_m
-        tube = grown(length_m)
+        tube = sample(length_m)
     return tube
 
 
 def build_scene(case: Case) -> Scene:
-    """Place the case's fruit before the camera, leaves behind it and, where asked, before it."""
+    """Return the scene of a case: fruit, background leaves and occluding leaves."""
     rng = np.random.default_rng(case.capture_seed)
     turn = rotation(case.roll_deg, case.tilt_deg, case.spin_deg)
     fruit = build_fruit(case)
@@ -301,21 +301,21 @@ def build_scene(case: Case) -> Scene:
 
 
 def simulate(case: Case, frames: int = _FRAMES, paint: bool = False) -> Simulated:
-    """Simulate one capture of a case.
+    """Simulate the capture of a case.
 
     Parameters
     ----------
     case : Case
-        What to take.
+        The case.
     frames : int
-        Size of the burst.
+        Number of frames in the burst.
     paint : bool
-        Whether to draw colours, which only networks need.
+        Render colours, which only networks need.
 
     Returns
     -------
     Simulated
-        The same for the same case, whatever else is drawn.
+        Capture that depends only on the case and `frames`.
     """
     scene = build_scene(case)
     rng = np.random.default_rng(case.capture_seed + 1)
@@ -338,7 +338,7 @@ def simulate(case: Case, frames: int = _FRAMES, paint: bool = False) -> Simulate
 
 
 def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return a scene's colour picture, (H, W, 3), in a light and a style that `rng` draws."""
+    """Return the colour picture of a scene, (H, W, 3), with random light and appearance."""
     style = random_style(rng, scene, Assets(), "hanging")
     light = shade(scene, view, CAMERA, style, Assets(), rng)
     return expose(light, Exposure(), rng, view.depth_m)
@@ -380,7 +380,7 @@ def _occluders(case: Case, fruit: Tube, rng: np.random.Generator) -> list[Leaf]:
         middle = 1 - middle
     at = axis[round(middle * (len(axis) - 1))]
     before = float(rng.uniform(0.03, 0.08)) + fruit.radii_m.max()
-    # Seen from the camera the leaf stands before the same pixels as the part it hides.
+    # Scale towards the camera, so that the leaf covers the pixels of the part to occlude.
     shrink = max(at[2] - before, 0.1) / at[2]
     run = axis[-1] - axis[0]
     along = np.array([run[0], run[1], 0.0])

@@ -1,4 +1,4 @@
-"""Learn the interval of a length: sigma on some of the fruit, quantiles on the others."""
+"""Fit length intervals by cross-conformal prediction."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-_SMALLEST_GROUP = 60  # readings: fewer go with the next larger group
+_SMALLEST_GROUP = 60  # readings; smaller groups use the enclosing group
 
 _FOLDS = 5
 
@@ -47,8 +47,8 @@ TUBE_FEATURES = (
 
 RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
-# Fruit that go on out of sight are read short, by far; where mask and keypoints disagree, one of
-# them is wrong; the others err the more differently from what the fit says, the less sure it is.
+# Fruit that extend out of sight are measured much too short. Where mask and keypoints disagree, one
+# of them is wrong. For the others, the error distribution depends on the fitted uncertainty.
 RAW_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("goes_on", (0.5,)),)
 
 TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
@@ -58,8 +58,8 @@ TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("log_sd", (float(np.log(0.01)), float(np.log(0.03)))),
 )
 
-# A network's doubt tells a part of a fruit, of which no end was seen to be hidden: confidences of
-# 0.89 and 0.97.
+# A low confidence indicates an incomplete fruit whose hidden end was not noticed; the edges are
+# logits of 0.90 and 0.97.
 PERCEIVED_TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
     *RAW_EDGES,
     ("certainty", (2.2, 3.4)),
@@ -67,19 +67,19 @@ PERCEIVED_TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
 
 
 def conformal_quantile(scores: ArrayLike, level: float) -> float:
-    """Return the finite-sample conformal quantile: the ceil((n + 1) level)-th smallest score.
+    """Return the finite-sample conformal quantile, the ceil((n + 1) level)-th smallest score.
 
     Parameters
     ----------
     scores : array_like of float, shape (N,)
         Nonconformity scores of calibration fruit.
     level : float
-        Wanted coverage.
+        Nominal coverage.
 
     Raises
     ------
     ValueError
-        If N is too small for the level: N < level / (1 - level).
+        If N is too small for the level, N < level / (1 - level).
 
     Examples
     --------
@@ -90,7 +90,7 @@ def conformal_quantile(scores: ArrayLike, level: float) -> float:
     rank = int(np.ceil((len(ordered) + 1) * level - 1e-9))
     if rank > len(ordered):
         need = int(np.ceil(level / (1 - level) - 1e-9))
-        raise ValueError(f"{len(ordered)} fruit cannot carry a level of {level}: {need} are needed")
+        raise ValueError(f"{len(ordered)} fruit are too few for a level of {level}: need {need}")
     return float(ordered[rank - 1])
 
 
@@ -103,32 +103,32 @@ def fit_interval_model(
     edges: tuple[tuple[str, tuple[float, ...]], ...] = (),
     seed: int = 0,
 ) -> IntervalModel:
-    """Fit sigma, and take quantiles of what fruit err that it was not fitted on.
+    """Fit sigma, and quantiles of the normalised errors of held-out fruit.
 
-    Sigma is fitted five times, each time on four fifths of the fruit, and the last fifth is held
-    against it (cross-conformal prediction; Vovk 2015); the model's own is fitted on all.
+    Sigma is fitted in five folds, and the quantiles are taken over the errors of the held-out folds
+    (cross-conformal prediction; Vovk 2015). The final sigma is fitted on all fruit.
 
     Parameters
     ----------
     method : str
-        The method's name.
+        Name of the method.
     errors : array_like of float, shape (N,)
-        log(measured / true), depth scale known: small ones are the relative error, large ones
-        never reach past nothing.
+        log(measured / true) with known depth scale.
     features : mapping of str to array_like of float, shape (N,)
-        What is known of each measurement at run time.
+        Features of each measurement that are available at run time.
     fruit : array_like of str, shape (N,)
-        The fruit or frame of each; its readings stay in one fifth.
+        Fruit or frame of each measurement; all of its readings are in one fold.
     level : float
-        Wanted coverage.
+        Nominal coverage.
     edges : tuple of (str, tuple of float), optional
-        Features by which fruit are grouped, and where one group ends.
+        Features that define groups, and the boundaries between the groups.
     seed : int
-        Seed of the split.
+        Random seed of the folds.
 
     Returns
     -------
     IntervalModel
+        Fitted model.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
 
 
 def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit log |error| by the features, robustly (Huber), with a slight ridge."""
+    """Fit log |error| as a linear function of the features (Huber loss, weak ridge)."""
     from scipy.optimize import least_squares
 
     target = np.log(np.maximum(size, FLOOR))
@@ -200,7 +200,7 @@ def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDAr
 
 
 def write_interval_models(path: Path, models: IntervalModels) -> None:
-    """Write interval models as JSON, numbers to nine digits.
+    """Write interval models as JSON with nine significant digits.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Tables of readings: every method's accuracy, over all fruit and by groups."""
+"""Accuracy tables of every method, overall and by group."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
-"""Kinds of true length, in the order of every report."""
+"""Definitions of length, in the order of all reports."""
 
 DESCRIPTIONS = {
     "M1": "scan line",
@@ -30,32 +30,32 @@ DESCRIPTIONS = {
     "selector best": "what this program reports",
     "selector paper": "what the paper's selector reports",
 }
-"""Methods in the order of every table; others come last."""
+"""Descriptions of methods, in the order of all tables; other methods come last."""
 
 PAPER_METHODS = ("M1", "M2", "M3", "M4", "M5")
 _COUNT_OF_RESAMPLES = 10_000
-_RESAMPLED_VALUES = 5_000_000  # bounds the memory of a bootstrap over thousands of captures
+_RESAMPLED_VALUES = 5_000_000  # limits the memory of a bootstrap
 
 
-def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
-    """Return the readings that are comparable with one kind of true length, with their errors.
+def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
+    """Return the readings that are comparable with one definition of length, with their errors.
 
-    M1 to M5 and other tools are compared with every kind: they do not say which they
-    measure. M6's own kinds are compared with their own; M6's centreline also with the thread,
-    as the paper would do.
+    M1 to M5 and other tools are compared with every definition, because they do not state theirs.
+    The thread and chord of M6 are compared with the same definition only, its centreline also with
+    the thread, as in the paper.
 
     Parameters
     ----------
     readings : DataFrame
-        As `readings_frame` gives them.
+        Readings from `readings_frame`.
     truth : LengthDefinition
-        The kind of true length.
+        Definition of length.
 
     Returns
     -------
     DataFrame
-        With `true_m` (metres), `error_cm` and `error_percent` (absolute; what was not measured
-        counts as a length of 0), and `method` as an ordered category.
+        Readings with `true_m` (metres), `error_cm` and `error_percent` (absolute; a missing length
+        counts as 0), and `method` as an ordered category.
 
     Examples
     --------
@@ -64,12 +64,12 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
     >>> one = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
     ...     1.0, lengths_m=read)
     >>> frame = readings_frame([one])
-    >>> against(frame, LengthDefinition.THREAD).method.tolist()
+    >>> comparable_readings(frame, LengthDefinition.THREAD).method.tolist()
     ['M6', 'M1', 'M6 thread']
-    >>> scored = against(frame, LengthDefinition.CENTRELINE)
+    >>> scored = comparable_readings(frame, LengthDefinition.CENTRELINE)
     >>> scored.set_index("method").error_percent.round(1).to_dict()
     {'M6': 5.0, 'M1': 50.0}
-    >>> len(against(frame, LengthDefinition.CHORD))
+    >>> len(comparable_readings(frame, LengthDefinition.CHORD))
     0
     """
     method, true = readings["method"], readings[f"{truth}_m"]
@@ -90,12 +90,12 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
 
 
 def truths_of(readings: pd.DataFrame) -> list[LengthDefinition]:
-    """Return the kinds of true length that are known of any fruit."""
+    """Return the definitions for which any true length is known."""
     return [truth for truth in _TRUTHS if readings[f"{truth}_m"].notna().any()]
 
 
 def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:
-    """Return the methods to show one by one: M6 by its own kind, and no selectors."""
+    """Return the methods to list, with M6 by the matching definition and without selectors."""
     methods = list(scored["method"].cat.categories)
     doubled = "M6" if f"M6 {truth}" in methods else None
     return [m for m in methods if m != doubled and not m.startswith("selector")]
@@ -122,17 +122,17 @@ _LOWEST_IS_BEST = ("mae_cm", "rmse_cm", "mape_percent", "median_percent", "worst
 
 
 def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
-    """Return every method's accuracy; the best in bold.
+    """Return the accuracy of every method with the best values in bold.
 
     Parameters
     ----------
     readings : DataFrame
-        Of one suite and one kind of masks.
+        Readings of one suite and one kind of masks.
     truth : LengthDefinition
-        The true length to compare with.
+        Definition of length.
     """
     rows: list[dict[str, Any]] = []
-    for method, part in against(readings, truth).groupby("method", observed=True):
+    for method, part in comparable_readings(readings, truth).groupby("method", observed=True):
         metrics, percent = score(part["length_m"], part["true_m"]), part["error_percent"]
         resamples = int(np.clip(_RESAMPLED_VALUES / len(part), 1000, _COUNT_OF_RESAMPLES))
         rows.append(
@@ -160,16 +160,16 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Something that lengths may depend on, and its groups.
+    """A factor that errors may depend on, and its groups.
 
     Parameters
     ----------
     head : str
-        What it is, with its unit.
+        Name with unit.
     groups : mapping of str to Series of bool
-        By label with its bounds, which rows belong to it; groups may overlap.
+        Rows of each group by label; groups may overlap.
     comment : str
-        What is counted how.
+        Comment for the table.
     """
 
     head: str
@@ -214,7 +214,7 @@ _HIDDEN_PERCENT: _Bands = {
 
 
 def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
-    """Return the factors that tell readings apart: at least two of their groups have any.
+    """Return the factors for which at least two groups are not empty.
 
     Parameters
     ----------
@@ -247,18 +247,18 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
 
 
 def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -> Table:
-    """Return each method's MAPE by group, and M6's median, worst and share measured.
+    """Return the MAPE of each method by group, and median, worst error and yield of M6.
 
-    The selectors are left out: what they choose is in the table already.
+    Selectors are omitted, because the lengths they choose are already included.
 
     Parameters
     ----------
     scored : DataFrame
-        From `against`.
+        Readings from `against`.
     factor : Factor
-        From `factors_of`, of the same rows.
+        Factor from `factors_of` for the same rows.
     truth : LengthDefinition
-        What they are compared with.
+        Definition of length.
     """
     methods = shown_methods(scored, truth)
     own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
@@ -284,7 +284,7 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
 
 
 def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:
-    """Return an interval as text; None where there is none.
+    """Format an interval as text; None without an interval.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Measure one simulated case by every method, under the same conditions."""
+"""Measure a simulated case by every method under the same conditions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CORRELATION_PX = 12.0
 def draw_disturbance(
     shape: tuple[int, int], rms_px: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Draw the shift of an outline at each pixel, of the given RMS, smooth over a dozen pixels.
+    """Generate a smooth random displacement field of an outline with a given RMS.
 
     Examples
     --------
@@ -50,19 +50,19 @@ def draw_disturbance(
 
 
 def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Move a mask's outline by a field.
+    """Displace the outline of a mask by a field.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
         The exact mask.
     shift_px : ndarray of float32, shape (H, W)
-        Outward shift at each pixel.
+        Outward displacement at each pixel.
 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        The pixels whose signed distance inside the outline exceeds minus the shift there.
+        Pixels whose signed distance inside the outline exceeds the negative displacement.
 
     Examples
     --------
@@ -72,30 +72,30 @@ def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDAr
     >>> int(np.flatnonzero(grown[20])[0])
     8
     """
-    # A pixel's centre is half a pixel from the border between it and its neighbour.
+    # The centre of a pixel is half a pixel from its border.
     signed = np.where(mask, distances_inside(mask) - 0.5, 0.5 - distances_inside(~mask))
     return np.asarray(signed > -shift_px)
 
 
 OUTLINE_RMS_PX = 1.5
 
-_FOUND_IOU = 0.5  # of boxes: what overlaps the case's fruit by less is another one
+_FOUND_IOU = 0.5  # minimum box IoU of a detection with the fruit of the case
 
 _READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper")
 
-NO_RECORD_BELOW_PX = 30  # a fruit of which fewer pixels show is no capture of a fruit
+NO_RECORD_BELOW_PX = 30  # minimum number of visible pixels for a record
 
 
 @dataclass(frozen=True)
 class CaseOptions:
-    """How a case is measured.
+    """Measurement options of a case.
 
     Parameters
     ----------
     masks : tuple of Masks
-        Whose masks.
+        Kinds of masks.
     baselines : bool
-        Whether other people's tools run too.
+        Also run the baselines.
     """
 
     masks: tuple[Masks, ...] = (Masks.EXACT, Masks.DISTURBED)
@@ -108,17 +108,17 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
     Parameters
     ----------
     case : Case
-        What to take.
+        The case.
     options : CaseOptions
-        How to measure.
+        Measurement options.
     find : callable, optional
-        Finds the fruit of a capture with masks and keypoints, for perceived masks: what is found
-        is given no truth, which only says which find is the case's fruit.
+        Detects the fruit of a capture with masks and keypoints, required for perceived masks.
+        Ground truth is only used to select the detection of the case's fruit.
 
     Returns
     -------
     list of LengthRecord
-        One for each kind of mask; none where too little of the fruit shows.
+        A record for each kind of mask; empty if too few pixels are visible.
     """
     taken = simulate(case, paint=Masks.PERCEIVED in options.masks)
     if np.count_nonzero(taken.truth.visible) < NO_RECORD_BELOW_PX:
@@ -150,12 +150,12 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
         box = box_of_mask(mask) if mask.any() else exact.box
         return replace(exact, box=box, mask=mask, keypoints=keypoints)
     if find is None:
-        raise ValueError("perceived masks need something that finds the fruit")
+        raise ValueError("perceived masks need `find`")
     return found_at(exact.box, find(taken.capture))
 
 
 def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | None:
-    """Return which of the fruit that were found is the one in a box, x1 y1 x2 y2, pixels."""
+    """Return the detection that matches a box x1, y1, x2, y2 in pixels, or None."""
     best = max(found, key=lambda one: box_iou(one.box, box), default=None)
     return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
 
@@ -173,7 +173,7 @@ def _record(
         fill = 0.0 if instance.mask is None else measured.fill or 0.0
         lengths, chosen = fruit_lengths(measured, capture)
         details = {f"selected_{selector}": method for selector, method in chosen.items()}
-        details |= noted(measured)
+        details |= interval_details(measured)
         details["mask_iou"] = round(mask_iou(instance.mask, truth.visible), 4)
     if instance is not None and instance.mask is not None:
         for name, measure in tools.items():
@@ -201,21 +201,22 @@ def _record(
 def fruit_lengths(
     fruit: FruitMeasurement, capture: Capture
 ) -> tuple[dict[str, float | None], dict[Selector, str | None]]:
-    """Return a fruit's lengths by every method and both selectors, and what these chose.
+    """Return the lengths of a fruit by every method and selector, and the selected methods.
 
     Parameters
     ----------
     fruit : FruitMeasurement
-        By all methods, chosen by `Selector.BEST`.
+        Measurement by all methods with `Selector.BEST`.
     capture : Capture
-        Where it was measured.
+        The measured capture.
 
     Returns
     -------
     lengths_m : dict of str to float
-        'M1' … 'M6', 'M6 thread', 'M6 chord', 'selector best', 'selector paper'; None for none.
+        'M1' … 'M6', 'M6 thread', 'M6 chord', 'selector best', 'selector paper'; None if not
+        measured.
     chosen : dict of Selector to str
-        The method whose length each selector took.
+        Method selected by each selector.
     """
     lengths: dict[str, float | None] = {
         str(method): one.length_m for method, one in fruit.measurements.items()
@@ -223,7 +224,7 @@ def fruit_lengths(
     tube = fruit.measurements[Method.M6].tube
     lengths["M6 thread"] = tube.thread_m if tube else None
     lengths["M6 chord"] = tube.chord_m if tube else None
-    # The paper's selector takes no mask of the detector's.
+    # The paper's selector does not use the detector's mask.
     mask, points = fruit.instance.mask, None
     if mask is not None:
         points = len(masked_points(capture.depth_m, mask, capture.intrinsics))
@@ -235,8 +236,8 @@ def fruit_lengths(
     return lengths, chosen
 
 
-def noted(fruit: FruitMeasurement) -> dict[str, Any]:
-    """Return what a record notes of a fruit beside its lengths: what its intervals rest on."""
+def interval_details(fruit: FruitMeasurement) -> dict[str, Any]:
+    """Return the details of a measurement that interval models use as features."""
     m6 = fruit.measurements[Method.M6]
     found: dict[str, Any] = {
         "m6_reason": str(m6.reason),

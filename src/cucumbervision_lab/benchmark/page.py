@@ -1,4 +1,4 @@
-"""A report as one page of HTML that needs nothing else: tables, plots and sections."""
+"""Write a report with tables and plots as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.benchmark.length_tables import against, shown_methods
+from cucumbervision_lab.benchmark.length_tables import comparable_readings, shown_methods
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,14 +30,14 @@ JSON_NAME = "benchmark.json"
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot with what it shows.
+    """A plot with its caption.
 
     Parameters
     ----------
     caption : str
-        In plain words.
+        Caption.
     png : bytes
-        The plot.
+        The plot as PNG.
     """
 
     caption: str
@@ -46,16 +46,16 @@ class Plot:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the report.
+    """A section of the report.
 
     Parameters
     ----------
     title : str
-        Its head.
+        Heading.
     intro : tuple of str
         Paragraphs before the tables.
     entries : tuple of Table or Plot
-        In order.
+        Tables and plots in order.
     """
 
     title: str
@@ -63,7 +63,7 @@ class Section:
     entries: tuple[Table | Plot, ...] = field(default=())
 
     def as_json(self) -> dict[str, Any]:
-        """Return the title and the tables' numbers."""
+        """Return the title and the tables as JSON values."""
         tables = [entry.as_json() for entry in self.entries if isinstance(entry, Table)]
         return {"title": self.title, "tables": tables}
 
@@ -78,24 +78,24 @@ def write_report(
     provenance: Mapping[str, object] | None = None,
     glossary: Sequence[tuple[str, str]] = (),
 ) -> Path:
-    """Write `report.html`, which needs nothing else, and its numbers as `benchmark.json`.
+    """Write a self-contained `report.html`, and its numbers as `benchmark.json`.
 
     Parameters
     ----------
     out : Path
-        The folder, made if it is missing.
+        Output folder; created if missing.
     title : str
-        The page's head.
+        Title of the page.
     sections : sequence of Section
-        In order.
+        Sections in order.
     glance : Table
-        What stands first.
+        Summary table at the top.
     notes : sequence of str
         Paragraphs at the top.
     provenance : mapping of str to object, optional
-        How the numbers came about: seeds, versions, machine, duration.
+        Seeds, versions, machine and duration.
     glossary : sequence of (str, str)
-        Terms and what they mean.
+        Terms and their definitions.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def _anchor(text: str) -> str:
 
 
 def _plain_text(value: object) -> str:
-    """Return a value of the provenance as a reader would write it."""
+    """Format a value of the provenance."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {_plain_text(one)}" for name, one in value.items()) or "–"
     if isinstance(value, list | tuple):
@@ -168,7 +168,7 @@ _DPI = 110
 _WIDTH_IN = 10.0
 
 
-# Okabe and Ito's colours, suitable for colour-blind readers; each method also has its marker.
+# Okabe and Ito's colour-blind-safe palette; each method also has its own marker.
 STYLES: dict[str, tuple[str, str, str]] = {
     "M1": ("#E69F00", "v", "-"),
     "M2": ("#56B4E9", "s", "-"),
@@ -182,26 +182,26 @@ STYLES: dict[str, tuple[str, str, str]] = {
 
 
 def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
-    """Plot each method's lengths against the truth, one small picture a method, with y = x.
+    """Plot predicted against true lengths with a panel for each method.
 
     Parameters
     ----------
     readings : DataFrame
-        Of one suite and one kind of masks, as `readings_frame` gives them.
+        Readings of one suite and one kind of masks from `readings_frame`.
     truth : LengthDefinition
-        The true length to compare with.
+        Definition of length.
 
     Returns
     -------
     bytes
-        A PNG. What a method did not measure stands on the bottom line.
+        The plot as PNG. Missing lengths are drawn at the bottom.
 
     Raises
     ------
     MissingExtraError
         If matplotlib is not installed.
     """
-    scored = against(readings, truth)
+    scored = comparable_readings(readings, truth)
     methods = shown_methods(scored, truth)
     columns = min(4, len(methods))
     lines = -(-len(methods) // columns)
@@ -227,12 +227,12 @@ def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> 
 
 
 def method_style(method: str) -> tuple[str, str, str]:
-    """Return a method's colour, marker and line."""
+    """Return the colour, marker and line style of a method."""
     return STYLES.get(method) or STYLES.get(method.split()[0]) or ("#777777", ".", "-")
 
 
 def new_figure(height_in: float) -> Figure:
-    """Return an empty figure of the report's width.
+    """Return an empty figure with the width of the report.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def as_png(figure: Figure) -> bytes:
-    """Return a figure drawn as PNG, the same bytes for the same figure."""
+    """Render a figure as PNG, reproducibly."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""Measured fruit with their true lengths: lines of a file, and a data frame of readings."""
+"""Records of measured fruit with true lengths, as JSON lines and as a data frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NUMBERS = (
 
 
 class Masks(StrEnum):
-    """Whose masks and keypoints were measured."""
+    """Kind of masks and keypoints."""
 
     EXACT = "exact"
     DISTURBED = "disturbed"
@@ -37,35 +37,34 @@ class LengthRecord:
     Parameters
     ----------
     case : str
-        The capture's name, unique within the suite.
+        Name of the capture, unique within the suite.
     suite : str
-        Which part of a benchmark.
+        Part of the benchmark.
     masks : Masks
-        Whose masks and keypoints.
+        Kind of masks and keypoints.
     fruit : str
-        The fruit; captures of one fruit are no independent samples.
+        Name of the fruit; captures of one fruit are not independent samples.
     centreline_m, thread_m, chord_m : float or None
-        True lengths in metres; None where it is not known.
+        True lengths in metres; None if unknown.
     distance_m : float
-        Distance of the fruit's middle from the camera, metres.
+        Distance of the fruit's centre from the camera, metres.
     tilt_deg : float
-        Angle of its chord out of the picture plane, degrees, 0 to 90.
+        Angle between chord and picture plane, degrees, 0 to 90.
     bend_radius_m : float or None
-        Radius of the axis' bend, metres; None for straight fruit.
+        Radius of curvature of the axis, metres; None for straight fruit.
     hidden_share : float
-        Share of the outline's pixels that something hides, 0 to 1.
+        Occluded share of the fruit's pixels, 0 to 1.
     fill : float
-        Share of the mask's pixels with a reading, 0 to 1.
+        Share of the mask's pixels with a depth reading, 0 to 1.
     condition : str
         'plain', 'sun', 'wet'.
     depth_scale : float
-        The camera's true depth scale: what it reads over what is.
+        Depth scale of the camera, the ratio of measured to true depth.
     lengths_m : dict of str to float or None
-        What each method read, metres; None where it refused, no key where it was not run. Keys:
-        'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', the selectors, and other people's
-        tools by name.
+        Length by each method, metres; None if it failed, no key if it was not run. Keys: 'M1' …
+        'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', selectors and baselines.
     details : dict
-        What else was noted, by name.
+        Further values by name.
     """
 
     case: str
@@ -87,18 +86,18 @@ class LengthRecord:
 
 
 def append_record(path: Path, record: LengthRecord) -> None:
-    """Append one record as a line of JSON, whole or not at all."""
+    """Append a record as a line of JSON in a single write."""
     with path.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(asdict(record)) + "\n")
 
 
 def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
-    """Read records back; a last line that a killed run left unfinished is passed over.
+    """Read records; an incomplete last line of an interrupted run is skipped.
 
     Raises
     ------
     CucumberVisionError
-        If another line is broken.
+        If another line is invalid.
 
     Examples
     --------
@@ -131,19 +130,19 @@ def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
 
 
 def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
-    """Return records as a data frame of readings, one row a record and method.
+    """Return records as a data frame with one row per record and method.
 
     Parameters
     ----------
     records : iterable of LengthRecord
-        At least one with a method that was run.
+        Records with at least one length.
 
     Returns
     -------
     DataFrame
-        The columns of `LengthRecord` but `lengths_m` and `details`, unknown numbers as NaN;
-        `method` and `length_m` (metres, NaN where it refused); and a column for each name in
-        any record's `details`.
+        The fields of `LengthRecord` except `lengths_m` and `details`, unknown numbers as NaN;
+        `method` and `length_m` (metres, NaN if the method failed); and a column for each key of
+        `details`.
 
     Raises
     ------

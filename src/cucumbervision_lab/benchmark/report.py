@@ -1,4 +1,4 @@
-"""The benchmark's report: the paper's figures beside this program's, then every suite."""
+"""Report of the benchmark: comparison with the paper, then every suite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.length_tables import (
     PAPER_METHODS,
     accuracy_table,
-    against,
+    comparable_readings,
     factors_of,
     group_table,
     span_text,
@@ -53,7 +53,7 @@ _MASK_WORDS = {
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
 
 
-_GROUPED_CAPTURES = 10  # fewer are neither plotted nor grouped
+_GROUPED_CAPTURES = 10  # minimum number of captures for plots and groups
 _GLOSSARY = (
     (
         "centreline",
@@ -110,11 +110,11 @@ def write_benchmark_report(
     Parameters
     ----------
     readings : DataFrame
-        Of any suites and masks, as `run_benchmark` gives them.
+        Readings from `run_benchmark`.
     out : Path
-        The folder, made if it is missing.
+        Output folder; created if missing.
     provenance : mapping of str to object, optional
-        How the numbers came about: seeds, versions, machine, duration.
+        Seeds, versions, machine and duration.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def write_benchmark_report(
     """
     if readings.empty:
         raise CucumberVisionError(
-            "there is nothing to report", source=out, remedy="measure at least one fruit first"
+            "nothing to report", source=out, remedy="measure at least one fruit first"
         )
     beside = paper_table(readings)
     notes = tuple(NOTES["paper"].split("\n\n"))
@@ -149,16 +149,16 @@ def write_benchmark_report(
 
 
 def glance_table(readings: pd.DataFrame) -> Table:
-    """Sum every suite and kind of masks up: M6 beside the paper's M5.
+    """Return a summary of M6 and the paper's M5 by suite and kind of masks.
 
     Parameters
     ----------
     readings : DataFrame
-        As for `write_benchmark_report`.
+        See `write_benchmark_report`.
     """
     rows: list[tuple[Cell, ...]] = []
     for suite, masks, part in _parts(readings):
-        scored = {truth: against(part, truth) for truth in _TRUTHS}
+        scored = {truth: comparable_readings(part, truth) for truth in _TRUTHS}
         mape = {
             (truth, str(method)): float(percent.mean())
             for truth, frame in scored.items()
@@ -185,7 +185,7 @@ def glance_table(readings: pd.DataFrame) -> Table:
 
 
 def _parts(readings: pd.DataFrame) -> list[tuple[Suite, Masks, pd.DataFrame]]:
-    """Return the readings of each suite and kind of masks that has any, in a report's order."""
+    """Return the readings by suite and kind of masks, in the order of the report."""
     parts = [
         (suite, masks, readings[(readings["suite"] == suite) & (readings["masks"] == masks)])
         for suite in Suite
@@ -195,7 +195,7 @@ def _parts(readings: pd.DataFrame) -> list[tuple[Suite, Masks, pd.DataFrame]]:
 
 
 def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks) -> Section:
-    """Return the section over one suite and kind of masks."""
+    """Return the section of one suite and kind of masks."""
     captures, fruit = readings["case"].nunique(), readings["fruit"].nunique()
     (title, words), outlines = _SUITES[suite], _MASK_WORDS[masks]
     entries: list[Table | Plot] = [accuracy_table(readings, truth) for truth in truths_of(readings)]
@@ -203,7 +203,7 @@ def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks) -> Sectio
         for truth in _TRUTHS[:1] if suite is Suite.STRESS else _TRUTHS:
             caption = f"Measured against true {truth}; on the line, both are the same."
             entries.append(Plot(caption, page.predicted_against_truth(readings, truth)))
-            scored = against(readings, truth)
+            scored = comparable_readings(readings, truth)
             factors = factors_of(scored, scored["true_m"])
             entries += [group_table(scored, factor, truth) for factor in factors]
     intro = (words, f"{captures} measurements of {fruit} fruit, with {outlines}.")
@@ -217,9 +217,9 @@ _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M4": (0.85, 1.01, 5.51, "4.12 to 7.01", 0.55, 0.97),
     "M5": (0.58, 0.61, 4.13, None, 0.40, 0.98),
 }
-"""The paper's table of accuracy (48 captures of 7 cucumbers, against the outer side): MAE and RMSE
-in cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the
-caption of its plot of errors), R². No interval where what is printed contradicts itself."""
+"""Accuracy reported in the paper (48 captures of 7 cucumbers, against the thread): MAE and RMSE in
+cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the caption
+of its error plot), R². Intervals are omitted where the paper contradicts itself."""
 
 
 NOTES = {
@@ -248,21 +248,21 @@ NOTES = {
         "M1 does not contain its own mean; neither is reproduced."
     ),
 }
-"""Notes on what the benchmark's numbers mean; the numbers themselves stand in its tables."""
+"""Notes on the interpretation of the benchmark."""
 
 
 def paper_table(readings: pd.DataFrame) -> Table | None:
-    """Return the paper's figures beside those of the same protocol here, against the thread.
+    """Return the paper's results next to those of the same protocol, against the thread.
 
     Returns
     -------
     Table or None
-        None without readings of the paper's protocol.
+        None without readings of the paper's suite.
     """
     protocol = readings[readings["suite"] == Suite.PAPER]
     if protocol.empty:
         return None
-    scored = against(protocol, LengthDefinition.THREAD)
+    scored = comparable_readings(protocol, LengthDefinition.THREAD)
     heads = ["method", "whose", "MAE (cm)", "RMSE (cm)", "MAPE (%)", "95 % by capture (%)"]
     heads += ["median error (cm)", "R²", "measured (%)", "median error (%)"]
     rows: list[tuple[Cell, ...]] = []

@@ -1,4 +1,4 @@
-"""The whole benchmark: cases measured on all cores, resumable, and intervals learnt."""
+"""Run the benchmark in parallel with resume, and fit interval models."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ TRUTH_OF = {
     "M6 thread": "thread_m",
     "M6 chord": "chord_m",
 }
-"""The column of the true length that the interval of each method's reading is to cover."""
+"""Column of the true length that the interval of each method should cover."""
 
 KEYS = tuple(TRUTH_OF)
 
 
 def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
-    """Return what was known of one reading at run time; None where it has no interval.
+    """Return the interval features of a reading; None if it has no interval.
 
     Parameters
     ----------
     reading : Series
-        A row of `readings_frame`, of one of `KEYS`.
+        A row of `readings_frame` with one of the methods in `KEYS`.
     """
     if np.isnan(reading["length_m"]):
         return None
@@ -73,14 +73,14 @@ def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
 
 
 def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> IntervalModels:
-    """Fit one model a method on readings, depth scale known.
+    """Fit an interval model for each method, with known depth scale.
 
     Parameters
     ----------
     readings : DataFrame
-        Of calibration fruit, which no test ever sees, as `readings_frame` gives them.
+        Readings of calibration fruit from `readings_frame`; must not include test fruit.
     level : float
-        Level of the intervals.
+        Nominal coverage.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> Int
     rows = rows.loc[[label for label, _ in known]]
     errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
     features = {name: np.array([said.get(name, 0.0) for _, said in known]) for name in names}
-    # Fruit of one picture are no independent samples.
+    # Fruit of one picture are not independent samples.
     fruit = rows["case"].str.partition("#")[0].to_numpy()
     return fit_interval_model(key, errors, features, fruit, level, edges)
 
@@ -113,19 +113,19 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> Int
 def with_intervals(
     readings: pd.DataFrame, book: IntervalModels, *, scale_known: bool = True
 ) -> pd.DataFrame:
-    """Return readings with `low_m` and `high_m`, NaN where there is no interval.
+    """Add the columns `low_m` and `high_m` to readings, NaN without an interval.
 
-    With the scale unknown the camera reads every length times its own scale error, and the
-    interval allows for it.
+    If the scale is unknown, lengths are multiplied by the camera's depth scale, and the intervals
+    include the scale uncertainty.
 
     Parameters
     ----------
     readings : DataFrame
-        As `readings_frame` gives them, with distinct row labels.
+        Readings from `readings_frame` with unique row labels.
     book : IntervalModels
-        The models.
+        Interval models.
     scale_known : bool
-        Whether the depth scale is exact, as after a calibration.
+        Whether the depth scale is exact, as after calibration.
     """
     ends = {}
     for label, reading in readings[readings["method"].isin(KEYS)].iterrows():
@@ -146,31 +146,30 @@ def run_cases(
     workers: int = 2,
     report: Callable[[int], None] | None = None,
 ) -> list[LengthRecord]:
-    """Measure the cases that are not in the file yet, and give all of theirs.
+    """Measure the cases that are not in the file yet, and return the records of all cases.
 
     Parameters
     ----------
     cases : sequence of Case
-        What to measure.
+        Cases to measure.
     options : CaseOptions
-        How.
+        Measurement options.
     records : Path
-        JSON lines; each finished case is appended at once. A file that other options or another
-        version began is refused.
+        JSON lines file, to which each finished case is appended immediately.
     workers : int
-        Processes.
+        Number of processes.
     report : callable, optional
-        Called with the number of cases that were just finished; for progress bars.
+        Called with the number of cases finished since the last call.
 
     Returns
     -------
     list of LengthRecord
-        Of these cases, in the file's order.
+        Records of the cases in the order of the file.
 
     Raises
     ------
     CucumberVisionError
-        If the file belongs to another run.
+        If the file was written with other options or by another version.
     """
     done = _resume(records, options)
     missing = [c for c in cases if not _measured(c, options, done)]
@@ -198,7 +197,7 @@ def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]])
 
 
 def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
-    """Check that the file was begun by this run, or begin it."""
+    """Create the file, or check that it has the same options and version."""
     stamp = {"version": __version__, "options": asdict(options)}
     mark = hashlib.sha256(json.dumps(stamp, sort_keys=True).encode()).hexdigest()
     head = records.with_suffix(".run")
@@ -208,7 +207,7 @@ def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
         return set()
     if not head.exists() or head.read_text().strip() != mark:
         raise CucumberVisionError(
-            "was begun with other options or by another version",
+            "was written with other options or by another version",
             source=records,
             remedy="delete it, or choose another --out",
         )
@@ -216,17 +215,17 @@ def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
 
 
 @dataclass(frozen=True)
-class BenchmarkPlan:
+class BenchmarkOptions:
     """Options of a benchmark run.
 
     Parameters
     ----------
     quick : bool
-        A few captures, no networks, no other people's tools: for regression guards.
+        Run only a few captures without networks and baselines, for regression tests.
     stress : int
-        Independent fruit of the stress set.
+        Number of fruit in the stress set.
     workers : int
-        Processes.
+        Number of processes.
     """
 
     quick: bool = False
@@ -234,32 +233,32 @@ class BenchmarkPlan:
     workers: int = 2
 
 
-def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
-    """Return the cases of the protocol and of the stress set."""
+def plan_cases(plan: BenchmarkOptions) -> tuple[list[Case], list[Case]]:
+    """Return the cases of the paper's protocol and of the stress set."""
     if plan.quick:
         return [*paper_cases(7), *validation_cases()[:2]], stress_cases(min(plan.stress, 8))
     return [*paper_cases(), *validation_cases()], stress_cases(plan.stress)
 
 
 def run_benchmark(
-    plan: BenchmarkPlan, out: Path, report: Callable[[str, int, int], None] | None = None
+    plan: BenchmarkOptions, out: Path, report: Callable[[str, int, int], None] | None = None
 ) -> pd.DataFrame:
-    """Measure everything that the plan asks; what is already in `out` is not measured again.
+    """Run the benchmark, resuming from the records in `out`.
 
     Parameters
     ----------
-    plan : BenchmarkPlan
-        What to run.
+    plan : BenchmarkOptions
+        Options.
     out : Path
         Folder for the records.
     report : callable, optional
-        Called with a part's name, the number of cases just done (1, or all that were there
-        already) and the number that it has.
+        Called with the name of the step, the number of cases finished since the last call, and
+        their total.
 
     Returns
     -------
     DataFrame
-        Of all readings, as `readings_frame` gives them.
+        All readings from `readings_frame`.
     """
     protocol, stress = plan_cases(plan)
     both = (Masks.EXACT, Masks.DISTURBED)
@@ -276,8 +275,8 @@ def run_benchmark(
     return pd.concat(parts, ignore_index=True)
 
 
-def provenance(plan: BenchmarkPlan) -> dict[str, Any]:
-    """Return with what a benchmark was run."""
+def provenance(plan: BenchmarkOptions) -> dict[str, Any]:
+    """Return the options and versions of a benchmark run."""
     return {
         "software": f"cucumbervision {__version__}",
         "versions": installed_versions(),

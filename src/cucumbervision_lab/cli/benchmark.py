@@ -54,7 +54,7 @@ def benchmark(
             show(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    plan = run.BenchmarkPlan(quick, stress, workers)
+    plan = run.BenchmarkOptions(quick, stress, workers)
     with part_bars() as report:
         readings = run.run_benchmark(plan, out, report)
     beside = paper_table(readings)

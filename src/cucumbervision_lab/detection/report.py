@@ -22,7 +22,7 @@ from cucumbervision.pipeline.fields import defused
 from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
-    against,
+    comparable_readings,
     factors_of,
     group_table,
 )
@@ -187,7 +187,7 @@ def _length_tables(readings: pd.DataFrame) -> list[Table]:
     tables = []
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
         some = readings[readings["masks"] == masks]
-        scored = against(some, LengthDefinition.CENTRELINE)
+        scored = comparable_readings(some, LengthDefinition.CENTRELINE)
         factors = factors_of(scored, scored["true_m"]) if masks is Masks.PERCEIVED else []
         for table in (
             accuracy_table(some, LengthDefinition.CENTRELINE),

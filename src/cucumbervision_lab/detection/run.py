@@ -19,7 +19,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision.perception.registry import load_registry
-from cucumbervision_lab.benchmark.measure_case import fruit_lengths, noted
+from cucumbervision_lab.benchmark.measure_case import fruit_lengths, interval_details
 from cucumbervision_lab.benchmark.records import LengthRecord, Masks
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import (
@@ -362,7 +362,7 @@ def _record(
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)
         details["mask_iou"] = mask_iou(instance.mask, _true_mask(fruit))
-        details |= noted(measured)
+        details |= interval_details(measured)
         if measured.pose is not None and fruit.axis_m is not None:
             details |= pose_errors(measured.pose, fruit.axis_m)
         fill = measured.fill

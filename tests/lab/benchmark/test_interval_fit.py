@@ -15,7 +15,7 @@ Array: TypeAlias = NDArray[np.float64]
 def test_the_conformal_rank_by_hand() -> None:
     # n = 9, level 0.9: rank ceil(9) = 9, the largest; n = 8 cannot carry it.
     assert conformal_quantile(np.arange(9), 0.9) == 8.0
-    with pytest.raises(ValueError, match=r"8 fruit cannot carry a level of 0\.9: 9 are needed"):
+    with pytest.raises(ValueError, match=r"8 fruit are too few for a level of 0\.9: need 9"):
         conformal_quantile(np.arange(8), 0.9)
 
 

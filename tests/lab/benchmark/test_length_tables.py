@@ -8,7 +8,7 @@ from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
-    against,
+    comparable_readings,
     factors_of,
     group_table,
 )
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def methods_against(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[str]:
-    return list(against(readings_frame(records), truth)["method"].cat.categories)
+    return list(comparable_readings(readings_frame(records), truth)["method"].cat.categories)
 
 
 def cell(table: Table, row: str, head: str) -> Cell:
@@ -92,7 +92,7 @@ def test_the_best_is_bold(make_record: MakeRecord) -> None:
 
 
 def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[Table]:
-    scored = against(readings_frame(records), truth)
+    scored = comparable_readings(readings_frame(records), truth)
     return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]
 
 

@@ -25,13 +25,13 @@ from cucumbervision_lab.benchmark.cases import (
     validation_cases,
 )
 from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES
-from cucumbervision_lab.benchmark.length_tables import against
+from cucumbervision_lab.benchmark.length_tables import comparable_readings
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
 from cucumbervision_lab.benchmark.records import LengthRecord, Masks, readings_frame
 from cucumbervision_lab.benchmark.run import (
     KEYS,
     TRUTH_OF,
-    BenchmarkPlan,
+    BenchmarkOptions,
     fit_interval_models,
     plan_cases,
     run_benchmark,
@@ -43,13 +43,13 @@ from cucumbervision_lab.benchmark.run import (
 @pytest.fixture(scope="module")
 def readings(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
     out = tmp_path_factory.mktemp("benchmark")
-    found = run_benchmark(BenchmarkPlan(quick=True, workers=1), out)
+    found = run_benchmark(BenchmarkOptions(quick=True, workers=1), out)
     return with_intervals(found, shipped_interval_models())
 
 
 def mape(readings: pd.DataFrame, method: str, masks: Masks) -> float:
     chosen = (readings["masks"] == masks) & (readings["suite"] != Suite.STRESS)
-    scored = against(readings[chosen], LengthDefinition.CENTRELINE)
+    scored = comparable_readings(readings[chosen], LengthDefinition.CENTRELINE)
     return float(scored.loc[scored["method"] == method, "error_percent"].mean())
 
 
@@ -97,7 +97,7 @@ def test_whole_fruit_fit_into_the_picture() -> None:
 
 
 def test_the_protocol_is_the_papers() -> None:
-    protocol, stress = plan_cases(BenchmarkPlan())
+    protocol, stress = plan_cases(BenchmarkOptions())
     assert len([c for c in protocol if c.suite is Suite.PAPER]) == 48
     assert len({c.fruit for c in protocol if c.suite is Suite.PAPER}) == 7
     assert len({c.fruit for c in stress}) == len(stress) == 2000
@@ -120,7 +120,7 @@ def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> N
     assert both[0] == first[0]
     assert [r.case for r in both] == [c.name for c in cases]
     assert done == [1, 1]
-    with pytest.raises(CucumberVisionError, match="begun with other options"):
+    with pytest.raises(CucumberVisionError, match="written with other options"):
         run_cases(cases, CaseOptions((Masks.DISTURBED,)), file, workers=1)
 
 
@@ -134,7 +134,7 @@ def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
 
 
 def test_perceived_masks_need_a_finder() -> None:
-    with pytest.raises(ValueError, match="finds the fruit"):
+    with pytest.raises(ValueError, match="need `find`"):
         measure_case(paper_cases(1)[0], CaseOptions((Masks.PERCEIVED,)))
 
 
@@ -214,5 +214,5 @@ def test_what_was_not_measured_has_no_interval() -> None:
 
 
 def test_too_few_fruit_are_refused() -> None:
-    with pytest.raises(ValueError, match="cannot carry a level"):
+    with pytest.raises(ValueError, match="too few for a level"):
         fit_interval_models(drawn(18, 5))

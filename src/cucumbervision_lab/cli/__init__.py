@@ -1,4 +1,4 @@
-"""The laboratory's commands, which join the program's own through an entry point."""
+"""Commands of the laboratory, registered through an entry point."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["register"]
 
 
 def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
-    """Add the laboratory's commands to the program's.
+    """Register the laboratory's commands.
 
     Parameters
     ----------
     program : typer.Typer
         The command `cucumbervision`.
     groups : mapping of str to typer.Typer
-        Its groups of commands, of which `evaluate` gets two more and `models` one.
+        Its command groups; `evaluate` gets two commands and `models` one.
     """
     from cucumbervision_lab.cli import benchmark, data, evaluate, synth, train
 

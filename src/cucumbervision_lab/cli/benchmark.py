@@ -1,4 +1,4 @@
-"""`cucumbervision benchmark`: every method's accuracy on fruit of known length."""
+"""`cucumbervision benchmark`: accuracy of every method on fruit of known length."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ import typer
 
 def benchmark(
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for records and report; kept, it resumes.")
+        Path, typer.Option("--out", "-o", help="Folder for records and report; rerun to resume.")
     ] = Path("benchmark"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="A few captures, no networks: a minute.")
+        bool,
+        typer.Option("--quick", help="Run a few captures without networks, in about a minute."),
     ] = False,
-    stress: Annotated[int, typer.Option(min=0, help="Independent fruit of the stress set.")] = 2000,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    stress: Annotated[int, typer.Option(min=0, help="Number of fruit in the stress set.")] = 2000,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 2,
     learn_intervals: Annotated[
         Path | None,
-        typer.Option(help="Learn the intervals anew into this file, and do nothing else."),
+        typer.Option(help="Fit the interval models, write them to this file and exit."),
     ] = None,
     learn_fruit: Annotated[
-        int, typer.Option(min=50, help="Fruit of the stress set's kind to learn intervals from.")
+        int, typer.Option(min=50, help="Number of stress-set fruit for fitting the intervals.")
     ] = 1600,
     learn_set: Annotated[
         Path | None,
-        typer.Option(help="A set by 'synth' with depth: what the networks see of it teaches too."),
+        typer.Option(help="Set from 'synth' with depth, for the intervals of network masks."),
     ] = None,
 ) -> None:
     """Measure simulated fruit of known length by every method and write a report.
 
-    The paper's 48 captures and five validation fruit, with exact, disturbed and perceived masks,
-    and a stress set of independent fruit: tilted, bent, half hidden, far, wet, in the sun.
+    Includes the paper's 48 captures and five validation fruit with exact, disturbed and perceived
+    masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
     from cucumbervision_lab.benchmark import run
     from cucumbervision_lab.benchmark.report import (
@@ -46,7 +47,7 @@ def benchmark(
         from cucumbervision_lab.detection.learn_intervals import learn_intervals as learn
 
         if learn_set is None:
-            raise typer.BadParameter("--learn-intervals needs --learn-set, a set by 'synth'")
+            raise typer.BadParameter("--learn-intervals requires --learn-set, a set from 'synth'")
         with part_bars() as report:
             book = learn(learn_intervals, out, learn_fruit, learn_set, workers, report)
         for key, model in book.models.items():
@@ -60,4 +61,4 @@ def benchmark(
     beside = paper_table(readings)
     show_tables([*([beside] if beside else ()), glance_table(readings)])
     written = write_benchmark_report(readings, out, provenance=run.provenance(plan))
-    show(f"The report is {written}")
+    show(f"Report: {written}")

@@ -1,4 +1,4 @@
-"""`cucumbervision data`: check, convert, split, label, cut, merge and describe pictures."""
+"""`cucumbervision data`: check, convert, split, label, crop, merge and export data sets."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="data",
-    help="Check, convert, split, label, cut, merge and describe sets of labelled pictures.",
+    help="Check, convert, split, label, crop, merge and export data sets.",
     no_args_is_help=True,
 )
 
 Folder = Annotated[
-    Path, typer.Argument(help="A folder or file of COCO or YOLO labels.", metavar="SET")
+    Path, typer.Argument(help="Folder or file of a COCO or YOLO data set.", metavar="SET")
 ]
 Names = Annotated[
-    str, typer.Option(help="Classes, by commas, where the set does not name them.", metavar="A,B")
+    str, typer.Option(help="Comma-separated class names, if the set has none.", metavar="A,B")
 ]
 Copy = Annotated[bool, typer.Option("--copy", help="Copy pictures instead of linking them.")]
-Out = Annotated[Path, typer.Argument(help="New hub folder.", metavar="OUT")]
+Out = Annotated[Path, typer.Argument(help="New output folder.", metavar="OUT")]
 OutOrSame = Annotated[
     Path | None,
-    typer.Option("--out", "-o", help="New hub folder; without it the set itself is rewritten."),
+    typer.Option("--out", "-o", help="New output folder; by default the set is changed in place."),
 ]
 
-_WIDE = 500  # one line a finding, for files and pipes
+_WIDE = 500  # columns in files and pipes, for one line per finding
 
 
 @app.command()
@@ -37,7 +37,7 @@ def check(
     folder: Folder,
     names: Names = "",
 ) -> None:
-    """List everything that is wrong with a set; exit code 1 if anything is."""
+    """List all faults of a data set; the exit code is 1 if there are any."""
     from rich.table import Table
     from rich.text import Text
 
@@ -50,7 +50,7 @@ def check(
     console = screen(_WIDE)
     if findings:
         table = Table("kind", "where", "fault", "remedy")
-        table.title, table.title_justify = f"{folder}: what is wrong", "left"
+        table.title, table.title_justify = f"Faults of {folder}", "left"
         for column in table.columns:
             column.overflow = "fold"
         for finding in findings:
@@ -69,25 +69,25 @@ def convert(
     out: Annotated[Path, typer.Argument(help="New folder.", metavar="OUT")],
     to: Annotated[
         str,
-        typer.Option(help="coco (the hub form), yolo-seg, yolo-pose or yolo-detect."),
+        typer.Option(help="Format: coco, yolo-seg, yolo-pose or yolo-detect."),
     ] = "coco",
     names: Names = "",
     keep: Annotated[
         list[str] | None,
         typer.Option(
-            help="Class to keep and what it becomes, by number or name; others become background. "
+            help="Class to keep by index or name, and its new name; others become background. "
             "May be repeated.",
             metavar="OLD=NEW",
         ),
     ] = None,
-    source: Annotated[str, typer.Option(help="Whose pictures, where none is stated.")] = "",
-    licence: Annotated[str, typer.Option(help="Their licence, where none is stated.")] = "",
+    source: Annotated[str, typer.Option(help="Source of pictures without one.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of pictures without one.")] = "",
     copy: Copy = False,
     splits: Annotated[
-        str, typer.Option(help="YOLO: which splits to write, by commas.", metavar="A,B")
+        str, typer.Option(help="Comma-separated splits to write (YOLO).", metavar="A,B")
     ] = "train,val,test",
 ) -> None:
-    """Write a set in another form."""
+    """Convert a data set to another format."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.derive import convert_dataset, parse_keep
 
@@ -113,16 +113,16 @@ def split(
     folder: Folder,
     out: OutOrSame = None,
     names: Names = "",
-    shares: Annotated[str, typer.Option(help="Of train, val and test.")] = "70:15:15",
-    seed: Annotated[int, typer.Option(help="Orders scenes of one size.")] = 0,
+    shares: Annotated[str, typer.Option(help="Shares of train, val and test.")] = "70:15:15",
+    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
     scene_pattern: Annotated[
-        str, typer.Option(help="Scenes by what this finds in the file names.", metavar="REGEX")
+        str, typer.Option(help="Regular expression for scene names in file names.", metavar="REGEX")
     ] = "",
     copy: Copy = False,
 ) -> None:
-    """Part a set into train, val and test that share no scene.
+    """Split a data set into train, val and test by scene.
 
-    Scenes without a name are found: near-duplicates belong together.
+    Pictures without a scene are grouped by similarity, so that near-duplicates stay together.
     """
     from rich.table import Table
 
@@ -161,7 +161,7 @@ def pseudo(
     names: Names = "",
     copy: Copy = False,
 ) -> None:
-    """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
+    """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
     from cucumbervision.perception.networks import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.coco import write_coco
@@ -185,11 +185,11 @@ def windows(
     folder: Folder,
     out: Out,
     side: Annotated[
-        int, typer.Option(min=32, help="Side of a window, pixels; larger where a fruit is.")
+        int, typer.Option(min=32, help="Side of a window, pixels; larger if a fruit is larger.")
     ] = 480,
     names: Names = "",
 ) -> None:
-    """Cut windows around fruit: small pictures to train on, as large as they are in large ones."""
+    """Crop windows around fruit, as smaller training pictures with the same fruit size."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.windows import write_windows
 
@@ -207,7 +207,7 @@ def merge(
     folders: Annotated[list[Path], typer.Argument(help="Sets to merge.", metavar="SET...")],
     copy: Copy = False,
 ) -> None:
-    """Write several sets as one; whose picture each is stays known."""
+    """Merge data sets; source and licence of each picture are kept."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.derive import merge_datasets
 
@@ -220,18 +220,20 @@ def merge(
 
 @app.command("from-store")
 def from_store(
-    store: Annotated[str, typer.Argument(help="An SQLite file, or postgresql://….")],
+    store: Annotated[str, typer.Argument(help="SQLite file or postgresql:// URL.")],
     out: Annotated[Path, typer.Argument(help="Folder to write into.", metavar="OUT")],
     images: Annotated[
-        Path | None, typer.Option(help="Folder of the store's pictures, where it is another.")
+        Path | None, typer.Option(help="Folder of the store's pictures, if not the default.")
     ] = None,
-    licence: Annotated[str, typer.Option(help="Of the pictures; it is noted in the set.")] = "",
+    licence: Annotated[
+        str, typer.Option(help="Licence of the pictures, recorded in the set.")
+    ] = "",
     copy: Copy = False,
 ) -> None:
-    """Write the pictures whose detections were reviewed as a set, to train the detector on.
+    """Export reviewed detections as a data set for fine-tuning the detector.
 
-    Accepted, corrected and added fruit are labels, rejected ones background, others ignored.
-    Whole metres of a row are kept back, the same ones however the set grows.
+    Accepted, corrected and added fruit become labels, rejected ones background, others are ignored.
+    Whole metres of a row are held out; the choice stays the same when the set grows.
     """
     from rich.table import Table
 
@@ -249,7 +251,7 @@ def from_store(
         table.add_row(split, str(len(made.dataset.in_split(split))), *counts)
     screen().print(table)
     if made.without_picture:
-        show(f"{made.without_picture} judged pictures were not kept in the store and are left out")
+        show(f"{made.without_picture} reviewed captures skipped: their pictures were not kept")
 
 
 def _list(names: str) -> list[str]:
@@ -263,11 +265,11 @@ def _open(folder: Path, names: str = "") -> DataSet:
 
 
 def _finish(*sets: DataSet) -> None:
-    """End the command, with exit code 1 after a list of what could not be used."""
+    """List skipped entries and exit with code 1 if there are any."""
     from cucumbervision_lab.cli.screen import show
 
     for dataset in sets:
         if dataset.refused:
-            show(f"{len(dataset.refused)} could not be used and are left out:", error=True)
+            show(f"{len(dataset.refused)} invalid entries skipped:", error=True)
             show(*(f"  {error}" for error in dataset.refused), error=True)
     raise typer.Exit(1 if any(dataset.refused for dataset in sets) else 0)

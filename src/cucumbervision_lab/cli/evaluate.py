@@ -1,4 +1,4 @@
-"""`cucumbervision evaluate models` and `photos`: the networks against labelled pictures."""
+"""`cucumbervision evaluate models` and `photos`: evaluate the networks on labelled pictures."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Seg = Annotated[
-    Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
+    Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")
 ]
-Pose = Annotated[Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")]
+Pose = Annotated[Path | None, typer.Option(help="YOLO pose .onnx; default: the packaged network.")]
 Confidence = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
+    float, typer.Option(min=0.0, max=1.0, help="Confidence threshold for recall and precision.")
 ]
 
 
 def evaluate_models(
     data: Annotated[
         Path,
-        typer.Argument(help="Labelled pictures: a folder with annotations.json, or COCO JSON."),
+        typer.Argument(help="Labelled pictures: folder with annotations.json, or COCO JSON."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     seg: Seg = None,
     pose: Pose = None,
     segmenter: Annotated[
-        str, typer.Option(help="Network that draws the masks; none keeps the detector's.")
+        str, typer.Option(help="Segmenter for the masks; none keeps the detector's masks.")
     ] = "mobile-sam",
     runtime: Runtime = "auto",
     confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
-    split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
+    split: Annotated[str, typer.Option(help="Split: test, val, train or all.")] = "test",
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Pictures at most, evenly spread.")
+        int | None, typer.Option(min=1, help="Maximum number of pictures, evenly spaced.")
     ] = None,
     sam_limit: Annotated[
-        int, typer.Option(min=1, help="Pictures at most for SAM and lengths, evenly spread.")
+        int, typer.Option(min=1, help="Maximum number of pictures for SAM and lengths.")
     ] = 40,
 ) -> None:
-    """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
+    """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import (
@@ -68,22 +68,22 @@ def evaluate_models(
     summary = summarise(result)
     tables = detection_tables(summary, plan.confidence)
     show_tables(tables)
-    show(f"The figures are in {write_detection_report(result, summary, tables, out)}")
+    show(f"Results: {write_detection_report(result, summary, tables, out)}")
 
 
 def evaluate_photos(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of the audited real photos, searched with subfolders.")
+        Path, typer.Argument(help="Folder of the audited photos, searched recursively.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     seg: Seg = None,
     pose: Pose = None,
     runtime: Runtime = "auto",
     confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
-    split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
+    split: Annotated[str, typer.Option(help="Split: test, val or train.")] = "test",
 ) -> None:
-    """Compare the networks with audited real photos: recall and precision, each test apart."""
+    """Evaluate the networks on audited real photos: recall and precision by test."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report
@@ -102,4 +102,4 @@ def evaluate_photos(
         )
     tables = photo_tables(result)
     show_tables(tables)
-    show(f"The figures are in {write_photo_report(result, tables, out)}")
+    show(f"Results: {write_photo_report(result, tables, out)}")

@@ -1,4 +1,4 @@
-"""Output of long commands: progress bars while they run, lines of any width when they are done."""
+"""Progress bars and unwrapped output of commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SHOWN = (
 
 @contextmanager
 def ticking(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; the function that it gives is called with the number of steps done."""
+    """Show a progress bar; yields a function that is called with the number of completed steps."""
     with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda count: bar.advance(task, count)
@@ -46,12 +46,13 @@ def ticking(what: str, total: int | None = None) -> Iterator[Callable[[int], Non
 
 @contextmanager
 def part_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each part of a long run, on a terminal only.
+    """Show a progress bar for each step of a long run, on a terminal only.
 
     Yields
     ------
     callable
-        Takes a part's name, how many of it were just finished and how many it has.
+        Called with the name of the step, the number of finished items since the last call, and
+        their total.
     """
     tasks: dict[str, TaskID] = {}
     with progress_bar(Console(stderr=True)) as bar:
@@ -65,21 +66,21 @@ def part_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def show_tables(tables: Iterable[Table]) -> None:
-    """Print a report's tables."""
+    """Print the tables of a report."""
     console = screen(150)
     for table in tables:
         print_table(console, table)
 
 
 def show(*lines: object, error: bool = False) -> None:
-    """Print lines as they are: unwrapped, and without a meaning of brackets."""
+    """Print lines without wrapping and markup."""
     console = Console(stderr=error, highlight=False)
     for line in lines:
         console.print(str(line), soft_wrap=True, markup=False)
 
 
 class TrainConsole:
-    """Shows a training; a context, so that the bar goes when it ends."""
+    """Training callbacks that show a progress bar; use as a context manager."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
@@ -93,7 +94,7 @@ class TrainConsole:
             disable=not self._console.is_terminal,
             transient=True,
         )
-        self._task = self._bar.add_task("getting ready", total=1.0)
+        self._task = self._bar.add_task("preparing", total=1.0)
 
     def __enter__(self) -> TrainConsole:
         self._bar.start()
@@ -103,26 +104,26 @@ class TrainConsole:
         self._bar.stop()
 
     def batch(self, fraction: float, size_px: int) -> None:
-        """Move the bar."""
+        """Update the progress bar."""
         self._bar.update(self._task, completed=fraction, description=f"epoch at {size_px} px")
 
     def epoch(self, report: EpochReport) -> None:
-        """Write the epoch's line."""
+        """Print the line of a completed epoch."""
         self._bar.reset(self._task)
         self._console.print(epoch_line(report), soft_wrap=True)
 
-    def say(self, line: str) -> None:
-        """Write a line of its own."""
+    def log(self, line: str) -> None:
+        """Print a line."""
         self._console.print(line, soft_wrap=True, markup=False)
 
     def close(self, network: Path) -> None:
-        """Say where the weights are."""
-        where = str(network) if network.is_file() else "none yet: no epoch is through"
+        """Print the path of the weights."""
+        where = str(network) if network.is_file() else "none, no epoch has completed yet"
         Console(highlight=False).print(f"weights: {where}", soft_wrap=True)
 
 
 def epoch_line(report: EpochReport) -> str:
-    """Put an epoch into one readable line.
+    """Format an epoch report as one line.
 
     Examples
     --------
@@ -143,12 +144,12 @@ def epoch_line(report: EpochReport) -> str:
 
 
 class DownloadBar:
-    """Rich's bar behind the methods that pooch calls: `total`, `update`, `reset`, `close`.
+    """Progress bar with the interface of pooch: `total`, `update`, `reset`, `close`.
 
     Parameters
     ----------
     title : str
-        What is fetched.
+        Name of the download.
     """
 
     def __init__(self, title: str) -> None:
@@ -175,13 +176,13 @@ class DownloadBar:
         self._progress.start()
 
     def update(self, size_bytes: int) -> None:
-        """Count bytes that have come."""
+        """Add downloaded bytes."""
         self._progress.advance(self._task, size_bytes)
 
     def reset(self) -> None:
-        """Count from the start again."""
+        """Restart from zero."""
         self._progress.update(self._task, completed=0)
 
     def close(self) -> None:
-        """Leave the bar on the screen as it is."""
+        """Stop the bar and leave it on the screen."""
         self._progress.stop()

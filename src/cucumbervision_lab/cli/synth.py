@@ -1,4 +1,4 @@
-"""`cucumbervision synth`: draw labelled pictures with exact truth."""
+"""`cucumbervision synth`: generate synthetic data sets with exact ground truth."""
 
 from __future__ import annotations
 
@@ -17,36 +17,37 @@ def _folder(about: str) -> Any:
 
 
 def synth(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set; resumed if begun.")],
-    frames: Annotated[int, typer.Option(min=1, help="How many pictures.")] = 1500,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same set.")] = 1,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set; rerun to resume.")],
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 1500,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 1,
     size: Annotated[str, typer.Option(help="Width x height, pixels.", metavar="WxH")] = "1280x720",
     assets: Annotated[
-        Path | None, _folder("Folder with textures/, backgrounds/ and hdri/ to draw from.")
+        Path | None, _folder("Folder of picture assets: textures/, backgrounds/ and hdri/.")
     ] = None,
     paste: Annotated[
         Path | None,
-        _folder("A labelled set whose fruit are cut out and pasted into the training pictures."),
+        _folder("Labelled set whose fruit are pasted into the training frames."),
     ] = None,
     onto: Annotated[
         Path | None,
-        _folder("A labelled set: its photos without fruit are pasted onto, nothing is drawn."),
+        _folder("Labelled set whose photos without fruit replace the synthetic frames."),
     ] = None,
     depth: Annotated[
-        bool, typer.Option("--depth/--no-depth", help="Draw what a D435 reads, and exact depth.")
+        bool,
+        typer.Option("--depth/--no-depth", help="Also write simulated D435 depth and exact depth."),
     ] = True,
     hard: Annotated[
-        bool, typer.Option("--hard", help="Smaller, larger, more and more hidden fruit, to learn.")
+        bool, typer.Option("--hard", help="Generate more difficult scenes, for training.")
     ] = False,
     shares: Annotated[
-        str, typer.Option(help="How often hanging, bench, crate.", metavar="A,B,C")
+        str, typer.Option(help="Weights of hanging, bench and crate scenes.", metavar="A,B,C")
     ] = "0.6,0.22,0.18",
     split: Annotated[
-        str, typer.Option(help="Put all frames into train, val or test instead of 70:15:15.")
+        str, typer.Option(help="Split of all frames: train, val or test; default: 70:15:15.")
     ] = "",
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = os.cpu_count() or 1,
 ) -> None:
-    """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
+    """Generate synthetic cucumbers with colour, depth, masks, keypoints and lengths."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.synthesis.generate import generate, parse_options
 

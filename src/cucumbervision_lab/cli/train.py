@@ -1,4 +1,4 @@
-"""`cucumbervision train` and `models pull`: train networks, export them, and fetch one."""
+"""`cucumbervision train` and `models pull`: train, export and download networks."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from cucumbervision.cli.choices import InputSize
 
 app = typer.Typer(
     name="train",
-    help="Train the networks on labelled pictures (extra 'train'), and export them.",
+    help="Train networks on labelled pictures and export them (requires the extra 'train').",
     no_args_is_help=True,
 )
 
-Data = Annotated[Path | None, typer.Argument(help="A data set's folder or data.yaml.")]
-Out = Annotated[Path, typer.Option("--out", help="The run's folder.", metavar="RUN")]
+Data = Annotated[Path | None, typer.Argument(help="Folder or data.yaml of a data set.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder of the run.", metavar="RUN")]
 Init = Annotated[
     str | None,
-    typer.Option("--init", help="Weights to begin with (.pt), or an Ultralytics .yaml."),
+    typer.Option("--init", help="Initial weights (.pt), or an Ultralytics .yaml."),
 ]
 Plan = Annotated[
-    str | None, typer.Option("--plan", help="Sizes and pictures, as in 448x80000,640x20000.")
+    str | None, typer.Option("--plan", help="Size x pictures, as in 448x80000,640x20000.")
 ]
 PerEpoch = Annotated[
     int, typer.Option("--per-epoch", min=1, help="Pictures between two checkpoints.")
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with RUN; a longer --plan prolongs.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume RUN; a longer --plan extends it.")]
 Batch = Annotated[
-    int, typer.Option("--batch", min=0, help="Pictures at a time; 0: 8, on a card 64.")
+    int, typer.Option("--batch", min=0, help="Batch size; 0: 8 on the CPU, 64 on a GPU.")
 ]
-Device = Annotated[str, typer.Option("--device", help="auto, cpu, or a CUDA card's number.")]
+Device = Annotated[str, typer.Option("--device", help="auto, cpu or a CUDA device number.")]
 Precision = Annotated[str, typer.Option("--precision", help="auto, f32 or bf16 (on the CPU).")]
-Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
-Threads = Annotated[int, typer.Option("--threads", min=0, help="0: as many as cores.")]
-Workers = Annotated[int, typer.Option("--workers", min=0, help="Processes that load.")]
+Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
+Threads = Annotated[int, typer.Option("--threads", min=0, help="Number of threads; 0: all cores.")]
+Workers = Annotated[int, typer.Option("--workers", min=0, help="Number of data loading processes.")]
 Minutes = Annotated[
-    float | None, typer.Option("--minutes", min=0, help="End after the epoch that passes this.")
+    float | None,
+    typer.Option("--minutes", min=0, help="Time limit; stops after the current epoch."),
 ]
-Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="At the beginning.")]
+Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Initial learning rate.")]
 
 
 @app.command("pose", help="Train boxes and the five keypoints.")
@@ -62,7 +63,7 @@ def network(
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
 ) -> None:
-    """Train a network for the task that the command is called by."""
+    """Train a network for the task given by the command name."""
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.settings import TrainOptions
     from cucumbervision_lab.training.train import train
@@ -95,18 +96,18 @@ def network(
 
 @app.command()
 def recipe(
-    data: Annotated[Path, typer.Option("--data", help="The folder of pictures.", metavar="DIR")],
+    data: Annotated[Path, typer.Option("--data", help="Folder of the pictures.", metavar="DIR")],
     out: Out,
     recipe_file: Annotated[
-        Path | None, typer.Option("--recipe", help="A TOML file; else the package's own.")
+        Path | None, typer.Option("--recipe", help="TOML file; default: the packaged recipe.")
     ] = None,
     weights: Annotated[
-        Path, typer.Option("--weights", help="Folder of the weights to go on from.")
+        Path, typer.Option("--weights", help="Folder of the initial weights.")
     ] = Path("checkpoints"),
     test: Annotated[
-        Path | None, typer.Option("--test", help="A drawn set to judge the curve by, too.")
+        Path | None, typer.Option("--test", help="Synthetic set to evaluate for the curve.")
     ] = None,
-    only: Annotated[str, typer.Option("--only", help="seg or pose; else both.")] = "",
+    only: Annotated[str, typer.Option("--only", help="seg or pose; default: both.")] = "",
     batch: Batch = 0,
     device: Device = "auto",
     precision: Precision = "auto",
@@ -114,9 +115,9 @@ def recipe(
     workers: Workers = 0,
     minutes: Minutes = None,
 ) -> None:
-    """Train both networks by one recipe: the pictures, the mixture, the plans and the curve.
+    """Train the networks from a recipe of picture sources and schedules.
 
-    The same command goes on after any interruption.
+    Rerun the command to resume.
     """
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.recipe import read_recipe
@@ -140,7 +141,7 @@ def recipe(
             options=options,
             callbacks=console,
             workers=os.cpu_count() or 1,
-            log=console.say,
+            log=console.log,
         )
     for network in found.values():
         console.close(network)
@@ -148,24 +149,24 @@ def recipe(
 
 @app.command()
 def house(
-    data: Annotated[Path, typer.Argument(help="A set of `data from-store`.", metavar="SET")],
+    data: Annotated[Path, typer.Argument(help="Data set from `data from-store`.", metavar="SET")],
     out: Out,
     photos: Annotated[
         Path | None,
         typer.Option(
             "--data",
-            help="The folder of photos of the shipped mixture; else only drawn frames of it.",
+            help="Folder of the recipe's photos; without it, only synthetic frames are mixed in.",
             metavar="PHOTOS",
         ),
     ] = None,
-    init: Annotated[
-        Path, typer.Option("--init", help="The weights to begin with: the shipped ones.")
-    ] = Path("checkpoints/cucumber-seg.pt"),
-    plan: Annotated[str, typer.Option("--plan", help="Sizes and pictures.")] = "640x6000",
+    init: Annotated[Path, typer.Option("--init", help="Initial weights.")] = Path(
+        "checkpoints/cucumber-seg.pt"
+    ),
+    plan: Annotated[str, typer.Option("--plan", help="Size x pictures.")] = "640x6000",
     learning_rate: Rate = 0.0003,
     per_epoch: PerEpoch = 200,
     share: Annotated[
-        float, typer.Option("--share", min=0.05, max=0.95, help="Of pictures: the house's.")
+        float, typer.Option("--share", min=0.05, max=0.95, help="Share of greenhouse pictures.")
     ] = 0.5,
     batch: Batch = 0,
     device: Device = "auto",
@@ -174,9 +175,9 @@ def house(
     workers: Workers = 0,
     minutes: Minutes = None,
 ) -> None:
-    """Train the detector on with a house's own pictures, and judge it against the one in use.
+    """Fine-tune the detector on pictures of your greenhouse, and compare it with the one in use.
 
-    The same command goes on after any interruption. `models use RUN` then switches.
+    Rerun the command to resume. `models use RUN` then switches to the new detector.
     """
     from cucumbervision_lab.cli.screen import TrainConsole, show
     from cucumbervision_lab.training.house import HousePlan, train_house
@@ -199,10 +200,10 @@ def house(
             ),
             callbacks=console,
             workers=os.cpu_count() or 1,
-            log=console.say,
+            log=console.log,
         )
     if judged is None:
-        show(f"The plan is not through yet: give the same command again, and {out} goes on")
+        show(f"Time limit reached. Rerun the command to resume {out}")
         return
     show(judged.with_suffix(".md").read_text(encoding="utf-8"))
     show(f"To use it: cucumbervision models use {out}")
@@ -210,19 +211,17 @@ def house(
 
 @app.command()
 def ends(
-    sets: Annotated[
-        list[Path], typer.Argument(help="Labelled sets with keypoints.", metavar="SET...")
-    ],
+    sets: Annotated[list[Path], typer.Argument(help="Data sets with keypoints.", metavar="SET...")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-ends",
-    epochs: Annotated[int, typer.Option(min=1, help="Rounds through all fruit.")] = 20,
+    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,
     seed: Seed = 0,
     threads: Threads = 0,
     credit: Annotated[
-        list[str] | None, typer.Option("--credit", help="Whom the card is to name; repeatable.")
+        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
     ] = None,
 ) -> None:
-    """Train what tells a fruit's stem end from its blossom end, and write it with its card."""
+    """Train the network that identifies the stem end, and write it with its card."""
     from rich.console import Console
     from rich.table import Table
 
@@ -231,9 +230,9 @@ def ends(
     from cucumbervision_lab.training.ends import collect_strips, train_ends, write_ends_card
 
     opened = [open_dataset(folder) for folder in sets]
-    with ticking("cutting", sum(len(one.pictures) for one in opened)) as tick:
+    with ticking("extracting", sum(len(one.pictures) for one in opened)) as tick:
         strips = collect_strips(opened, seed, tick)
-    with ticking("learning", epochs) as tick:
+    with ticking("training", epochs) as tick:
         result = train_ends(
             strips,
             out / f"{name}.onnx",
@@ -243,24 +242,27 @@ def ends(
             progress=lambda *_: tick(1),
         )
     write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
-    table = Table("fruit of scenes not learnt from", "ends identified", title=str(result.network))
+    table = Table("fruit of validation scenes", "ends identified", title=str(result.network))
     for kind, share in result.accuracy.items():
         table.add_row(kind, f"{100 * share:.1f} %")
-    sure = f"those at least 90 % sure ({100 * result.confident_share:.0f} % of all)"
-    table.add_row(sure, f"{100 * result.confident_accuracy:.1f} %")
+    confident = f"confidence of at least 90 % ({100 * result.confident_share:.0f} % of all)"
+    table.add_row(confident, f"{100 * result.confident_accuracy:.1f} %")
     Console(highlight=False).print(table)
 
 
 @app.command()
 def average(
-    first: Annotated[Path, typer.Argument(help="A checkpoint (.pt).", metavar="FIRST")],
+    first: Annotated[Path, typer.Argument(help="Checkpoint (.pt).", metavar="FIRST")],
     second: Annotated[
-        Path, typer.Argument(help="One trained on from it, or from the same.", metavar="SECOND")
+        Path,
+        typer.Argument(
+            help="Checkpoint fine-tuned from FIRST or the same weights.", metavar="SECOND"
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", help="The checkpoint to write.", metavar="FILE")],
-    share: Annotated[float, typer.Option("--share", help="Of the second, 0 to 1.")] = 0.5,
+    share: Annotated[float, typer.Option("--share", help="Weight of SECOND, 0 to 1.")] = 0.5,
 ) -> None:
-    """Write the mean of two checkpoints: what the first knew fades less."""
+    """Average two checkpoints, which reduces forgetting after fine-tuning."""
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.checkpoint import average_networks
 
@@ -269,18 +271,18 @@ def average(
 
 @app.command()
 def export(
-    source: Annotated[Path, typer.Argument(help="A run's folder, or a checkpoint (.pt).")],
+    source: Annotated[Path, typer.Argument(help="Folder of a run, or a checkpoint (.pt).")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
-    name: Annotated[str, typer.Option("--name", help="What commands are to call it.")],
+    name: Annotated[str, typer.Option("--name", help="Name of the model.")],
     evaluation: Annotated[
-        Path | None, typer.Option("--evaluation", help="A JSON file to take into the card.")
+        Path | None, typer.Option("--evaluation", help="JSON file to include in the card.")
     ] = None,
     credit: Annotated[
-        list[str] | None, typer.Option("--credit", help="Whom the card is to name; repeatable.")
+        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
     ] = None,
     input_size: InputSize = "",
 ) -> None:
-    """Write the ONNX file and its card, and show its entry for the registry."""
+    """Export a network to ONNX with its card, and print its registry entry."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.export import export_trained
@@ -300,10 +302,10 @@ def export(
 
 @app.command(hidden=True)
 def publish(
-    exported: Annotated[Path, typer.Argument(help="Folder that `train export` wrote.")],
+    exported: Annotated[Path, typer.Argument(help="Folder written by `train export`.")],
     name: Annotated[str, typer.Option("--name", help="The network's name.")],
 ) -> None:
-    """Put an exported network into the package (for maintainers)."""
+    """Add an exported network to the package (for maintainers)."""
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training import publish as publishing
 
@@ -312,10 +314,10 @@ def publish(
 
 @app.command("depth-vote", hidden=True)
 def depth_vote(
-    data: Annotated[Path, typer.Argument(help="A set of `synth` with depth.", metavar="SET")],
+    data: Annotated[Path, typer.Argument(help="Set from `synth` with depth.", metavar="SET")],
     out: Annotated[Path, typer.Option("--out", help="JSON file to write.", metavar="FILE")],
 ) -> None:
-    """Learn how much depth counts when a detection is judged (for maintainers)."""
+    """Fit the depth vote on detections (for maintainers)."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.checks import open_dataset
     from cucumbervision_lab.detection.learn_depth_vote import learn_depth_vote
@@ -323,19 +325,19 @@ def depth_vote(
     with ticking("detecting", len(open_dataset(data).pictures)) as tick:
         fit = learn_depth_vote(data, out, tick)
     show(
-        f"{fit.fruit} fruit and {fit.others} other detections; log loss in scenes left out "
-        f"{fit.log_loss:.3f}, by the detector's confidence alone {fit.log_loss_without:.3f}"
+        f"{fit.fruit} true and {fit.others} false positives; log loss on held-out scenes "
+        f"{fit.log_loss:.3f}, with confidence only {fit.log_loss_without:.3f}"
     )
 
 
 def pull(
-    name: Annotated[str, typer.Argument(help="A name that `models list` shows.")],
+    name: Annotated[str, typer.Argument(help="Name shown by `models list`.")],
     given: Annotated[
         Path | None,
-        typer.Option("--from", help="The publisher's file, downloaded by hand.", metavar="FILE"),
+        typer.Option("--from", help="The publisher's file, downloaded manually.", metavar="FILE"),
     ] = None,
 ) -> None:
-    """Fetch a network from its publisher, check its hash and export it to ONNX."""
+    """Download a network from its publisher, verify its hash and export it to ONNX."""
     from cucumbervision_lab.cli.screen import DownloadBar, show
     from cucumbervision_lab.training.export_sam import pull_model
 

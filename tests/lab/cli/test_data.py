@@ -84,7 +84,7 @@ def test_check_prints_a_table_and_exits_with_1(photos: Path) -> None:
     # What cannot be used is said wherever a set is read, and the rest goes on.
     converted = call("convert", photos, photos.parent / "hub", "--names", NAMES)
     assert converted.exit_code == 1
-    assert "2 could not be used" in converted.output
+    assert "2 invalid entries skipped" in converted.output
     assert len(read_coco(photos.parent / "hub").pictures) == 20
 
 

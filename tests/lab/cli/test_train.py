@@ -42,7 +42,7 @@ def test_an_epoch_is_a_line() -> None:
 def test_errors_come_through(command: str, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, [command, "--out", str(tmp_path), "--resume"])
     assert isinstance(result.exception, TrainingError)
-    assert "there is no training to go on with" in str(result.exception)
+    assert "no training run to resume" in str(result.exception)
 
 
 @needs_extra
@@ -75,7 +75,7 @@ def test_export_names_what_is_missing(tmp_path: Path) -> None:
     words = ["export", str(tmp_path), "--out", str(tmp_path / "out"), "--name", "a"]
     result = CliRunner().invoke(app, words)
     assert isinstance(result.exception, TrainingError)
-    assert "there are no weights yet" in str(result.exception)
+    assert "no epoch has completed yet" in str(result.exception)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="the extra is there")

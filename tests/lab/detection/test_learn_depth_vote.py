@@ -38,5 +38,5 @@ def test_command_learns_from_a_drawn_set(tmp_path: Path) -> None:
     assert drawn.exit_code == 0, drawn.output
     learnt = runner.invoke(app, ["train", "depth-vote", str(data), "--out", str(out)])
     assert learnt.exit_code == 0, learnt.output
-    assert "log loss in scenes left out" in " ".join(learnt.output.split())
+    assert "log loss on held-out scenes" in " ".join(learnt.output.split())
     assert read_depth_vote(out).detections >= 5

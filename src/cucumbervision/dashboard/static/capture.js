@@ -37,8 +37,11 @@ async function readWalk() {
   try {
     const begun_s = now_s();
     const answer = await fetch(`/api/walk?${asked}`, { signal: AbortSignal.timeout(20000) });
-    if (!answer.ok) throw new Error();
-    const walk = await answer.json();
+    const walk = await answer.json().catch(() => ({}));
+    if (!answer.ok) {
+      show($("told"), walk.error || "Not admitted: open 'Today' to log in.");
+      throw new Error();
+    }
     hearClock(walk.now_s, begun_s);
     // Another round or source was chosen meanwhile: `again` asks for that.
     if (asked !== new URLSearchParams({ round: own.round, source: own.source }).toString()) return;

@@ -1,4 +1,4 @@
-"""What any RGB-D camera gives, of any make: captures, one after the other."""
+"""Interface of RGB-D cameras of any make, and a camera that watches a folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class RgbdCamera(Protocol):
-    """A camera as a context manager: open between entering and leaving.
+    """An RGB-D camera as a context manager.
 
     `realsense.RealSenseCamera` is one, `FolderCamera` another. A camera of another make needs
     these members and nothing else to be streamed and recorded from.
@@ -27,13 +27,13 @@ class RgbdCamera(Protocol):
 
     @property
     def device(self) -> Mapping[str, str]:
-        """What is known of it: `camera`, `serial`, `firmware`."""
+        """Description of the device: `camera`, `serial`, `firmware`."""
 
     def __enter__(self) -> Self:
-        """Open it; raises `CameraError` where there is none."""
+        """Open the camera; raises `CameraError` if it is not available."""
 
     def __exit__(self, *error: object) -> None:
-        """Close it, however the block ends."""
+        """Close the camera."""
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
         """Return the next capture, depth aligned to colour, in metres.
@@ -41,9 +41,9 @@ class RgbdCamera(Protocol):
         Raises
         ------
         CameraError
-            If it sends nothing in time, or is gone.
+            If the camera sends no frame in time or is disconnected.
         CaptureError
-            If this capture is bad, which says nothing of the next.
+            If this capture is invalid; the next one may be valid.
         """
 
 
@@ -54,28 +54,28 @@ def captures_of(
     pause_s: float = 1.0,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Generator[Capture | CaptureError]:
-    """Yield what a camera gives; one that is gone is opened again.
+    """Yield the captures of a camera, and reconnect if it is disconnected.
 
     Parameters
     ----------
     open_camera : callable
-        Makes the camera, which is entered here; called again for each attempt.
+        Creates the camera; called for each attempt.
     retries : int
-        Attempts in a row to open it again; a capture sets the count back.
+        Maximum number of consecutive attempts to reconnect.
     pause_s : float
-        How long to wait before each.
+        Pause before each attempt, seconds.
     sleep : callable
-        How to wait.
+        Function that waits.
 
     Yields
     ------
     Capture or CaptureError
-        A capture, or why one is bad; the next may be good.
+        A capture, or the error of an invalid one.
 
     Raises
     ------
     CameraError
-        If the camera cannot be opened, or not again.
+        If the camera cannot be opened or reconnected.
     """
     left = retries
     while True:
@@ -96,25 +96,25 @@ def captures_of(
 
 
 class FolderCamera:
-    """A folder that fills: whatever program writes captures into it is the camera.
+    """A camera that reads captures which another program writes to a folder.
 
-    Captures that lie there when it is opened are passed over, unless `old` asks for them. One is
-    taken as soon as it can be read whole; one that still cannot be after `settle_s` is reported.
+    Captures that exist when it is opened are skipped unless `old` is set. A capture is returned as
+    soon as it can be read completely, or reported as an error after `settle_s`.
 
     Parameters
     ----------
     folder : Path
-        As `capture.readers.open_source` takes it; may be empty at first.
+        Folder for `capture.readers.open_source`; may be empty at first.
     options : ReadOptions, optional
-        What is said of the captures: intrinsics, depth unit.
+        Intrinsics and depth unit.
     old : bool
-        Whether captures that are there already are given too.
+        Also return existing captures.
     timeout_s : float
-        How long to wait for the next capture.
+        Maximum time to wait for the next capture.
     settle_s : float
-        How long a capture may take to be written.
+        Maximum time to write a capture.
     clock, sleep : callable
-        Seconds that run on, and how to wait for some.
+        Monotonic clock in seconds, and a function that waits.
 
     Examples
     --------
@@ -153,14 +153,14 @@ class FolderCamera:
         self._since_s.clear()
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
-        """Return the next capture that appears, by name where several are new.
+        """Return the next new capture, in order of names.
 
         Raises
         ------
         CameraError
-            If none appears in time.
+            If no capture appears in time.
         CaptureError
-            If one stays broken; it is not tried again.
+            If a capture remains unreadable; it is not tried again.
         """
         until_s = self._clock() + self._timeout_s
         while True:
@@ -178,17 +178,17 @@ class FolderCamera:
                     source=self._folder,
                     remedy="check the program that writes them",
                 )
-            # A folder of many captures takes a while to list: most of the time is left to others.
+            # Listing a large folder is slow: wait in proportion, so that most of the time is idle.
             self._sleep(max(_POLL_S, 4 * (self._clock() - began_s)))
 
     def _refs(self) -> Iterator[CaptureRef]:
         try:
             yield from open_source(self._folder, self._options)
         except CucumberVisionError:
-            return  # nothing in it yet, or only the half of something
+            return  # still empty or incomplete
 
     def _load(self, ref: CaptureRef) -> Capture | None:
-        """Return a capture that is whole; None while it may still be written."""
+        """Return a complete capture; None while it may still be being written."""
         now_s = self._clock()
         try:
             capture = ref.load()

@@ -1,4 +1,4 @@
-"""Intrinsics files: what people write, what BOP ships, and who each belongs to."""
+"""Read intrinsics files, and find the file that belongs to a folder."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _SAY_STREAM = (
 
 @dataclass(frozen=True, eq=False)
 class Extrinsics:
-    """Where the depth camera's points lie for the colour camera: x_color = R x_depth + t.
+    """Transform from depth to colour camera coordinates: x_color = R x_depth + t.
 
     Parameters
     ----------
     rotation : ndarray of float64, shape (3, 3)
-        R, rows first as in mathematics.
+        R in row-major order.
     translation_m : ndarray of float64, shape (3,)
         t, metres.
     """
@@ -50,22 +50,22 @@ class Extrinsics:
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """What an intrinsics file says.
+    """Contents of an intrinsics file.
 
     Parameters
     ----------
     intrinsics : Intrinsics
-        Of the stream that the file names.
+        Intrinsics of the stream given in the file.
     path : Path
-        The file, for errors.
+        The file, for error messages.
     depth : Intrinsics, optional
-        The depth camera's, for depth that is not aligned to colour.
+        Intrinsics of the depth camera, for depth that is not aligned to colour.
     depth_to_color : Extrinsics, optional
-        From the depth camera to the colour camera.
+        Transform from the depth camera to the colour camera.
     depth_unit_m : float, optional
-        Metres of one depth step.
+        Metres per depth step.
     is_sized : bool
-        Whether it says the size of its picture.
+        Whether the file contains the picture size.
     """
 
     intrinsics: Intrinsics
@@ -77,13 +77,13 @@ class CameraFile:
 
 
 class StrictModel(BaseModel):
-    """What a file may say: its own keys and no others, and finite numbers."""
+    """Model that rejects unknown keys and numbers that are not finite."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class CameraModel(StrictModel):
-    """The camera block of a native capture: a lens and the stream that it belongs to."""
+    """The camera block of a native capture: intrinsics and their stream."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -104,7 +104,7 @@ class CameraModel(StrictModel):
 
     @classmethod
     def of(cls, intrinsics: Intrinsics) -> CameraModel:
-        """Return the block that says `intrinsics`."""
+        """Create the block from `intrinsics`."""
         return cls(**{key.removesuffix("_px"): value for key, value in vars(intrinsics).items()})
 
 
@@ -113,7 +113,7 @@ class _DepthModel(CameraModel):
 
 
 class _ExtrinsicsModel(StrictModel):
-    # Nine numbers are the SDK's rs2_extrinsics, column by column; three rows are a matrix.
+    # Nine numbers are the SDK's rs2_extrinsics in column-major order; three rows are a matrix.
     rotation: list[float] | list[list[float]]
     translation_m: tuple[float, float, float]
 
@@ -125,14 +125,14 @@ class _FileModel(CameraModel):
 
 
 def camera_file_near(folder: Folder, at: str) -> Path | None:
-    """Return the intrinsics file that is nearest to a folder: in it, or in one above it.
+    """Return the intrinsics file of a folder or of its nearest parent folder.
 
     Parameters
     ----------
     folder : Folder
-        The files there are.
+        The available files.
     at : str
-        The folder's name in it.
+        Name of the subfolder.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def camera_file_near(folder: Folder, at: str) -> Path | None:
     while True:
         found = sorted(name for name in folder.files.get(at, ()) if _CAMERA_NAME.fullmatch(name))
         if found or not at:
-            # Several: that of our own name first.
+            # Prefer the native file name.
             return folder.path / at / min(found, key=lambda n: n != _OWN_NAME) if found else None
         at = at.rpartition("/")[0]
 
@@ -163,14 +163,14 @@ def read_camera_file(path: Path) -> CameraFile:
     Returns
     -------
     CameraFile
-        What it says; whether that fits a picture is for `check_intrinsics`.
+        Contents of the file; use `check_intrinsics` to check them against a picture.
 
     Raises
     ------
     CaptureError
-        If the file is missing or no JSON.
+        If the file is missing or cannot be parsed.
     IntrinsicsError
-        If a key is missing, unknown or senseless, or the file does not say its stream.
+        If a key is missing, unknown or invalid, or the stream is missing.
     """
     data = camera_document(path)
     if "stream" not in data:
@@ -182,7 +182,7 @@ def read_camera_file(path: Path) -> CameraFile:
         with as_errors_of(path):
             values = pinhole_of_matrix(data.pop("matrix"))
         data |= dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
-        # Without a size they are those of the picture that they are used for.
+        # Without a size, the intrinsics apply to the picture that they are used with.
         sized = {"width", "height"} <= data.keys()
         if not sized:
             data |= {"width": max(1, round(2 * values[2])), "height": max(1, round(2 * values[3]))}

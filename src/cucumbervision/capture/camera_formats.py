@@ -1,4 +1,4 @@
-"""Cameras as other programs write them, brought to the keys of our own intrinsics file."""
+"""Convert intrinsics files of other programs to the keys of the native format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NOT_COLOR = re.compile(r"depth|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
 
 
 def camera_document(path: Path) -> dict[str, Any]:
-    """Read an intrinsics file of any known kind as a document with our own keys.
+    """Read an intrinsics file of any supported format as a document with native keys.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def camera_document(path: Path) -> dict[str, Any]:
     Raises
     ------
     CaptureError
-        If the file is missing or not readable as what its ending says.
+        If the file is missing or cannot be parsed.
     IntrinsicsError
-        If it holds no intrinsics, or a lens with more coefficients than five.
+        If the file contains no intrinsics, or a lens model with more than five coefficients.
 
     Notes
     -----
@@ -77,7 +77,7 @@ def _read(path: Path) -> Any:
         if suffix in (".yaml", ".yml"):
             import yaml
 
-            # OpenCV's first line and its tags are no YAML of today.
+            # OpenCV's first line and tags are not valid in current YAML.
             return yaml.safe_load(re.sub(r"^%YAML.*|!!opencv-matrix", "", text, flags=re.M))
         return {"K": np.array(text.split(), dtype=float)}
 
@@ -92,7 +92,7 @@ def _of_realsense(data: dict[str, Any]) -> dict[str, Any]:
 
 def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
     matrix = next((data[key] for key in _MATRICES if key in data), None)
-    if "intrinsic_matrix" in data:  # Open3D's nine numbers are column by column
+    if "intrinsic_matrix" in data:  # Open3D uses column-major order
         matrix = np.asarray(data["intrinsic_matrix"], dtype=float)
         matrix = matrix.reshape(3, 3).T if matrix.ndim == 1 else matrix
     if matrix is None:
@@ -119,7 +119,7 @@ def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> list[float]:
-    """Return the numbers of a matrix: lists, OpenCV's and ROS's `data`, or their text."""
+    """Return the values of a matrix given as lists, as `data` (OpenCV, ROS) or as text."""
     data = value["data"] if isinstance(value, dict) else value
     data = data.split() if isinstance(data, str) else data
     return np.asarray(data, dtype=float).ravel().tolist()

@@ -1,4 +1,4 @@
-"""Depth pictures to metres, and the guard against the wrong unit."""
+"""Convert depth pictures to metres, and detect wrong units."""
 
 from __future__ import annotations
 
@@ -21,29 +21,27 @@ _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
 def depth_to_metres(
     raw: NDArray[Any], unit_m: float | None = None, *, source: object = None
 ) -> NDArray[np.float32]:
-    """Convert a depth picture's numbers into metres.
+    """Convert the raw values of a depth picture to metres.
 
     Parameters
     ----------
     raw : ndarray, shape (H, W) or (H, W, 1)
-        Whole numbers of at least 16 bits, or floats. NaN, infinity and negative numbers are no
-        readings.
+        Integers of at least 16 bits, or floats. NaN, infinity and negative values are invalid.
     unit_m : float, optional
-        Metres of one step; by default 0.001 for whole numbers and 1 for floats.
+        Metres per step; by default 0.001 for integers and 1 for floats.
     source : object, optional
-        The file, for errors.
+        The file, for error messages.
 
     Returns
     -------
     ndarray of float32, shape (H, W)
-        Metres, 0 where there is no reading. Readings out of 0.1 to 5 m stay as they are:
-        `valid_depth` tells them.
+        Metres; 0 for no reading. Readings outside 0.1 to 5 m are kept; see `valid_depth`.
 
     Raises
     ------
     DepthError
-        If the picture has colours or 8 bits, or hardly any reading is possible in that unit
-        while most are in metres or millimetres.
+        If the picture has colour channels or 8 bits, or the unit is implausible while metres or
+        millimetres are plausible.
 
     Examples
     --------
@@ -68,14 +66,14 @@ def depth_to_metres(
 
 
 def scale_depth(raw: NDArray[Any], unit_m: float) -> NDArray[np.float32]:
-    """Scale depth to metres without judging it; what is no reading becomes 0.
+    """Scale depth to metres without plausibility checks; invalid values become 0.
 
     Examples
     --------
     >>> scale_depth(np.array([[-1.0, 454.0, np.nan]]), 0.001)
     array([[0.   , 0.454, 0.   ]], dtype=float32)
     """
-    # In double precision first: 454 * 0.001 then is the float32 nearest to 0.454.
+    # Multiply in double precision, so that 454 * 0.001 is the float32 nearest to 0.454.
     depth_m: NDArray[np.float32] = np.multiply(raw, unit_m, dtype=np.float64).astype(np.float32)
     if raw.dtype.kind != "u":
         depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
@@ -83,12 +81,12 @@ def scale_depth(raw: NDArray[Any], unit_m: float) -> NDArray[np.float32]:
 
 
 def require_readings(depth_m: NDArray[np.float32], *, source: object = None) -> None:
-    """Refuse depth without a single valid reading.
+    """Raise an error if depth has no valid reading.
 
     Raises
     ------
     DepthError
-        If no pixel lies between 0.1 and 5 m.
+        If no reading is between 0.1 and 5 m.
     """
     if valid_depth(depth_m).any():
         return
@@ -137,9 +135,9 @@ def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:
 
 
 def _share_inside(raw: NDArray[Any], unit_m: float) -> float:
-    # Of the readings: what is above 0 and finite.
+    # Relative to all positive finite readings.
     near, far = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
-    if raw.dtype.kind in "ui":  # whole numbers compare several times as fast with whole ones
+    if raw.dtype.kind in "ui":  # comparing integers with integers is several times faster
         near, far = math.ceil(near), math.floor(far)
     readings = int(np.count_nonzero((raw > 0) & np.isfinite(raw)))
     return int(np.count_nonzero((raw >= near) & (raw <= far))) / max(readings, 1)

@@ -1,4 +1,4 @@
-"""Files, JSON and texts on disk: read whole or refused, with the file's name in the error."""
+"""Read and write files, JSON and text, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ _held: ContextVar[dict[str, bytes] | None] = ContextVar("held", default=None)
 
 @contextmanager
 def each_file_read_once() -> Iterator[None]:
-    """Hold every file that is read inside, so that reading it again costs nothing.
+    """Cache every file read inside the context.
 
-    For what hashes a capture's files and then reads them: from a store on the network each would
-    come twice.
+    Captures are hashed and then read; without the cache, remote files would be fetched twice.
     """
     before = _held.set({})
     try:
@@ -53,7 +52,7 @@ def read_bytes(
     error: type[CucumberVisionError] = CaptureError,
     remedy: str = "copy the capture again",
 ) -> bytes:
-    """Read a file, or say in one line why not."""
+    """Read a file; raises a one-line error on failure."""
     held = _held.get()
     if held is not None and str(path) in held:
         return held[str(path)]
@@ -73,7 +72,7 @@ def read_bytes(
 
 
 def read_head(path: Path, size: int) -> bytes:
-    """Return the first bytes of a file; fewer, or none, where it has no more."""
+    """Return up to `size` bytes from the start of a file."""
     with wrap_os_errors("cannot be read", path, "check the path", CaptureError):
         _require_regular(path, CaptureError)
         with path.open("rb") as stream:
@@ -81,7 +80,7 @@ def read_head(path: Path, size: int) -> bytes:
 
 
 def _require_regular(path: Path, error: type[CucumberVisionError]) -> None:
-    # A pipe would be waited for, and a device read without an end.
+    # Reading a pipe would block, and reading a device might never end.
     if is_remote(path):
         return
     mode = path.stat().st_mode
@@ -90,13 +89,13 @@ def _require_regular(path: Path, error: type[CucumberVisionError]) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, or say in one line why not."""
+    """Write a file; raises a one-line error on failure."""
     with wrap_os_errors("cannot be written", path, "choose another folder", CaptureError):
         path.write_bytes(data)
 
 
 def sync_folder(folder: Path) -> None:
-    """Put a folder's list of names on disk, where the system lets folders be opened."""
+    """Flush a folder's directory entries to disk, if the system supports it."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -116,16 +115,16 @@ def read_json(
     Raises
     ------
     CaptureError
-        Of the class `error`: it is missing, no text, no JSON (with line and column), nested too
-        deeply, or holds numbers of thousands of digits.
+        Of class `error`, if the file is missing, not text, not valid JSON (with line and column),
+        nested too deeply, or contains numbers with thousands of digits.
     """
     data = read_bytes(path, error, remedy)
     try:
-        # Decoded here: given bytes, json lets halves of pairs pass, and UTF-16 hides their escapes.
+        # Decode here, because json accepts lone surrogates in bytes.
         text = data.decode(json.detect_encoding(data))
         value = json.loads(text)
         if "\\ud" in text.lower():
-            # Half of a pair that stands for one letter: no file and no page could take it.
+            # Lone surrogates cannot be encoded in files and pages.
             json.dumps(value, ensure_ascii=False).encode()
         return value
     except json.JSONDecodeError as wrong:
@@ -140,14 +139,14 @@ def read_json(
 
 
 def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> str:
-    r"""Read a text as editors save it, with line ends of any system as line feeds.
+    r"""Read a text file in any common encoding, with line endings converted to line feeds.
 
-    UTF-8 with or without its mark, UTF-16 with its mark, else Windows-1252 ("ANSI").
+    UTF-8 with or without byte order mark, UTF-16 with byte order mark, otherwise Windows-1252.
 
     Raises
     ------
     CaptureError
-        Of the class `error`: the file is missing or no text. An empty file is an empty text.
+        Of class `error`, if the file is missing or not text.
 
     Examples
     --------
@@ -168,10 +167,10 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
 
 
 def json_value(value: Any) -> Any:
-    """Return a value as JSON can hold it.
+    """Convert a value for JSON.
 
-    NumPy's numbers and arrays become Python's, numbers that are not finite None, whatever JSON
-    does not know (paths, dates, enums) its text.
+    NumPy numbers and arrays become Python ones, numbers that are not finite become None, and other
+    types (paths, dates, enums) become strings.
 
     Examples
     --------
@@ -198,12 +197,12 @@ def parse_model(
     error: type[CucumberVisionError] = CaptureError,
     remedy: str = "correct the file",
 ) -> ModelT:
-    """Check what people or programs wrote against a pydantic model or a dataclass.
+    """Validate values with a pydantic model or a dataclass.
 
     Raises
     ------
     CaptureError
-        Of the class `error`, naming the first field at fault and what is wrong with it.
+        Of class `error`, with the first invalid field and its fault.
     """
     from pydantic import ValidationError
 

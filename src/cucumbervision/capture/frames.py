@@ -1,4 +1,4 @@
-"""One clean RGB-D frame, and a burst of frames fused to one."""
+"""RGB-D captures, and the fusion of bursts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STRIP_ROWS = 64
 
 @dataclass(frozen=True)
 class Stop:
-    """Where in the house a capture was taken; every part may be unknown."""
+    """Position in the greenhouse of a capture; every field may be unknown."""
 
     row: str | None = None
     side: str | None = None
@@ -36,28 +36,28 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """One RGB-D frame, or a burst fused to one, with depth aligned to colour.
+    """An RGB-D frame, or a fused burst, with depth aligned to colour.
 
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour; 0 where there is no reading.
+        Metres, aligned to colour; 0 for no reading.
     intrinsics : Intrinsics
-        The colour stream's, at the picture's size.
+        Intrinsics of the colour stream at the picture's size.
     name : str
-        What the capture is called in tables and file names; unique within a source.
+        Name in tables and file names; unique within a source.
     frame : int
-        The source's own number: BOP image id, recording frame, index in a burst folder.
+        Number in the source: BOP image id, recording frame, index in a burst folder.
     burst_frame : int
         Index within the burst of the frame whose colour was kept.
     burst_size : int
-        How many frames were fused.
+        Number of fused frames.
     moved_px : float
-        How far the picture moved within the burst, pixels; frames that moved too far were left out.
+        Motion of the picture within the burst, pixels; frames that moved too far were dropped.
     masks : tuple of ndarray of bool, shape (H, W)
-        The data set's own masks of the fruit, where it has them.
+        Fruit masks of the data set, if any.
     stop : Stop
         Where it was taken.
     timestamp_s : float, optional
@@ -74,7 +74,7 @@ class Capture:
     Raises
     ------
     CaptureError
-        If colour, depth, masks and intrinsics do not have one size, or a dtype is wrong.
+        If sizes of colour, depth, masks and intrinsics differ, or a dtype is wrong.
 
     Examples
     --------
@@ -152,7 +152,7 @@ class Capture:
 
 
 def valid_depth(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which depth values are readings: finite and between 0.1 and 5 m.
+    """Return which depth values are valid readings, between 0.1 and 5 m.
 
     Parameters
     ----------
@@ -169,26 +169,26 @@ def valid_depth(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     >>> valid_depth(np.array([0.0, 0.05, 0.5, 9.0, np.nan], np.float32))
     array([False, False,  True, False, False])
     """
-    # Comparisons with NaN are False, so NaN needs no test of its own.
+    # Comparisons with NaN are False, so NaN needs no separate test.
     return (depth_m >= DEPTH_MIN_M) & (depth_m <= DEPTH_MAX_M)
 
 
 @dataclass(frozen=True, eq=False)
 class FusedBurst:
-    """One frame made of a burst.
+    """Result of fusing a burst.
 
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
-        The picture whose Laplacian has the largest variance; the first of equals.
+        The sharpest picture, the first of equally sharp ones.
     depth_m : ndarray of float32, shape (H, W)
-        `median_depth` of the frames that show the same picture as `color`.
+        `median_depth` of the frames without motion relative to `color`.
     burst_frame : int
         Index of `color` in the burst.
     burst_size : int
-        How many frames `depth_m` is made of; 1 where the camera moved too fast for more.
+        Number of frames in `depth_m`; 1 if the camera moved too fast.
     moved_px : float
-        How far the picture moved within the burst, pixels, as `motion.moved_px` says it.
+        Motion within the burst, pixels; see `motion.moved_px`.
     """
 
     color: NDArray[np.uint8]
@@ -201,19 +201,19 @@ class FusedBurst:
 def fuse_burst(
     colors: Sequence[NDArray[np.uint8]], depths_m: Sequence[NDArray[np.float32]]
 ) -> FusedBurst:
-    """Fuse a burst to one frame; frames that the camera took from elsewhere are left out.
+    """Fuse a burst to one frame, without frames that moved too far.
 
     Parameters
     ----------
     colors : sequence of ndarray of uint8, shape (H, W, 3)
         RGB pictures.
     depths_m : sequence of ndarray of float32, shape (H, W)
-        Depth in metres, aligned to colour, one to each colour picture.
+        Depth in metres, aligned to colour, one per colour picture.
 
     Raises
     ------
     CaptureError
-        If the burst is empty, or its frames differ in number or size.
+        If the burst is empty, or numbers or sizes of the pictures differ.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def fuse_burst(
 
 
 def sharpness(color: NDArray[np.uint8]) -> float:
-    """Return the variance of the Laplacian of a picture's grey values: more is sharper.
+    """Return the sharpness of a picture, the variance of the Laplacian of its grey values.
 
     Source: Pech-Pacheco et al. (2000), "Diatom autofocusing in brightfield microscopy".
 
@@ -265,7 +265,7 @@ def sharpness(color: NDArray[np.uint8]) -> float:
 
 
 def median_depth(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Return each pixel's median over its valid readings (0.1 to 5 m).
+    """Return the median of the valid readings (0.1 to 5 m) of each pixel.
 
     Parameters
     ----------
@@ -275,14 +275,13 @@ def median_depth(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     Returns
     -------
     ndarray of float32, shape (H, W)
-        Metres; 0 where no frame has a valid reading. Of an even number of readings it is the
-        mean of the two in the middle.
+        Metres; 0 if no frame has a valid reading.
 
     Notes
     -----
-    The planes are put in order by min and max of whole planes (odd-even transposition sort),
-    with infinity for what is no reading. That is several times faster than sorting each pixel,
-    and twice as fast again in strips that the processor's cache holds.
+    Planes are sorted by element-wise min and max (odd-even transposition sort) with infinity for
+    invalid readings, in strips that fit into the CPU cache. This is several times faster than
+    sorting each pixel.
 
     Examples
     --------
@@ -307,7 +306,7 @@ def _median_of_strip(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.floa
     depth_m = np.zeros(planes[0].shape, np.float32)
     for n in range(1, len(planes) + 1):
         low, high = planes[(n - 1) // 2], planes[n // 2]
-        # Most pixels have all their readings, so whole planes beat picking pixels.
+        # Most pixels have all readings, so whole planes are faster than single pixels.
         value = low if low is high else (low + high) / np.float32(2)
         np.copyto(depth_m, value, where=counts == n)
     return depth_m

@@ -1,4 +1,4 @@
-"""Camera intrinsics, and the guard against the wrong ones.
+"""Camera intrinsics, and checks against wrong ones.
 
 Pixel convention throughout the project: the centre of the top-left pixel is (0, 0), as in the
 RealSense SDK; a box's edges lie half a pixel outside its outermost pixel centres.
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 
-_SHORTEST, _LONGEST = 0.05, 100.0  # focal lengths, of the longer side
-_SQUARE = 1.5  # one focal length over the other: pixels are nearly square
-_CURVED = 1e3  # largest coefficient of a lens
-_WIDEST = 20.0  # tangent of the widest angle that a pixel looks in
+_SHORTEST, _LONGEST = 0.05, 100.0  # range of focal lengths relative to the longer side
+_SQUARE = 1.5  # maximum ratio of the focal lengths
+_CURVED = 1e3  # maximum distortion coefficient
+_WIDEST = 20.0  # maximum tangent of a pixel's viewing angle
 
 
 class Stream(StrEnum):
@@ -40,18 +40,18 @@ class Intrinsics:
     Parameters
     ----------
     width, height : int
-        Size in pixels that the calibration is for.
+        Picture size of the calibration, pixels.
     fx_px, fy_px : float
         Focal lengths in pixels.
     cx_px, cy_px : float
         Principal point in pixels; the centre of the top-left pixel is (0, 0).
     stream : Stream
-        The stream that the calibration belongs to. Depth aligned to colour is deprojected by
-        the colour stream's.
+        Stream of the calibration. Depth aligned to colour needs the intrinsics of the colour
+        stream.
     distortion : Distortion
         The lens model of `coefficients`.
     coefficients : tuple of float
-        k1, k2, p1, p2, k3, as the RealSense SDK orders them.
+        k1, k2, p1, p2, k3 in the order of the RealSense SDK.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Intrinsics:
         height: int,
         stream: Stream = Stream.COLOR,
     ) -> Intrinsics:
-        """Make intrinsics from a 3x3 camera matrix in pixels, without distortion.
+        """Create intrinsics from a 3x3 camera matrix in pixels, without distortion.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Intrinsics:
         return self.width, self.height
 
     def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the ray (x/z, y/z) of each pixel, with the lens distortion undone.
+        """Return the undistorted ray (x/z, y/z) of each pixel.
 
         Parameters
         ----------
@@ -163,12 +163,12 @@ class Intrinsics:
         return undistort(x, y, self.distortion, self.coefficients)
 
     def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the pixels where points are seen, lens distortion included.
+        """Project points to pixels, including lens distortion.
 
         Parameters
         ----------
         points_m : array_like of float, shape (N, 3)
-            Camera coordinates in metres, before the camera.
+            Points in front of the camera, camera coordinates, metres.
 
         Returns
         -------
@@ -191,7 +191,7 @@ class Intrinsics:
 
 
 def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx and cy of a 3x3 camera matrix, or of its nine numbers row by row.
+    """Return fx, fy, cx and cy of a 3x3 camera matrix, or of its nine values in row-major order.
 
     Raises
     ------
@@ -220,23 +220,22 @@ def check_intrinsics(
     known: Intrinsics | None = None,
     source: object = None,
 ) -> Intrinsics:
-    """Refuse intrinsics that do not belong to a colour picture of this size.
+    """Check that intrinsics belong to a colour picture of a given size.
 
-    Depth aligned to colour is seen through the colour camera. Another stream's or another
-    size's matrix scales every length; the error names by how much, for a fruit across the view:
-    f_right / f_wrong - 1. The verdict goes by provenance (stream and size), never by how large
-    the focal length is.
+    Depth aligned to colour needs the intrinsics of the colour camera. Those of another stream or
+    size scale every length; the error message states by how much for a fruit across the view:
+    f_right / f_wrong - 1. The check uses stream and size, not the value of the focal length.
 
     Parameters
     ----------
     given : Intrinsics
-        What a user or a file says.
+        Intrinsics to check.
     width, height : int
-        Size of the colour picture, to which depth is aligned, in pixels.
+        Size of the colour picture to which depth is aligned, pixels.
     known : Intrinsics, optional
-        The capture's own colour intrinsics, when it carries them.
+        Colour intrinsics of the capture, if known.
     source : object, optional
-        The file at fault, for the error's line.
+        The file, for error messages.
 
     Returns
     -------
@@ -246,7 +245,7 @@ def check_intrinsics(
     Raises
     ------
     IntrinsicsError
-        With the scale error that these intrinsics would have caused.
+        If the intrinsics do not match, with the scale error that they would cause.
 
     Examples
     --------
@@ -266,8 +265,8 @@ def check_intrinsics(
             remedy="give the colour stream's intrinsics",
         )
     if given.size != (width, height):
-        # RealSense colour modes keep the full height and crop the sides, so when the aspect differs
-        # the height tells the scale (640x480 with f 616 becomes 1280x720 with f 924).
+        # RealSense colour modes keep the full height and crop the sides, so if the aspect ratio
+        # differs, the height gives the scale (640x480 with f 616 becomes 1280x720 with f 924).
         estimate_px = right_px or given.fx_px * height / given.height
         about = "" if right_px else "about "
         raise IntrinsicsError(

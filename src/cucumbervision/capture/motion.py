@@ -1,4 +1,4 @@
-"""How far the picture moved between frames: sparse optical flow on small grey pictures."""
+"""Estimate motion between frames by sparse optical flow on downscaled grey pictures."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_STILL_SHARE = 1 / 250  # of the width: 3 px of 848, where fused lengths still are right
+_STILL_SHARE = 1 / 250  # of the width: 3 px of 848, up to which fused lengths are correct
 _WIDTH_PX = 320
 _CORNERS, _FEWEST = 100, 8
-_CORNER_STRENGTH = 5e-5  # twenty times that of a plain wall's noise
-_WEAKEST = 0.02  # corner, as a share of the strongest
+_CORNER_STRENGTH = 5e-5  # twenty times the noise on a plain wall
+_WEAKEST = 0.02  # minimum corner strength relative to the strongest
 _THERE_AND_BACK_PX = 0.5
-_MOST = 0.9  # share of the corners: fruit that swing, or are near, move before all of them do
+_MOST = 0.9  # quantile of the corners, so that swinging or near fruit do not dominate
 
 
 def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) -> list[float]:
-    """Return how far the picture moved from a reference frame to each other frame.
+    """Return the motion between a reference frame and each other frame.
 
-    Corners of the reference are followed (Lucas and Kanade) there and back.
+    Corners of the reference are tracked forward and backward (Lucas and Kanade).
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) 
     Returns
     -------
     list of float
-        Pixels: what nine tenths of the corners moved at most; infinity where most of them are
-        not found again, and 0 where the picture has too few corners to say.
+        The 90 % quantile of the corners' motion, pixels; infinity if most corners are lost, and 0
+        if the picture has too few corners.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) 
 
 
 def still_px(color: NDArray[np.uint8]) -> float:
-    """Return how far a picture of this size may move and still count as the same, pixels.
+    """Return the maximum motion that counts as still for this picture size, pixels.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def _moved(
 ) -> float:
     import cv2
 
-    # OpenCV writes into the last argument where it is given one.
+    # OpenCV writes into the last argument if it is given.
     there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.zeros_like(corners))
     back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, np.zeros_like(corners))
     same = np.linalg.norm(np.asarray(back) - corners, axis=1) < _THERE_AND_BACK_PX
@@ -89,14 +89,14 @@ def _moved(
 
 
 def _levelled(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture at one brightness and contrast: exposure adapts between frames."""
+    """Normalise brightness and contrast, because exposure adapts between frames."""
     off = grey - np.float32(grey.mean())
     spread = max(float(off.std()), 1.0)
     return np.asarray(np.clip(128 + off * np.float32(40 / spread), 0, 255), np.uint8)
 
 
 def _small_grey(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
-    """Return a small grey picture, and how many of its pixels' widths a pixel of it is."""
+    """Return a downscaled grey picture and its scale factor."""
     import cv2
 
     grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)

@@ -1,4 +1,4 @@
-"""Pictures and arrays on disk: decoded within limits, or refused with the file's name."""
+"""Read pictures and arrays within size limits, with errors that name the file."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
 DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".npz", ".csv"})
 
 MOST_PIXELS = 64_000_000
-"""Of a picture; OpenCV refuses larger ones by their heads, as `cucumbervision` sets it up to."""
+"""Maximum size of a picture; OpenCV is configured to reject larger ones by their header."""
 MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
-"""Of all frames of a burst together, and of all masks of a frame."""
+"""Maximum total size of the frames of a burst, and of the masks of a frame."""
 _MOST_ARRAYS, _MOST_ARRAY_BYTES = 16, 16 * MOST_PIXELS  # of an .npz
 _TOO_LARGE = f"more than colour and depth of {MOST_PIXELS / 1e6:g} million pixels"
 
-_GREY = 114  # what stands for nothing in a network's input too
+_GREY = 114  # padding value of network inputs
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 
@@ -52,16 +52,16 @@ def read_color(path: Path) -> NDArray[np.uint8]:
     """
     import cv2
 
-    # A picture's EXIF orientation must not turn it: depth would not turn with it.
+    # Ignore the EXIF orientation, because depth would not be rotated with it.
     image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 def read_photo(path: Path) -> NDArray[np.uint8]:
-    """Read a plain picture the way a viewer shows it.
+    """Read a photo as a picture viewer shows it.
 
-    Its EXIF orientation turns it, 16 bits become 8, grey becomes colour, and what is transparent
-    lies on grey.
+    Applies the EXIF orientation, and converts 16 bits to 8, grey to colour, and transparency to a
+    grey background.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
     raw = colour if opaque else _decode(path, cv2.IMREAD_UNCHANGED)
     if raw.ndim == 3 and raw.shape[2] == 4:
         alpha = _photo_levels(path, raw)[..., 3:].astype(np.float32) / 255
-        # The transparent plane comes as it was stored: it fits where nothing was turned.
+        # The alpha channel is stored without the EXIF orientation: use it only if sizes match.
         stored = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         if stored.shape == colour.shape:
             colour = np.rint(colour * alpha + _GREY * (1 - alpha)).astype(np.uint8)
@@ -100,14 +100,14 @@ def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], ...]:
-    """Read mask pictures: every pixel that is not 0 belongs to the fruit.
+    """Read mask pictures, in which nonzero pixels belong to the fruit.
 
     Parameters
     ----------
     paths : sequence of Path
-        Pictures of one channel.
+        Single-channel pictures.
     shape : tuple of int
-        (H, W) that each must have.
+        Required shape (H, W).
 
     Raises
     ------
@@ -138,19 +138,19 @@ def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """Read a depth picture's numbers as they are: PNG, TIFF or PGM, CSV, `.npy` or `.npz`.
+    """Read the raw values of a depth picture: PNG, TIFF, PGM, CSV, `.npy` or `.npz`.
 
     Returns
     -------
     ndarray
-        As stored, of whatever shape and dtype; `depth_to_metres` judges it.
+        Values as stored, of any shape and dtype; `depth_to_metres` validates them.
 
     Raises
     ------
     CaptureError
         If the file is missing, truncated, or of no known kind.
     DepthError
-        If it holds no array, or Python objects, which are never loaded.
+        If the file contains no array, or Python objects, which are never loaded.
     """
     suffix = path.suffix.lower()
     if suffix in {".npy", ".npz"}:

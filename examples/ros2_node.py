@@ -1,32 +1,40 @@
 #!/usr/bin/env python3
-"""A ROS 2 node that measures with the service: colour, aligned depth and camera info to JSON.
+"""A ROS 2 node that measures with the service: colour, depth and camera info to 3D.
 
     cucumbervision serve                                     # somewhere, in its own Python
     ros2 run realsense2_camera realsense2_camera_node --ros-args -p align_depth.enable:=true
     python3 examples/ros2_node.py --ros-args -p url:=http://127.0.0.1:8600
 
-It needs ROS 2 (rclpy, message_filters, sensor_msgs, std_msgs) and this package; the networks run
-in the service. It sends one frame at a time, always the newest; the others are dropped.
-`capture_of` needs no ROS.
+It needs ROS 2 with vision_msgs, NumPy and OpenCV, and nothing of this package: Python 3.10 will do.
+It sends one frame at a time, always the newest; the others are dropped. It publishes, in the
+coordinates of the colour camera:
+
+    ~/detections  vision_msgs/Detection3DArray: each fruit's box, x along the axis to the stem end;
+                  the hypothesis' pose is the place to cut with its covariance
+    ~/cuts        geometry_msgs/PoseArray: the places to cut, x along the peduncle
+    ~/tubes       visualization_msgs/MarkerArray: each fruit's tube
+    ~/fruit       std_msgs/String: the service's reply as JSON
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import secrets
 import threading
+import urllib.request
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
-
-from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.geometry.camera import Distortion
-from cucumbervision.service.client import Client
 
 _COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
 _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # REP 118
+_LENSES = ("plumb_bob", "rational_polynomial")
+_ASIDE_RAD = 0.26  # what a peduncle turns aside
+_TIMEOUT_S = 60.0
 
 
 def pixels(image: Any, kind: str, channels: int) -> np.ndarray:
@@ -37,67 +45,142 @@ def pixels(image: Any, kind: str, channels: int) -> np.ndarray:
     return used.view(dtype).reshape(image.height, image.width, channels)
 
 
-def capture_of(color: Any, depth: Any, info: Any) -> Capture:
-    """Return the capture of three messages: Image, Image aligned to it, and colour's CameraInfo.
+def arrays_of(color: Any, depth: Any, info: Any) -> dict[str, np.ndarray]:
+    """Return colour, depth in metres and the camera's matrix, without the lens' distortion.
+
+    Parameters
+    ----------
+    color, depth, info
+        Image, Image aligned to it, and colour's CameraInfo with up to 8 coefficients.
 
     Raises
     ------
-    CaptureError
-        If an encoding or lens model is not supported, or the pictures differ in size.
+    ValueError
+        If an encoding or lens model is not supported.
     """
-    frame, stamp = color.header.frame_id, color.header.stamp
     if color.encoding not in _COLORS or depth.encoding not in _DEPTHS:
-        raise CaptureError(
-            f"colour {color.encoding} with depth {depth.encoding} is not supported",
-            source=frame,
-            remedy="publish rgb8 and 16UC1 or 32FC1",
+        raise ValueError(
+            f"colour {color.encoding} with depth {depth.encoding} is not supported; "
+            "publish rgb8 and 16UC1 or 32FC1"
         )
     rgb = pixels(color, "u1", _COLORS[color.encoding])[..., :3]
     if color.encoding.startswith("bgr"):
         rgb = rgb[..., ::-1]
     kind, unit_m = _DEPTHS[depth.encoding]
     depth_m = (pixels(depth, kind, 1)[..., 0] * np.float32(unit_m)).astype(np.float32)
-    seconds = stamp.sec + stamp.nanosec / 1e9
-    return Capture(
-        np.ascontiguousarray(rgb),
-        np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0),
-        intrinsics_of(info),
-        f"frame_{stamp.sec}_{stamp.nanosec:09d}",
-        timestamp_s=seconds or None,
-        source=frame,
-        provenance={"reader": "ros2", "frame_id": frame},
-    )
+    depth_m = np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0)
+    matrix, lens = np.array(info.k, np.float64).reshape(3, 3), np.array(info.d, np.float64)
+    rgb = np.ascontiguousarray(rgb)
+    if lens.any():
+        if info.distortion_model not in _LENSES:
+            raise ValueError(
+                f"the lens model {info.distortion_model} is not supported; "
+                "publish rectified pictures (image_proc)"
+            )
+        size = (info.width, info.height)
+        u, v = cv2.initUndistortRectifyMap(matrix, lens, None, matrix, size, cv2.CV_32FC1)
+        rgb = cv2.remap(rgb, u, v, cv2.INTER_LINEAR)
+        depth_m = cv2.remap(depth_m, u, v, cv2.INTER_NEAREST)  # no mean of fruit and background
+    return {"color": rgb, "depth": depth_m, "matrix": matrix}
 
 
-def intrinsics_of(info: Any) -> Intrinsics:
-    """Return the colour intrinsics of a sensor_msgs/CameraInfo.
+def ask(url: str, arrays: dict[str, np.ndarray], token: str = "") -> dict[str, Any]:
+    """Return the service's reply to one frame.
 
     Raises
     ------
-    CaptureError
-        If its lens model is not supported.
+    OSError, ValueError
+        If it does not answer, refuses, or could not measure the frame.
     """
-    matrix = np.array(info.k, np.float64).reshape(3, 3)
-    lens = [float(value) for value in info.d]
-    if not any(lens):
-        return Intrinsics.from_matrix(matrix, info.width, info.height)
-    if info.distortion_model != "plumb_bob" or len(lens) != 5:
-        raise CaptureError(
-            f"the lens model {info.distortion_model} is not supported",
-            source=info.header.frame_id,
-            remedy="publish rectified pictures (image_proc)",
-        )
-    k1, k2, p1, p2, k3 = lens
-    return Intrinsics(
-        info.width,
-        info.height,
-        matrix[0, 0],
-        matrix[1, 1],
-        matrix[0, 2],
-        matrix[1, 2],
-        distortion=Distortion.BROWN_CONRADY,
-        coefficients=(k1, k2, p1, p2, k3),
+    file, border = io.BytesIO(), secrets.token_hex(16)
+    np.savez(file, **arrays)
+    head = (
+        f'--{border}\r\nContent-Disposition: form-data; name="files"; filename="frame.npz"\r\n\r\n'
     )
+    body = head.encode() + file.getvalue() + f"\r\n--{border}--\r\n".encode()
+    request = urllib.request.Request(f"{url}/measure", body)
+    request.add_header("Content-Type", f"multipart/form-data; boundary={border}")
+    if token:
+        request.add_header("Authorization", f"Bearer {token}")
+    with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
+        reply: dict[str, Any] = json.load(answer)
+    if reply["failures"]:
+        raise ValueError(reply["failures"][0]["message"])
+    return reply
+
+
+def posed_fruit(reply: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the fruit of a reply that have a pose."""
+    return [one for capture in reply["captures"] for one in capture["fruit"] if one["pose"]]
+
+
+def pose_at(msgs: Any, place_m: Any, direction: Any) -> Any:
+    """Return a geometry_msgs/Pose there, its x axis along a unit vector."""
+    x, y, z = (float(value) for value in direction)
+    # The rotation that takes (1, 0, 0) there; half a turn about z where it is the opposite.
+    quaternion = np.array([0.0, -z, y, 1.0 + x]) if x > -0.999999 else np.array([0.0, 0, 1, 0])
+    quaternion = quaternion / np.linalg.norm(quaternion)
+    pose = msgs.Pose()
+    pose.position.x, pose.position.y, pose.position.z = (float(value) for value in place_m)
+    for name, value in zip("xyzw", quaternion.tolist()):
+        setattr(pose.orientation, name, value)
+    return pose
+
+
+def detections(msgs: Any, header: Any, reply: dict[str, Any]) -> Any:
+    """Return the fruit of a reply as a vision_msgs/Detection3DArray."""
+    found = msgs.Detection3DArray(header=header)
+    for fruit in posed_fruit(reply):
+        pose = fruit["pose"]
+        axis, radius = np.array(pose["axis_m"]), np.array(pose["radius_m"])
+        run = (axis[0] - axis[-1]) / np.linalg.norm(axis[0] - axis[-1])
+        along = (axis - axis.mean(axis=0)) @ run
+        across = np.linalg.norm(axis - axis.mean(axis=0) - along[:, None] * run, axis=1)
+        one = msgs.Detection3D(header=header, id=str(fruit.get("track", fruit["fruit"])))
+        middle = axis.mean(axis=0) + (along.max() + along.min()) / 2 * run
+        one.bbox.center = pose_at(msgs, middle, run)
+        one.bbox.size.x = float(np.ptp(along))
+        one.bbox.size.y = one.bbox.size.z = float(2 * (across + radius).max())
+        result = msgs.ObjectHypothesisWithPose()
+        result.hypothesis.class_id = fruit["label"]
+        result.hypothesis.score = float(fruit["score"])
+        if pose["cut_m"] is not None:
+            direction = np.array(pose["direction"])
+            turn = np.outer(direction, direction)
+            covariance = np.zeros((6, 6))
+            covariance[:3, :3] = pose["cut_covariance_m2"]
+            # About its own axis nothing is known.
+            covariance[3:, 3:] = _ASIDE_RAD**2 * (np.eye(3) - turn) + np.pi**2 / 3 * turn
+            result.pose.pose = pose_at(msgs, pose["cut_m"], direction)
+            result.pose.covariance = covariance.ravel().tolist()
+            one.results.append(result)
+        found.detections.append(one)
+    return found
+
+
+def cuts(msgs: Any, header: Any, reply: dict[str, Any]) -> Any:
+    """Return the places to cut of a reply as a geometry_msgs/PoseArray."""
+    found = msgs.PoseArray(header=header)
+    for pose in (fruit["pose"] for fruit in posed_fruit(reply)):
+        if pose["cut_m"] is not None:
+            found.poses.append(pose_at(msgs, pose["cut_m"], pose["direction"]))
+    return found
+
+
+def tubes(msgs: Any, header: Any, reply: dict[str, Any]) -> Any:
+    """Return the fruit of a reply as a visualization_msgs/MarkerArray, what was shown removed."""
+    found = msgs.MarkerArray()
+    found.markers.append(msgs.Marker(header=header, action=msgs.Marker.DELETEALL))
+    for number, fruit in enumerate(posed_fruit(reply)):
+        pose = fruit["pose"]
+        one = msgs.Marker(header=header, ns="fruit", id=number, type=msgs.Marker.SPHERE_LIST)
+        one.pose.orientation.w = 1.0
+        one.scale.x = one.scale.y = one.scale.z = 2 * float(np.mean(pose["radius_m"]))
+        one.color.g, one.color.a = 0.6, 0.6
+        for x, y, z in pose["axis_m"]:
+            one.points.append(msgs.Point(x=float(x), y=float(y), z=float(z)))
+        found.markers.append(one)
+    return found
 
 
 class Newest:
@@ -123,6 +206,26 @@ class Newest:
             self._work(one)
 
 
+def messages() -> SimpleNamespace:
+    """Return the message types that are published."""
+    from geometry_msgs.msg import Point, Pose, PoseArray
+    from std_msgs.msg import String
+    from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    return SimpleNamespace(
+        Point=Point,
+        Pose=Pose,
+        PoseArray=PoseArray,
+        String=String,
+        Detection3D=Detection3D,
+        Detection3DArray=Detection3DArray,
+        ObjectHypothesisWithPose=ObjectHypothesisWithPose,
+        Marker=Marker,
+        MarkerArray=MarkerArray,
+    )
+
+
 def main() -> None:
     """Run the node."""
     import message_filters
@@ -130,27 +233,29 @@ def main() -> None:
     from rclpy.node import Node
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import CameraInfo, Image
-    from std_msgs.msg import String
 
     rclpy.init()
-    node = Node("cucumbervision")
+    node, msgs = Node("cucumbervision"), messages()
     node.declare_parameter("url", "http://127.0.0.1:8600")
     node.declare_parameter("camera", "/camera/camera")
     camera = node.get_parameter("camera").value
-    url = node.get_parameter("url").value
-    client = Client(url, os.environ.get("CUCUMBERVISION_TOKEN", ""))
-    rows = node.create_publisher(String, "~/fruit", 10)
+    url, token = node.get_parameter("url").value, os.environ.get("CUCUMBERVISION_TOKEN", "")
+    published = [
+        (node.create_publisher(msgs.Detection3DArray, "~/detections", 10), detections),
+        (node.create_publisher(msgs.PoseArray, "~/cuts", 10), cuts),
+        (node.create_publisher(msgs.MarkerArray, "~/tubes", 10), tubes),
+    ]
+    text = node.create_publisher(msgs.String, "~/fruit", 10)
 
-    def measure(messages: tuple[Any, Any, Any]) -> None:
+    def measure(given: tuple[Any, Any, Any]) -> None:
         try:
-            reply = client.measure(capture_of(*messages))
-        except CucumberVisionError as error:
+            reply = ask(url, arrays_of(*given), token)
+        except (OSError, ValueError) as error:
             node.get_logger().warning(str(error))
             return
-        header = messages[0].header
-        stamp = {"sec": header.stamp.sec, "nanosec": header.stamp.nanosec}
-        reply["header"] = {"frame_id": header.frame_id, "stamp": stamp}
-        rows.publish(String(data=json.dumps(reply)))
+        for publisher, made in published:
+            publisher.publish(made(msgs, given[0].header, reply))
+        text.publish(msgs.String(data=json.dumps(reply)))
 
     newest = Newest(measure)
     topics = (
@@ -163,7 +268,7 @@ def main() -> None:
         for kind, topic in topics
     ]
     together = message_filters.ApproximateTimeSynchronizer(subscribed, queue_size=5, slop=0.02)
-    together.registerCallback(lambda *messages: newest.give(messages))
+    together.registerCallback(lambda *given: newest.give(given))
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:

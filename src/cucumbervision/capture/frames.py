@@ -12,8 +12,9 @@ from cucumbervision.errors import CaptureError, DepthError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from typing import Self
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
@@ -134,6 +135,54 @@ class Capture:
                 source=self.source or self.name,
                 remedy="align depth to colour and give the colour intrinsics at that size",
             )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        color: NDArray[np.uint8],
+        depth: NDArray[Any],
+        intrinsics: Intrinsics | ArrayLike,
+        *,
+        depth_unit_m: float = 0.001,
+        name: str = "arrays",
+    ) -> Self:
+        """Return a capture of arrays as other programs have them.
+
+        Parameters
+        ----------
+        color : ndarray of uint8, shape (H, W, 3)
+            RGB.
+        depth : ndarray, shape (H, W)
+            Aligned to colour: floating point is metres, with NaN where there is no reading; whole
+            numbers are multiples of `depth_unit_m`.
+        intrinsics : Intrinsics or array_like, shape (3, 3)
+            The colour camera's, or its matrix in pixels.
+        depth_unit_m : float
+            Metres of one step of whole numbers.
+        name : str
+            What it is called.
+
+        Raises
+        ------
+        CaptureError, IntrinsicsError
+            If the arrays do not fit each other, or the matrix is none of a camera.
+
+        Examples
+        --------
+        >>> depth_mm = np.full((48, 64), 500, np.uint16)
+        >>> matrix = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
+        >>> capture = Capture.from_arrays(np.zeros((48, 64, 3), np.uint8), depth_mm, matrix)
+        >>> float(capture.depth_m[0, 0]), capture.intrinsics.fx_px
+        (0.5, 60.0)
+        """
+        from cucumbervision.capture.intrinsics import Intrinsics
+
+        scale = 1.0 if np.issubdtype(depth.dtype, np.floating) else depth_unit_m
+        depth_m = np.nan_to_num(depth * np.float32(scale), nan=0.0, posinf=0.0, neginf=0.0)
+        if not isinstance(intrinsics, Intrinsics):
+            height, width = color.shape[:2]
+            intrinsics = Intrinsics.from_matrix(intrinsics, width, height)
+        return cls(np.ascontiguousarray(color), depth_m.astype(np.float32), intrinsics, name)
 
     @property
     def width(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -353,6 +353,9 @@ class FruitMeasurement:
         Share of these pixels with a valid depth reading, 0 to 1.
     pose : FruitPose, optional
         Where it is in space, and where to cut; None where no tube was fitted.
+    lengths : mapping of str to Length
+        Every method's length with its interval, as `calibration_key` names them: 'M1' to 'M6', and
+        'M6 thread' and 'M6 chord'. Without a site's calibration.
     """
 
     instance: Instance
@@ -369,6 +372,7 @@ class FruitMeasurement:
     distance_m: float | None = None
     fill: float | None = None
     pose: FruitPose | None = None
+    lengths: Mapping[str, Length] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         said = f"not measured: {self.reason}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from cucumbervision.measurement.result import (
     Measurement,
     Method,
     Selector,
+    calibration_key,
 )
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision.perception.instances import MaskSource
@@ -323,17 +325,29 @@ def with_length(
     length = None if chosen is None else _length(chosen, definition)
     if chosen is None or length is None or fruit.distance_m is None or fruit.fill is None:
         return replace(fruit, length=length)
-    length, narrow = with_interval(
-        length,
-        chosen,
-        fruit.distance_m,
-        fruit.fill,
-        mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
+    known = partial(
+        with_interval,
+        distance_m=fruit.distance_m,
+        fill=fruit.fill,
+        mask=mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
         scale_known=scale_known,
         models=models,
     )
-    fruit = replace(fruit, length=length)
+    lengths = {
+        calibration_key(one.method, each.kind): known(each, one)[0]
+        for one in fruit.measurements.values()
+        for each in _lengths(one)
+    }
+    length, narrow = known(length, chosen)
+    fruit = replace(fruit, length=length, lengths=lengths)
     return fruit if narrow else fruit.flagged(Flag.INTERVAL_TOO_WIDE)
+
+
+def _lengths(measurement: Measurement) -> list[Length]:
+    if measurement.tube is not None:
+        return [Length(measurement.tube.of(one), one) for one in LengthDefinition]
+    raw = _length(measurement, LengthDefinition.CENTRELINE)
+    return [] if raw is None else [raw]
 
 
 def _length(chosen: Measurement, definition: LengthDefinition) -> Length | None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_areas, box_iou, box_ious
 from cucumbervision.perception.masks import (
     as_mask,
@@ -24,6 +25,7 @@ from cucumbervision.perception.masks import (
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Any, Self
 
     from numpy.typing import NDArray
 
@@ -96,6 +98,34 @@ class Instance:
             mask = getattr(self, name)
             if mask is not None and getattr(mask, "dtype", None) != np.bool_:
                 object.__setattr__(self, name, as_mask(mask))
+
+    @classmethod
+    def of_mask(cls, mask: NDArray[Any], source: MaskSource = MaskSource.DATASET) -> Self:
+        """Return a fruit of which the mask is all that is known.
+
+        Parameters
+        ----------
+        mask : ndarray, shape (H, W)
+            bool, 0/1 or 0/255.
+        source : MaskSource
+            Who drew it: a person, or a network, whose outlines have wider intervals.
+
+        Raises
+        ------
+        InstancesError
+            If it is no mask, or has no pixel.
+
+        Examples
+        --------
+        >>> mask = np.zeros((20, 60), np.uint8)
+        >>> mask[5:15, 10:50] = 255
+        >>> Instance.of_mask(mask).box.tolist()
+        [9.5, 4.5, 49.5, 14.5]
+        """
+        pixels = as_mask(mask)
+        if not pixels.any():
+            raise InstancesError("a mask has no pixel", remedy="leave it out")
+        return cls(box_of_mask(pixels), mask=pixels, mask_source=source)
 
 
 _SAME_IOU = 0.5  # of two masks of one fruit

@@ -17,6 +17,8 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.networks import NetworkLoader
     from cucumbervision.perception.registry import Registry
@@ -53,6 +55,9 @@ class Found:
 
 Find: TypeAlias = Callable[["Capture"], Found]
 
+Detector: TypeAlias = Callable[["Capture"], "Sequence[Instance]"]
+"""Anything that finds the fruit of a capture."""
+
 
 @dataclass(frozen=True)
 class Finder:
@@ -84,7 +89,9 @@ class Finder:
 _FINDING = {"segment", "detect", "pose", "ends"}  # tasks of networks; all others draw masks
 
 
-def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Finder:
+def make_finder(
+    options: MeasureOptions, registry: Registry | None = None, detector: Detector | None = None
+) -> Finder:
     """Load what a run needs to find fruit.
 
     Parameters
@@ -93,6 +100,8 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         The run's choices.
     registry : Registry, optional
         Where networks with a name lie; the package's own if not given.
+    detector : callable, optional
+        Finds the fruit in place of `options.instances`.
 
     Returns
     -------
@@ -120,7 +129,7 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
     name = options.segmenter
     if name not in (None, "none"):
         networks.verify(networks.registry.segmenter(name).name)
-    boxes = _box_finder(options, networks)
+    boxes = _box_finder(options, networks) if detector is None else _found_by(detector)
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)
@@ -194,6 +203,10 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
         for mask in capture.masks
         if mask.any()
     )
+
+
+def _found_by(detector: Detector) -> Find:
+    return lambda capture: Found(tuple(detector(capture)))
 
 
 def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:

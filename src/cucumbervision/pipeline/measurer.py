@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.finders import Finder, Found
+    from cucumbervision.pipeline.finders import Detector, Finder, Found
     from cucumbervision.pipeline.stages import Stage
 
 _RANGE_MARGIN = 0.10
@@ -215,6 +215,9 @@ class Measurer:
         How to measure.
     registry : Registry, optional
         Where networks with a name lie; the package's own if not given.
+    detector : callable, optional
+        Finds the fruit of a `Capture` in place of `options.instances`: any function that returns
+        its instances. What has no mask is segmented.
 
     Examples
     --------
@@ -228,10 +231,13 @@ class Measurer:
     """
 
     def __init__(
-        self, options: MeasureOptions | None = None, registry: Registry | None = None
+        self,
+        options: MeasureOptions | None = None,
+        registry: Registry | None = None,
+        detector: Detector | None = None,
     ) -> None:
         self.options = options or MeasureOptions()
-        self._registry = registry
+        self._registry, self._detector = registry, detector
         self._finder: Finder | None = None
 
     @property
@@ -269,7 +275,7 @@ class Measurer:
         """
         if self._finder is None:
             _ = self.site  # a calibration that cannot be read is known before networks are loaded
-            self._finder = make_finder(self.options, self._registry)
+            self._finder = make_finder(self.options, self._registry, self._detector)
         return self._finder
 
     def warm_up(self) -> None:
@@ -369,7 +375,7 @@ class Measurer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Send another process what it needs to load its own networks."""
-        return Measurer, (self.options, self._registry)
+        return Measurer, (self.options, self._registry, self._detector)
 
 
 def accepted_fruit(fruit: FruitMeasurement, limits_m: tuple[float, float]) -> FruitMeasurement:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.urls import as_path
-from cucumbervision.errors import MissingExtraError
+from cucumbervision.errors import CaptureError, MissingExtraError
+from cucumbervision.perception.instances import Instance
 from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.inputs import Listed, list_captures
@@ -20,9 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import pandas as pd
+    from numpy.typing import ArrayLike, NDArray
 
+    from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.finders import Detector
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +81,32 @@ class Results:
 
 
 def measure(
-    captures: Capture | Path | str | Iterable[Capture | Path | str],
+    captures: Capture | Path | str | NDArray[np.uint8] | Iterable[Capture | Path | str],
+    depth: NDArray[Any] | None = None,
+    intrinsics: Intrinsics | ArrayLike | None = None,
+    *,
+    masks: Iterable[NDArray[Any]] | None = None,
+    instances: str | Path | Sequence[Instance] | Detector | None = None,
+    depth_unit_m: float = 0.001,
     options: MeasureOptions | None = None,
     **choices: Any,
 ) -> Results:
-    """Measure captures.
+    """Measure captures, or the arrays of one.
 
     To measure again and again, keep a `Measurer`: its networks are loaded once.
 
     Parameters
     ----------
-    captures : Capture, Path or str, or several of them
-        Captures in memory; folders, files and URLs that `open_source` reads.
+    captures : Capture, Path or str, or several of them; or ndarray of uint8, shape (H, W, 3)
+        Captures in memory; folders, files and URLs that `open_source` reads; or a picture, red
+        first.
+    depth, intrinsics, depth_unit_m
+        With a picture: as `Capture.from_arrays` takes them.
+    masks : iterable of ndarray, shape (H, W), optional
+        The fruit of one capture, one mask each, as people drew them.
+    instances : str, Path, sequence of Instance or callable, optional
+        Where the fruit come from: as `MeasureOptions.instances`; those of one capture; or a
+        detector, which is called with each `Capture` and returns its instances.
     options : MeasureOptions, optional
         How to measure.
     **choices
@@ -100,7 +120,8 @@ def measure(
     Raises
     ------
     CucumberVisionError
-        If a network or the calibration cannot be loaded, or an option is unknown.
+        If arrays do not fit each other, a network or the calibration cannot be loaded, or an option
+        is unknown.
 
     Examples
     --------
@@ -110,11 +131,28 @@ def measure(
     <Results: 8 fruit in 3 captures, 0 failures>
     >>> [f"{fruit.length.value_m:.2f} m" for fruit in results.fruit[:3]]
     ['0.16 m', '0.12 m', '0.25 m']
+
+    Of arrays:
+
+    >>> one = results.captures[0].capture
+    >>> measure(one.color, one.depth_m, one.intrinsics.matrix, masks=one.masks)
+    <Results: 3 fruit in 1 captures, 0 failures>
     """
+    if masks is not None:
+        instances = [Instance.of_mask(mask) for mask in masks]
+    if isinstance(instances, str | Path):
+        choices, instances = {**choices, "instances": str(instances)}, None
     if options is not None and choices:
         raise TypeError("give options or their fields, not both")
-    measurer = Measurer(options or MeasureOptions(**choices))
+    detector = instances if instances is None or callable(instances) else _always(instances)
+    measurer = Measurer(options or MeasureOptions(**choices), detector=detector)
     measurer.load()
+    if isinstance(captures, np.ndarray):
+        if depth is None or intrinsics is None:
+            raise CaptureError(
+                "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
+            )
+        captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
     given = [captures] if isinstance(captures, Capture | Path | str) else captures
 
     def items() -> Iterator[Item]:
@@ -127,3 +165,7 @@ def measure(
     done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
     results = [one.value for one in done if one.value is not None and one.value.error is None]
     return Results(tuple(results), tuple(failure for one in done for failure in one.failures))
+
+
+def _always(instances: Sequence[Instance]) -> Detector:
+    return lambda _: instances

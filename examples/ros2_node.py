@@ -94,10 +94,12 @@ def ask(url: str, arrays: dict[str, np.ndarray], token: str = "") -> dict[str, A
     """
     file, border = io.BytesIO(), secrets.token_hex(16)
     np.savez(file, **arrays)
-    head = (
-        f'--{border}\r\nContent-Disposition: form-data; name="files"; filename="frame.npz"\r\n\r\n'
+    head = 'Content-Disposition: form-data; name="files"; filename="frame.npz"'
+    body = (
+        f"--{border}\r\n{head}\r\n\r\n".encode()
+        + file.getvalue()
+        + f"\r\n--{border}--\r\n".encode()
     )
-    body = head.encode() + file.getvalue() + f"\r\n--{border}--\r\n".encode()
     request = urllib.request.Request(f"{url}/measure", body)
     request.add_header("Content-Type", f"multipart/form-data; boundary={border}")
     if token:
@@ -122,7 +124,7 @@ def pose_at(msgs: Any, place_m: Any, direction: Any) -> Any:
     quaternion = quaternion / np.linalg.norm(quaternion)
     pose = msgs.Pose()
     pose.position.x, pose.position.y, pose.position.z = (float(value) for value in place_m)
-    for name, value in zip("xyzw", quaternion.tolist()):
+    for name, value in zip("xyzw", quaternion.tolist(), strict=True):
         setattr(pose.orientation, name, value)
     return pose
 

@@ -1,7 +1,7 @@
 """The ROS 2 node without ROS: messages made by hand, after the definitions of their packages.
 
-rclpy is on no index that is used here. `message` makes types that, like rclpy's, have the fields of
-the definitions alone and take values of their types alone; what the middleware does was never tried.
+rclpy is on no index that is used here. `message` makes types that, like rclpy's, have only the
+fields of the definitions and take only values of their types; the middleware was never tried.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.perception.instances import Instance
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.server import ServiceSettings
 from cucumbervision.service.work import Work
 
@@ -188,7 +188,8 @@ def test_what_is_not_read_is_said(
 def reply(node: ModuleType) -> dict[str, Any]:
     """The service's reply to a bundled capture, as the node asks for it."""
     capture = next(iter(open_source(example_captures() / "simulated-row-a"))).load()
-    work = Work(Measurer(MeasureOptions(instances="models", segmenter="none")), ServiceSettings())
+    fruit = [Instance.of_mask(mask) for mask in capture.masks]
+    work = Work(Measurer(detector=lambda _: fruit), ServiceSettings())
     sent: list[bytes] = []
 
     def answer(request: Any, timeout: float) -> Any:

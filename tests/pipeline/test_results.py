@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, InstancesError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import FruitMeasurement, LengthDefinition
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.results import measure
 
@@ -23,11 +24,11 @@ def bench() -> Capture:
 
 @pytest.fixture(scope="module")
 def lengths_m(bench: Capture) -> list[float]:
-    return [fruit.length.value_m for fruit in measure(bench, instances="dataset").fruit]
+    return values(measure(bench, instances="dataset").fruit)
 
 
-def values(fruit: tuple[object, ...]) -> list[float]:
-    return [one.length.value_m for one in fruit]  # type: ignore[attr-defined]
+def values(fruit: Sequence[FruitMeasurement]) -> list[float]:
+    return [one.length.value_m for one in fruit if one.length is not None]
 
 
 def test_arrays_measure_as_the_capture_does(bench: Capture, lengths_m: list[float]) -> None:
@@ -45,7 +46,7 @@ def test_arrays_measure_as_the_capture_does(bench: Capture, lengths_m: list[floa
 
 
 def test_any_callable_is_a_detector(bench: Capture, lengths_m: list[float]) -> None:
-    names = []
+    names: list[str] = []
 
     def second(capture: Capture) -> list[Instance]:
         names.append(capture.name)
@@ -70,8 +71,8 @@ def test_every_length_has_its_interval(bench: Capture) -> None:
     keys = {"M1", "M2", "M3", "M4", "M5", "M6", "M6 thread", "M6 chord"}
     assert set(fruit.lengths) == keys - {"M4"}  # without keypoints
     assert fruit.lengths["M6"] == fruit.length
-    tube = fruit.selected and fruit.selected.tube
-    assert tube is not None
+    assert fruit.traits is not None
+    tube = fruit.traits.lengths
     for key, kind in (("M6 thread", LengthDefinition.THREAD), ("M6 chord", LengthDefinition.CHORD)):
         length = fruit.lengths[key]
         assert (length.value_m, length.kind, length.interval_of) == (tube.of(kind), kind, kind)

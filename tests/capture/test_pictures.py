@@ -4,6 +4,7 @@ import pickle
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
@@ -202,6 +203,24 @@ def test_pictures_of_too_many_pixels_are_refused_by_their_heads(name: str, tmp_p
         path.write_bytes(data)
     with pytest.raises(CaptureError, match=rf"{name}: has more than 64 million pixels"):
         read_photo(tmp_path / name)
+
+
+def test_what_is_transparent_lies_on_grey_and_takes_little_memory(tmp_path: Path) -> None:
+    image = np.full((500, 400, 4), 200, np.uint8)
+    image[:100, :, 3], image[100:200, :, 3], image[200:, :, 3] = 0, 51, 255
+    for name, levels in (("a.png", image), ("b.png", image.astype(np.uint16) * 257)):
+        cv2.imwrite(str(tmp_path / name), levels)
+        tracemalloc.start()
+        photo = read_photo(tmp_path / name)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        # A fifth of 200 and four of 114.
+        assert [photo[row, 7].tolist() for row in (99, 199, 499)] == [
+            [114] * 3,
+            [131] * 3,
+            [200] * 3,
+        ]
+        assert peak < 20 * 500 * 400
 
 
 def test_masks_that_fill_the_memory_are_refused(tmp_path: Path) -> None:

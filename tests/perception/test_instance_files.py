@@ -118,6 +118,28 @@ def test_coco_results_by_file_name(tmp_path: Path) -> None:
     assert (fruit.confidence, fruit.class_name) == (0.5, "0")
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("C:\\Users\\ana\\row1\\a.png", "\\\\server\\share\\a.png", "..\\a.png", "row1\\./a.png"),
+        "\\\\?\\C:\\" + "x" * 200 + "\\" + "y" * 200 + "\\a.png",
+    ],
+)
+def test_names_as_windows_writes_them(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    path.write_text(json.dumps([{"file_name": name, "category_id": 0, "bbox": [1, 1, 2, 2]}]))
+    assert len(get(path, "a.png").instances) == 1
+    assert get(path, "b.png").instances == ()
+
+
+@pytest.mark.parametrize(("left", "top"), [(-3, -3), (0, 0), (2, 1), (7, 3)])
+def test_a_polygons_pixels_are_the_same_anywhere_in_the_picture(left: int, top: int) -> None:
+    diamond = np.array([[2.0, 0], [4, 2], [2, 4], [0, 2]])
+    wide = fill_polygon(diamond + 10, 30, 40)
+    inside = fill_polygon(diamond + np.array([left, top]), 6, 10)
+    assert inside.tolist() == wide[10 - top : 16 - top, 10 - left : 20 - left].tolist()
+
+
 def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
     file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
     for name in ("row1/a.png", "a.png", "other/a.jpg", "a"):

@@ -32,6 +32,7 @@ MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
 _MOST_ARRAYS, _MOST_ARRAY_BYTES = 16, 16 * MOST_PIXELS  # of an .npz
 _TOO_LARGE = f"more than colour and depth of {MOST_PIXELS / 1e6:g} million pixels"
 
+_ROWS_AT_ONCE = 64  # blended in float32: all rows at once would take four times the memory
 _GREY = 114  # padding value of network inputs
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
@@ -78,20 +79,24 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
     colour = _photo_levels(path, _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH))
     opaque = path.suffix.lower() in {".jpg", ".jpeg"}
     raw = colour if opaque else _decode(path, cv2.IMREAD_UNCHANGED)
-    if raw.ndim == 3 and raw.shape[2] == 4:
-        alpha = _photo_levels(path, raw)[..., 3:].astype(np.float32) / 255
-        # The alpha channel is stored without the EXIF orientation: use it only if sizes match.
-        stored = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if stored.shape == colour.shape:
-            colour = np.rint(colour * alpha + _GREY * (1 - alpha)).astype(np.uint8)
+    # The alpha channel is stored without the EXIF orientation: use it only if sizes match.
+    if raw.ndim == 3 and raw.shape[2] == 4 and raw.shape[:2] == colour.shape[:2]:
+        for top in range(0, len(raw), _ROWS_AT_ONCE):
+            part = slice(top, top + _ROWS_AT_ONCE)
+            alpha = _photo_levels(path, raw[part, :, 3:]).reshape(*raw[part].shape[:2], 1)
+            opacity = alpha.astype(np.float32) / 255
+            mixed = colour[part] * opacity + _GREY * (1 - opacity)
+            colour[part] = np.rint(mixed).astype(np.uint8)
     return cast("NDArray[np.uint8]", cv2.cvtColor(colour, cv2.COLOR_BGR2RGB))
 
 
 def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+    import cv2
+
     if image.dtype == np.uint8:
         return image
     if image.dtype == np.uint16:
-        return np.rint(image / 257.0).astype(np.uint8)
+        return cast("NDArray[np.uint8]", cv2.convertScaleAbs(image, alpha=1 / 257))
     raise CaptureError(
         f"its levels are {image.dtype}, of which nobody knows the white",
         source=path,

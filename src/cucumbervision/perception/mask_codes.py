@@ -112,9 +112,14 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     at = low[0] + (centres[rows, 0] - low[1]) * ((high[0] - low[0]) / (high[1] - low[1]))
     # All pixel centres at or right of a crossing change sides.
     first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
-    changes = np.zeros((height, width + 1), np.int32)
-    np.add.at(changes, (rows, first), 1)
-    return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
+    mask = np.zeros((height, width), bool)
+    if len(rows):
+        # Counted in the polygon's own rows and columns: there may be thousands in a picture.
+        (top, left), (bottom, right) = (rows.min(), first.min()), (rows.max(), first.max())
+        changes = np.zeros((bottom + 1 - top, right + 1 - left), np.int32)
+        np.add.at(changes, (rows - top, first - left), 1)
+        mask[top : bottom + 1, left:right] = changes[:, :-1].cumsum(axis=1) % 2 == 1
+    return mask
 
 
 def polygon_points(values: Any) -> NDArray[np.float64]:

@@ -198,6 +198,27 @@ def _clock_back(folder: Path) -> Outcome:
     return Outcome("the clock is set back by a day", ran.line("stops added"), "three stops", lost)
 
 
+def _clock_jumps(folder: Path) -> Outcome:
+    """Set the clock an hour back or forth at every third question, in a batch and in a round."""
+    source, store = captures(folder / "in"), folder / "house.db"
+    jumps = (
+        "import itertools, time\nnow, asked = time.time, itertools.count()\n"
+        "time.time = lambda: now() + (0, 3600, -3600)[next(asked) // 3 % 3]"
+    )
+    command("measure", source, "--out", folder / "whole", *MASKS)
+    ran = command("measure", source, "--out", folder / "out", *MASKS, before=jumps)
+    again = command("measure", source, "--out", folder / "out", *MASKS, before=jumps)
+    command("round", "new", "walk", "--store", store, before=jumps)
+    add = ("round", "add", source, "--store", store, "--instances", "dataset")
+    added = [command(*add, before=jumps) for _ in range(2)]
+    check = command("round", "check", "--store", store, before=jumps)
+    rows, stops = rows_in(folder / "out"), stops_in(store)
+    lost = any(one.code for one in (ran, again, *added, check))
+    lost = lost or rows != rows_in(folder / "whole") or stops != ["c0", "c1", "c2"]
+    kept = f"{len(rows)} rows, as without; {len(stops)} stops"
+    return Outcome("the clock jumps by an hour", ran.line("fruit measured"), kept, lost)
+
+
 def _kill_worker(folder: Path) -> Outcome:
     """Kill one of two workers of `measure` in the middle of its work."""
     source = captures(folder / "in", 6)
@@ -336,6 +357,7 @@ FAULTS: dict[str, Callable[[Path], Outcome]] = {
     "postgres": _postgres_gone,
     "camera": _camera_gone,
     "clock": _clock_back,
+    "jumps": _clock_jumps,
 }
 
 

@@ -19,6 +19,11 @@ def test_damage_and_a_folder_that_goes_lose_no_other_row() -> None:
     assert "the file is missing" in found[1].seen
 
 
+def test_a_clock_that_jumps_by_an_hour_changes_nothing() -> None:
+    [jumps] = try_faults(["jumps"])
+    assert (jumps.lost, jumps.kept) == (False, "6 rows, as without; 3 stops")
+
+
 def test_an_unknown_fault_is_named() -> None:
     with pytest.raises(CucumberVisionError, match=r"no fault is called 'fire'; take truncated"):
         try_faults(["fire"])

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 import pytest
 from tests.robustness import fuzz as fuzzing
+from tests.robustness.counted import COUNTS, read_counts, with_counts
 from tests.robustness.fuzz import damage, find_targets, fuzz, read_input
 from tests.robustness.mutations import damaged
 from tests.robustness.targets import TARGETS, Target
@@ -163,3 +164,27 @@ def test_damage_does_not_depend_on_what_was_damaged_before() -> None:
     alone = [damaged(data, "json", Random(n)) for n in range(300)]
     again = [damaged(data, "json", Random(n)) for n in reversed(range(300))]
     assert alone == again[::-1]
+
+
+@pytest.mark.parametrize("by", fuzzing.GENERATORS)
+def test_a_run_goes_on_where_the_last_one_ended(by: str, tmp_path: Path) -> None:
+    targets, counted = find_targets(["poses", "truth"]), tmp_path / "counts.json"
+    for inputs in (20, 50):
+        counts = fuzz(inputs, 3, targets, by=by, counted=counted)
+    assert counts.findings == []
+    assert (counts.numbers, counts.tried.total()) == (50, 50)
+    said = read_counts(counted)[by]
+    assert (said["numbers"], said["seed"], sum(said["tried"].values())) == (50, 3, 50)
+
+
+def test_what_was_found_and_is_none_any_more_is_counted_as_mended(tmp_path: Path) -> None:
+    counted = tmp_path / "counts.json"
+    found = fuzzing.Finding("poses", 4, "unnamed", "x.py:1 KeyError", "")
+    fuzzing.Counts(findings=[found], numbers=10, seed=3).save(counted, "mutations")
+    counts = fuzz(10, 3, find_targets(["poses"]), counted=counted)
+    assert (counts.findings, counts.mended) == ([], {found.key: 1})
+
+
+def test_the_documentation_has_the_counts() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+    assert with_counts(page, read_counts(COUNTS)) == page

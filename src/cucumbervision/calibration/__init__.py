@@ -1,1 +1,1 @@
-"""Corrections fitted to one's own truth, and the file that carries them."""
+"""Site calibration: fitting corrections, and the calibration file."""

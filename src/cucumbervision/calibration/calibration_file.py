@@ -1,4 +1,4 @@
-"""The file that carries a site's calibration: what was fitted, to what, for which camera."""
+"""Read and write site calibration files."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class CalibratedCamera(_Frozen):
 
     @classmethod
     def of(cls, intrinsics: Intrinsics, serial: str | None = None) -> CalibratedCamera:
-        """Describe a camera."""
+        """Create the description of a camera."""
         model = CameraModel.of(intrinsics)
         text = json.dumps(model.model_dump(mode="json"), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()
         return cls(serial=serial, intrinsics=model, intrinsics_sha256=digest)
 
     def difference(self, intrinsics: Intrinsics, serial: str | None) -> str:
-        """Return how another camera differs, in words; empty where it is the same.
+        """Return the difference to another camera as text; empty for the same camera.
 
-        Serial numbers count where both are known; intrinsics to a hundredth of a pixel.
+        Compares serial numbers if both are known, and intrinsics to 0.01 pixels.
 
         Examples
         --------
@@ -75,7 +75,7 @@ def _words(camera: Intrinsics) -> str:
 
 
 class MeasuredWith(_Frozen):
-    """The run whose lengths were calibrated."""
+    """The run used for calibration."""
 
     software: str
     config_sha256: str
@@ -88,7 +88,7 @@ class MeasuredWith(_Frozen):
 
 
 class TruthUsed(_Frozen):
-    """The table of hand-measured lengths."""
+    """The table of manual lengths used for calibration."""
 
     file: str
     sha256: str
@@ -99,7 +99,7 @@ class TruthUsed(_Frozen):
 
 
 class IntervalEntry(_Frozen):
-    """The true length lies within length (1 -+ half_width), or why nothing can be said."""
+    """Relative half width of the interval, length (1 -+ half_width), or why there is none."""
 
     level: float = Field(gt=0, lt=1)
     half_width: float | None = Field(default=None, ge=0)
@@ -107,7 +107,7 @@ class IntervalEntry(_Frozen):
 
 
 class CorrectionEntry(_Frozen):
-    """One method's correction against one kind of length: scale x reading + offset."""
+    """Correction of one method for one definition of length: scale x reading + offset."""
 
     method: str
     truth_kind: LengthDefinition
@@ -126,7 +126,7 @@ class CorrectionEntry(_Frozen):
 
 
 class DepthScaleEntry(_Frozen):
-    """Ratio of what the camera reads to what is, from pictures of a printed grid."""
+    """Ratio of measured to true depth, from pictures of a printed grid."""
 
     value: float = Field(gt=0.5, lt=2)
     standard_error: float = Field(ge=0)
@@ -136,14 +136,14 @@ class DepthScaleEntry(_Frozen):
 
 
 class LensEntry(_Frozen):
-    """The lens by the same grid: Brown-Conrady k1, k2, p1, p2, k3, and what remains of it."""
+    """Lens distortion from the same grid, Brown-Conrady k1, k2, p1, p2, k3, and the residual."""
 
     coefficients: tuple[float, float, float, float, float]
     residual_px: float = Field(ge=0)
 
 
 class SiteCalibration(_Frozen):
-    """A whole calibration file.
+    """Contents of a calibration file.
 
     Examples
     --------
@@ -172,29 +172,29 @@ class SiteCalibration(_Frozen):
 
     @property
     def depth_divisor(self) -> float:
-        """What depth is divided by before anything is measured."""
+        """Divisor applied to depth before measuring."""
         return self.depth_scale.value if self.depth_scale else 1.0
 
     @property
     def tag(self) -> str:
-        """Name and the first eight digits of the content's SHA-256, as rows carry it."""
+        """Name and the first eight digits of the content's SHA-256, for result rows."""
         return f"{self.name}@{hashlib.sha256(self.as_text().encode()).hexdigest()[:8]}"
 
     def entry(self, method: str, kind: LengthDefinition) -> CorrectionEntry | None:
-        """Return the correction of a method for a kind of length; None where there is none.
+        """Return the correction of a method for a definition of length, or None.
 
         Parameters
         ----------
         method : str
             'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord'.
         kind : LengthDefinition
-            The kind of length that is wanted.
+            Definition of length.
         """
         wanted = (e for e in self.corrections if e.method == method and e.truth_kind is kind)
         return next(wanted, None)
 
     def as_text(self) -> str:
-        """Return the file's text."""
+        """Return the contents of the file."""
         return json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -204,7 +204,7 @@ def read_site_calibration(path: Path) -> SiteCalibration:
     Raises
     ------
     CalibrationError
-        If it is missing, no calibration, or of another version.
+        If the file is missing, is not a calibration file, or has another version.
     """
     again = "make it with `cucumbervision calibrate`"
     data = read_json(path, CalibrationError, again)
@@ -225,7 +225,7 @@ def write_site_calibration(path: Path, site: SiteCalibration) -> None:
     Raises
     ------
     CalibrationError
-        If it cannot be written.
+        If the file cannot be written.
     """
     with wrap_os_errors("cannot be written", path, kind=CalibrationError):
         path.parent.mkdir(parents=True, exist_ok=True)

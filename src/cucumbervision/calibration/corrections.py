@@ -1,4 +1,4 @@
-"""Fit a site's correction to hand-measured fruit, and say honestly what is left of the error."""
+"""Fit a site's correction to manual lengths, and estimate the remaining error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TOLERANCE = 1e-9
 
 
 class Form(StrEnum):
-    """How a reading is corrected: not at all, times a factor, or with an offset besides."""
+    """Form of a correction: none, scale, or scale and offset."""
 
     NONE = "none"
     SCALE = "scale"
@@ -37,30 +37,30 @@ _MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
 
 @dataclass(frozen=True)
 class Fit:
-    """One method's correction: true length = scale x reading + offset.
+    """Fitted correction of one method: true length = scale x reading + offset.
 
     Parameters
     ----------
     form : Form
-        Which correction.
+        Form of the correction.
     scale : float
-        The factor; 1 where there is none.
+        Scale factor.
     offset_m : float
-        Metres; 0 where there is none.
+        Offset, metres.
     reason : str
-        Why this form and not a richer one.
+        Why no form with more parameters was chosen.
     fruit, captures : int
-        Physical fruit and readings of them.
+        Number of physical fruit, and of their readings.
     error_before_percent, error_after_percent : float
-        Mean absolute relative error without any correction, and with this one fitted without the
-        fruit it is tried on; every fruit counts once, however often it was captured.
+        Mean absolute relative error without correction, and with leave-one-fruit-out correction;
+        every fruit has the same weight.
     residual_sd_percent : float
-        Standard deviation of the relative error that is left, weighted in the same way.
+        Standard deviation of the remaining relative error with the same weights.
     half_width : float, optional
-        The interval reaches this share of the corrected length to both sides; None where there
-        are too few fruit for the level.
+        Half width of the interval relative to the corrected length; None with too few fruit for
+        the level.
     raw_range_m : tuple of float
-        Shortest and longest reading, metres; beyond them the correction is a guess.
+        Shortest and longest reading, metres; outside, the correction is an extrapolation.
     """
 
     form: Form
@@ -90,30 +90,30 @@ def corrected(raw_m: ArrayLike, scale: float, offset_m: float) -> NDArray[np.flo
 def fit_correction(
     raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashable], level: float = LEVEL
 ) -> Fit:
-    """Fit the correction that helps, by leaving one fruit out at a time.
+    """Choose and fit a correction by leave-one-fruit-out cross-validation.
 
-    Relative errors are fitted, by Huber's estimator, each fruit with the same weight however
-    often it was captured. A richer form is taken only where there are enough fruit for it
-    (`_MIN_FRUIT`) and where it lowers the error of the fruit left out by more than the standard
-    error of that gain.
+    Relative errors are fitted by Huber's estimator with the same weight for every fruit. A form
+    with more parameters is chosen only if there are enough fruit (`_MIN_FRUIT`) and it reduces the
+    cross-validated error by more than the standard error of the gain.
 
     Parameters
     ----------
     raw_m, truth_m : array_like of float, shape (N,)
         Readings and true lengths, metres, all positive and finite.
     fruit : sequence of hashable, length N
-        The physical fruit of each reading; all readings of one are left out together.
+        Physical fruit of each reading; all readings of a fruit are left out together.
     level : float
         Level of the interval.
 
     Returns
     -------
     Fit
+        The chosen correction.
 
     Raises
     ------
     ValueError
-        If there is nothing to fit, or a length is not positive.
+        If there are no readings, or a length is not positive.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def fit_correction(
     left = held_out[chosen]
     relative, weights = left / truth - 1, _weights(member) / len(names)
     centred = relative - float(weights @ relative)
-    # Scores are shares of the corrected length, which is what is known when it is applied.
+    # Scores are relative to the corrected length, because only that is known at run time.
     scores = np.where(left > 0, np.abs(truth / np.maximum(left, 1e-12) - 1), np.inf)
     return Fit(
         form=chosen,
@@ -163,27 +163,26 @@ def fit_correction(
 def conformal_half_width(
     scores: ArrayLike, fruit: Sequence[Hashable] | NDArray[np.int64], level: float = LEVEL
 ) -> float | None:
-    """Compute the score that a reading of a new fruit stays below with probability `level`.
+    """Return the score that a reading of a new fruit does not exceed with probability `level`.
 
-    Hierarchical conformal prediction (Lee, Barber and Willett, 2023): each of K fruit carries the
-    weight 1/(K + 1), shared by its readings, and the new fruit 1/(K + 1) at infinity, so that
-    captures of one fruit do not pass for independent ones. With one reading a fruit this is the
-    k-th smallest score, k = ceil(level (K + 1)).
+    Hierarchical conformal prediction (Lee, Barber and Willett, 2023): each of K fruit has the
+    weight 1/(K + 1), shared by its readings, and the new fruit has 1/(K + 1) at infinity, because
+    captures of one fruit are not independent. With one reading per fruit, this is the k-th smallest
+    score, k = ceil(level (K + 1)).
 
     Parameters
     ----------
     scores : array_like of float, shape (N,)
-        Errors of fruit left out of the fit, positive.
+        Positive errors of fruit left out of the fit.
     fruit : sequence of hashable, length N
-        The physical fruit of each.
+        Physical fruit of each score.
     level : float
-        Wanted probability.
+        Nominal coverage.
 
     Returns
     -------
     float or None
-        None where K is too small for the level (below 9 fruit at 0.9), or where the score that
-        it takes is no number.
+        None if K is too small for the level (below 9 fruit at 0.9), or the score is NaN.
 
     Examples
     --------
@@ -223,7 +222,7 @@ def _fit(
         before = solution
         solution = np.asarray(np.linalg.lstsq(design * root[:, None], root, rcond=None)[0], float)
         residual = np.abs(design @ solution - 1)
-        # The floor keeps readings without any noise from being torn apart by rounding.
+        # The floor avoids dividing by rounding errors if readings have no noise.
         bound = _HUBER * max(1.4826 * float(np.median(residual)), 1e-9)
         trust = np.minimum(1.0, bound / np.maximum(residual, 1e-12))
         if np.abs(solution - before).max() < _TOLERANCE:

@@ -1,4 +1,4 @@
-"""Depth scale and lens distortion of a camera, from pictures of a printed square grid."""
+"""Estimate a camera's depth scale and lens distortion from pictures of a printed square grid."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
 
 LEAST_CROSSINGS = 40
-_LINE_PX, _BLUR_PX, _NEIGHBOUR_PX = 13, 2.0, 51  # lines are thinner than the first
-_CONTRAST = 0.35  # of the strongest crossings nearby
+_LINE_PX, _BLUR_PX, _NEIGHBOUR_PX = 13, 2.0, 51  # maximum line width, blur and neighbourhood
+_CONTRAST = 0.35  # minimum contrast relative to the strongest crossing nearby
 _STEP_ERROR, _HOMOGRAPHY_ERROR_PX, _LEAST_SEED = 0.12, 3.0, 16
-_SQUARE_ERROR = 0.1  # of the sides' ratio and of the cosine between them, lens unknown
-_MATCH_ERROR = 0.14, 0.14, 0.085, 0.085, 0.085  # round by round, of a cell's diagonal
+_SQUARE_ERROR = 0.1  # tolerance of the ratio of sides and of the cosine between them
+_MATCH_ERROR = 0.14, 0.14, 0.085, 0.085, 0.085  # by iteration, relative to a cell's diagonal
 _OFF_PLANE, _OUTLIER = 0.02, 3.0
-_MISCOUNTED = 0.1  # of the other pictures' depth scale; diagonals are 41 % off
+_MISCOUNTED = 0.1  # maximum deviation from the median depth scale; diagonals are 41 % off
 
 
 @dataclass(frozen=True, eq=False)
 class GridFit:
-    """What pictures of a grid tell of a camera.
+    """Result of `fit_grid`.
 
     Parameters
     ----------
     coefficients : ndarray of float64, shape (5,)
         Brown-Conrady k1, k2, p1, p2, k3.
     residual_px : float
-        Median distance of the crossings from where the fit puts them.
+        Median reprojection error of the crossings.
     ratios : ndarray of float64, shape (N,)
-        Depth read over true depth of the grid: the median of each picture.
+        Median ratio of measured to true depth of each picture.
     """
 
     coefficients: NDArray[np.float64]
@@ -49,7 +49,7 @@ class GridFit:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A grid in one picture: all possible crossings, and the first that were counted."""
+    """Candidate crossings in one picture, and the initial grid cells."""
 
     crossings_px: NDArray[np.float64]
     cells: NDArray[np.float64]
@@ -60,15 +60,15 @@ class _Seen:
 def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     """Fit lens distortion and depth scale to captures of one camera.
 
-    The focal length stays: from a plane it is hardly told apart from the distance, and with a
-    wrong one the depth scale still makes lengths across the view right.
+    The focal length is not fitted, because on a plane it is nearly degenerate with the distance. If
+    it is wrong, the depth scale still corrects lengths across the view.
 
     Parameters
     ----------
     captures : sequence of Capture
-        Colour and depth; those that show no grid are left out. Things may cover part of it.
+        Captures of the grid, which may be partly occluded; captures without a grid are skipped.
     spacing_m : float
-        Distance between the grid's lines, metres.
+        Distance between the grid lines, metres.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     fit, seen = _fitted(seen, camera, spacing_m)
     if fit is None:
         return None
-    # Where glare breaks the lines, the crossings may be counted along their diagonals.
+    # If glare interrupts the lines, crossings may be matched along the diagonals.
     alike = np.abs(fit.ratios / np.median(fit.ratios) - 1) < _MISCOUNTED
     if alike.all() or not alike.any():
         return fit
@@ -92,7 +92,7 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
 def _fitted(
     seen: list[_Seen], camera: Intrinsics, spacing_m: float
 ) -> tuple[GridFit | None, list[_Seen]]:
-    # The fit, and the grids that it rests on.
+    # Return the fit and the grids it uses.
     import cv2
 
     lens = np.zeros(5)
@@ -168,9 +168,10 @@ def _seen_grid(capture: Capture) -> _Seen | None:
 
 
 def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return where thin lines cross, whole pixels, and other spots; bright lines or dark ones.
+    """Return candidate crossings of thin bright or dark lines, in whole pixels.
 
-    At a crossing brightness bends in every direction, along a line only across it.
+    At a crossing, the second derivative of brightness is large in every direction; on a line, only
+    across it.
     """
     import cv2
 
@@ -191,7 +192,7 @@ def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tuple[int, int], int]:
-    """Return the peaks that are reached from one by steps that change little, by their cell."""
+    """Return the peaks connected to the first one by nearly constant steps, by grid cell."""
     far, near = (np.asarray(one) for one in tree.query(peaks[first], k=9))
     ways = [
         peaks[k] - peaks[first]
@@ -264,7 +265,7 @@ def _matched(
     lens: NDArray[np.float64],
     error: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the grid's crossings, as cells and pixels, that lie on its plane by depth, too."""
+    """Return the crossings, as cells and pixels, whose depth agrees with the grid's plane."""
     from scipy.spatial import cKDTree
 
     low, high = cells.min(axis=0) - 3, cells.max(axis=0) + 4
@@ -290,7 +291,7 @@ def _depth_ratios(
     pixels: NDArray[np.float64],
     pose: _Pose,
 ) -> NDArray[np.float64]:
-    """Return depth read over the pose's, in cells; NaN where too little was read."""
+    """Return the ratio of measured depth to that of the pose by cell; NaN with too few readings."""
     import cv2
 
     turn = np.asarray(cv2.Rodrigues(pose[0])[0], float)

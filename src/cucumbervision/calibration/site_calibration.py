@@ -1,4 +1,4 @@
-"""A site's calibration from a run and hand-measured fruit, or from pictures of a printed grid."""
+"""Calibrate a site from a run with manual lengths, or from pictures of a printed grid."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
 _WORST_SCALE = 0.10
-_PLANE_ERROR = 0.002  # of the depth of a plane as a whole, whatever the number of pictures
+_PLANE_ERROR = 0.002  # systematic relative error of a plane's depth
 
 
 @dataclass(frozen=True)
@@ -55,32 +55,32 @@ class _Run:
 def calibrate_lengths(
     measured: Measured, truth: Truth, name: str, level: float = LEVEL
 ) -> SiteCalibration:
-    """Fit every method's correction to hand-measured fruit.
+    """Fit the correction of every method to manual lengths.
 
-    Only readings by the method itself count, not those of a method that it fell back on.
+    Only readings of the method itself are used, not fallbacks to another method.
 
     Parameters
     ----------
     measured : Measured
-        A run of `measure`, with its JSON.
+        A run of `measure` with its JSON file.
     truth : Truth
-        Hand-measured lengths of its fruit.
+        Manual lengths of its fruit.
     name : str
-        What the calibration is called in rows.
+        Name of the calibration in result rows.
     level : float
         Level of the intervals.
 
     Returns
     -------
     SiteCalibration
-        With the depth scale and the lens that the run itself was made with: one file carries all.
+        Calibration that includes the depth scale and lens distortion used in the run.
 
     Raises
     ------
     CalibrationError
-        If the camera is not known, or more than one took part.
+        If the camera is unknown, or several cameras were used.
     TruthError
-        If the truth does not fit the run.
+        If the manual lengths do not match the run.
     """
     run = _run(measured)
     pairs = match_truth(measured, truth)
@@ -110,22 +110,22 @@ def calibrate_lengths(
 
 
 def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -> SiteCalibration:
-    """Compute a camera's depth scale and lens distortion from pictures of a printed grid.
+    """Calibrate depth scale and lens distortion of a camera from pictures of a printed grid.
 
     Parameters
     ----------
     captures : iterable of Capture
-        Of one camera; those without a grid are left out.
+        Captures of one camera; captures without a grid are skipped.
     spacing_m : float
-        Distance between the grid's lines, metres.
+        Distance between the grid lines, metres.
     name : str
-        What the calibration is called in rows.
+        Name of the calibration in result rows.
 
     Raises
     ------
     CalibrationError
-        If the captures are of several cameras, no grid is found, or the depth scale would be more
-        than 10 % off: no depth camera is, so the spacing or the intrinsics are wrong.
+        If several cameras were used, no grid is found, or the depth scale deviates by more than
+        10 %, which indicates a wrong spacing or wrong intrinsics.
     """
     taken = list(captures)
     cameras = [
@@ -209,7 +209,7 @@ def _run_of(measured: Measured) -> _Run:
     lens = applied.get("lens")
     if lens is None:
         return _Run(first, measured_with, depth, None)
-    # The run's captures carry the calibrated lens; a calibration names the camera without it.
+    # Captures of the run have the calibrated lens; the calibration describes the camera without it.
     bare = CalibratedCamera.model_validate(applied["camera"])
     return _Run(bare, measured_with, depth, LensEntry.model_validate(lens))
 

@@ -1,4 +1,4 @@
-"""What a `measure` run gave, read back from its CSV, its JSON or its folder."""
+"""Read the results of a `measure` run from its folder, JSON or CSV file."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class Reading:
     fruit : int
         Number of the fruit in it, from 1.
     lengths_m : dict of str to float or None
-        By 'M1' … 'M6' (centreline), 'M6 thread', 'M6 chord' as they were read, and 'reported' as
-        `length_cm` says; None where it gave none, no key where it did not run.
+        Uncorrected lengths of 'M1' … 'M6' (centreline), 'M6 thread' and 'M6 chord', and 'reported'
+        (`length_cm`); None if the method failed, no key if it was not run.
     fell_back : frozenset of str
-        Methods whose length is another method's.
+        Methods that fell back to another method.
     kind, method, mask_source : str
-        What the reported length is, by which method, on whose mask; empty where unknown.
+        Definition, method and mask source of the reported length; empty if unknown.
     distance_m, fill : float
-        Of the fruit; NaN where unknown.
+        Distance and depth fill of the fruit; NaN if unknown.
     flags : str
-        As the row has them.
+        Flags of the row.
     """
 
     capture: str
@@ -58,18 +58,18 @@ class Reading:
 
 @dataclass(frozen=True)
 class Measured:
-    """A whole run.
+    """Results of a run.
 
     Parameters
     ----------
     path : Path
         The file that was read.
     readings : tuple of Reading
-        In the file's order.
+        Readings in the order of the file.
     captures : tuple of str
-        Every capture, including those without fruit, if the file lists them.
+        All captures, including those without fruit if the file lists them.
     report : mapping
-        `measurements.json` as it is, for camera and provenance; empty without one.
+        Contents of `measurements.json`, for camera and provenance; empty without it.
     """
 
     path: Path
@@ -84,13 +84,13 @@ def read_measured(path: Path) -> Measured:
     Parameters
     ----------
     path : Path
-        The folder of a `measure` run, its `measurements.json`, or its `measurements.csv`; the
-        CSV takes camera and provenance from the JSON beside it, where there is one.
+        Folder of a `measure` run, its `measurements.json`, or its `measurements.csv`. With the CSV,
+        camera and provenance come from the JSON in the same folder, if there is one.
 
     Raises
     ------
     CucumberVisionError
-        If it is no run's output, or holds no fruit.
+        If the file is not the output of a run, or contains no fruit.
     """
     if path.is_dir():
         found = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
@@ -139,7 +139,7 @@ def _typed(cells: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
-    """Return the methods to score: those that ran, by the report or by having a length at all."""
+    """Return the methods that were run, according to the report or because they have lengths."""
     columns = {**_METHOD_COLUMNS, **_TUBE_COLUMNS}
     asked = report.get("config", {}).get("methods", [])
     return [

@@ -1,4 +1,4 @@
-"""Lengths of a run compared with hand-measured ones: matched, checked, every method scored."""
+"""Compare the lengths of a run with manual lengths, by method."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LONGEST_M, _SHORTEST_M = 1.0, 0.01
 
 _LEAST_FRUIT = 3
 
-# Ratio of the written to the measured length, how far around it, what was written, what to do.
+# Ratio of manual to measured length, tolerance, likely unit, remedy.
 _UNITS = (
     (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
     (0.1, 1.8, "a tenth of that: decimetres", "multiply by 10"),
@@ -44,21 +44,21 @@ _UNITS = (
 
 @dataclass(frozen=True)
 class MethodScore:
-    """One method against one kind of hand-measured length.
+    """Accuracy of one method for one definition of length.
 
     Parameters
     ----------
     method : str
-        As `Reading.lengths_m` names it.
+        A key of `Reading.lengths_m`.
     kind : LengthDefinition
-        What was measured by hand.
+        Definition of the manual length.
     metrics : Metrics
-        Over all captures; what was not measured counts as 100 % wrong.
+        Metrics over all captures; a missing length counts as an error of 100 %.
     low_percent, high_percent : float
-        95 % bootstrap interval of the mean error, whole fruit drawn; NaN below three fruit, of
-        which it would say nothing.
+        95 % bootstrap interval of the mean error, resampled by fruit; NaN with less than three
+        fruit.
     fruit : int
-        Physical fruit.
+        Number of physical fruit.
     """
 
     method: str
@@ -71,18 +71,18 @@ class MethodScore:
 
 @dataclass(frozen=True)
 class OwnTruth:
-    """A whole evaluation.
+    """Result of an evaluation.
 
     Parameters
     ----------
     pairs : tuple of (TrueLength, Reading)
-        Each hand-measured length, and what the run read.
+        Manual lengths and their readings.
     scores : tuple of MethodScore
-        By kind and method.
+        Scores by definition and method.
     floor : Floor or None
-        Repeatability of measuring by hand.
+        Repeatability of the manual measurement.
     notes : tuple of str
-        What to know when reading the numbers.
+        Notes on the interpretation.
     """
 
     pairs: tuple[tuple[TrueLength, Reading], ...]
@@ -92,12 +92,12 @@ class OwnTruth:
 
 
 def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
-    """Score every method of a run against hand-measured lengths.
+    """Evaluate every method of a run against manual lengths.
 
     Raises
     ------
     TruthError
-        If the truth names what the run does not hold, or is not in centimetres.
+        If the table refers to unknown captures or fruit, or is not in centimetres.
     """
     pairs = match_truth(measured, truth)
     floor = floor_of(truth.lengths)
@@ -109,16 +109,15 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
 
 
 def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
-    """Return the reading of each hand-measured fruit.
+    """Return the reading of each manually measured fruit.
 
-    A fruit that the run missed gets a reading without any length.
+    A fruit that was not detected gets a reading without lengths.
 
     Raises
     ------
     TruthError
-        Naming the line, if a capture or a fruit is not among the measurements; if the lengths are
-        not in centimetres, judged by the median ratio to what was measured; or if a length is no
-        cucumber's.
+        With the line number, if a capture or fruit is unknown, the median ratio to the measured
+        lengths indicates another unit than centimetres, or a length is implausible.
     """
     readings = {(r.capture, r.fruit): r for r in measured.readings}
     ran = sorted({key for r in measured.readings for key in r.lengths_m})
@@ -150,10 +149,10 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
 
 
 def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
-    """Return whether a method's length is comparable with this kind of truth.
+    """Return whether a method's length is comparable with a definition of length.
 
-    M6's three lengths go with their own kind, M1 to M5 with any: theirs is none of the three. The
-    reported length goes with any kind unless it names another one.
+    The three lengths of M6 are compared with the same definition, those of M1 to M5 with every
+    definition. The reported length is compared with its own definition, or with all if unknown.
 
     Examples
     --------
@@ -169,7 +168,7 @@ def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
 
 
 def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> list[MethodScore]:
-    """Score each method against each kind of true length that it is comparable with."""
+    """Score each method for each comparable definition of length."""
     methods = list(dict.fromkeys(key for _, reading in pairs for key in reading.lengths_m))
     scores = []
     for kind in LengthDefinition:
@@ -252,15 +251,15 @@ def _some(names: Sequence[str]) -> str:
 
 
 def write_own_truth(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
-    """Write `scores.csv`, `lengths.csv` and `scores.json` into a folder.
+    """Write `scores.csv`, `lengths.csv` and `scores.json` to a folder.
 
-    `lengths.csv` has a row for each hand-measured length, with what each method read, in
-    centimetres; `scores.json` repeats the scores with notes, versions and provenance.
+    `lengths.csv` has a row for each manual length with the length of each method in centimetres;
+    `scores.json` contains the scores with notes, versions and provenance.
 
     Raises
     ------
     CucumberVisionError
-        If the folder cannot be written, or there is nothing to write.
+        If the folder is not writable, or there are no scores.
     """
     if not found.pairs:
         raise CucumberVisionError(
@@ -319,7 +318,7 @@ _SCORES = {
 
 
 def scores_table(scores: Sequence[MethodScore]) -> Table:
-    """Return each method's errors against each kind of hand-measured length."""
+    """Return the errors of each method for each definition of length."""
     rows = [
         vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
         for one in scores

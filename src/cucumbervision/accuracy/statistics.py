@@ -1,4 +1,4 @@
-"""Errors of lengths, and how sure they are: means, comparisons, intervals."""
+"""Error metrics of lengths with confidence intervals."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _FEWEST_GROUPS = 2
 
 @dataclass(frozen=True)
 class Metrics:
-    """One method's errors over a set of captures.
+    """Errors of one method over a set of captures.
 
     Parameters
     ----------
     count : int
-        Captures, unmeasured ones included.
+        Number of captures, including unmeasured ones.
     measured : float
-        Share measured, 0 to 1.
+        Share of measured captures, 0 to 1.
     mae_cm, rmse_cm : float
         Mean absolute and root mean square error; an unmeasured fruit counts as a length of 0.
     mape_percent, median_percent, worst_percent : float
@@ -50,7 +50,7 @@ class Metrics:
 
 
 def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float64]:
-    """Compute each absolute relative error in percent; 100 where a length is NaN.
+    """Compute absolute relative errors in percent; 100 for a length of NaN.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float
 
 
 def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
-    """Compute the paper's metrics (Eqs. 7 to 10); what was not measured counts as 100 % error.
+    """Compute the paper's metrics (Eqs. 7 to 10); a missing length counts as an error of 100 %.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
     Raises
     ------
     ValueError
-        If there is nothing to score or a true length is not positive.
+        If there are no lengths, or a true length is not positive.
 
     Examples
     --------
@@ -112,18 +112,18 @@ def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure, its interval, and what it rests on.
+    """An estimate with its interval and sample size.
 
     Parameters
     ----------
     value : float
-        The figure; NaN where there is nothing to judge.
+        The estimate; NaN without values.
     low, high : float
-        Its bootstrap interval, whole groups drawn anew; NaN below two groups.
+        Bootstrap interval, resampled by group; NaN with less than two groups.
     count : int
-        How many values it is of.
+        Number of values.
     groups : int
-        Of how many groups (fruit, scenes) these are.
+        Number of groups (fruit, scenes).
     """
 
     value: float
@@ -144,12 +144,12 @@ def estimate(
     Parameters
     ----------
     values : array_like of float, shape (N,)
-        One a capture, a fruit or a detection.
+        One value per capture, fruit or detection.
     groups : sequence of hashable, optional
-        The fruit or the scene of each: whole groups are drawn with replacement, as values of one
-        group are no independent samples. Without it each value is its own group.
+        Fruit or scene of each value. Groups are resampled as a whole, because values of one group
+        are not independent. By default, each value is a group.
     quantile : float, optional
-        0 to 1; the mean without it.
+        Quantile to compute, 0 to 1, instead of the mean.
     resamples : int
         Number of resamples.
 
@@ -183,10 +183,10 @@ def estimate(
 
 
 def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
-    """Compute a share with its interval by group.
+    """Compute a share with its interval, resampled by group.
 
-    Where all are hits, or none, drawing groups anew shows no spread; the interval is then the
-    exact one of as many independent trials as there are groups.
+    If all or no values are hits, resampling has no variance; the interval is then the exact
+    binomial one with the number of groups as trials.
 
     Examples
     --------
@@ -202,7 +202,7 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
 
 
 def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
-    """Return how often each group is drawn in each resample, shape (resamples, groups)."""
+    """Return the multiplicity of each group in each resample, shape (resamples, groups)."""
     drawn = np.random.default_rng(0).integers(groups, size=(resamples, groups))
     drawn += groups * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * groups)
@@ -212,7 +212,7 @@ def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
 def _weighted_quantile(
     data: NDArray[np.float64], weights: NDArray[np.float64], quantile: float
 ) -> float:
-    """Return the quantile of sorted data counted by whole weights, as numpy's linear one."""
+    """Return the quantile of sorted data with integer weights, as NumPy's linear method."""
     upto = np.cumsum(weights)
     place = quantile * (upto[-1] - 1)
     first, second = np.searchsorted(upto, [np.floor(place), np.ceil(place)], side="right")

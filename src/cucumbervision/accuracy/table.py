@@ -1,4 +1,4 @@
-"""Tables of figures, for people and for files."""
+"""Tables of results for the terminal and for files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Cell = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class Column:
-    """A column's head and how its numbers are shown.
+    """A column's heading and number format.
 
     Parameters
     ----------
     head : str
-        What it is, with its unit.
+        Heading with unit.
     decimals : int
-        Digits after the point of numbers with a fraction.
+        Number of decimals of floats.
     signed : bool
-        Whether a plus is shown.
+        Whether to show a plus sign.
     """
 
     head: str
@@ -32,7 +32,7 @@ class Column:
 
     @classmethod
     def of(cls, head: str) -> Column:
-        """Return the column of a head that may end in how its numbers are shown.
+        """Create a column from a heading with an optional format suffix.
 
         Examples
         --------
@@ -43,7 +43,7 @@ class Column:
         return cls(text, int(form[-1]), form[0] == "+") if form else cls(head)
 
     def show(self, cell: Cell) -> str:
-        """Return a cell as text; an en dash where there is no number.
+        """Format a cell as text; an en dash for a missing number.
 
         Examples
         --------
@@ -67,20 +67,20 @@ class Table:
     Parameters
     ----------
     title : str
-        What it shows.
+        Title.
     columns : tuple of Column
-        Its heads.
+        Columns.
     rows : tuple of tuple
-        Its cells, as many a row as there are columns.
+        Rows, each with a cell for every column.
     comment : str
-        How to read it, in plain words.
+        Explanation of the table.
     bold : frozenset of (int, int)
-        Row and column of the cells to set in bold.
+        Row and column of bold cells.
 
     Raises
     ------
     ValueError
-        If a row has another number of cells than there are columns.
+        If the number of cells in a row differs from the number of columns.
     """
 
     title: str
@@ -105,7 +105,7 @@ class Table:
         comment: str = "",
         bold: frozenset[tuple[int, int]] = frozenset(),
     ) -> Table:
-        """Return a table of heads in words, as `Column.of` reads them.
+        """Create a table from headings in the format of `Column.of`.
 
         Examples
         --------
@@ -125,7 +125,7 @@ class Table:
         comment: str = "",
         bold: frozenset[tuple[int, int]] = frozenset(),
     ) -> Table:
-        """Return a table of records' values by name: `columns` says which, under which heads.
+        """Create a table from records; `columns` maps names to headings.
 
         Examples
         --------
@@ -138,7 +138,7 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Whether each column holds nothing but numbers and gaps, which are set to the right."""
+        """Whether each column contains only numbers and missing values, which are right-aligned."""
         return [
             all(isinstance(row[k], int | float | None) for row in self.rows)
             for k in range(len(self.columns))
@@ -152,7 +152,7 @@ class Table:
         ]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the table with its numbers in full; what is no number becomes null.
+        """Return the table with unrounded numbers; NaN becomes null.
 
         Examples
         --------
@@ -171,6 +171,6 @@ class Table:
 
 
 def _python(cell: Any) -> Cell:
-    """Return numpy's numbers as Python's own, which JSON knows."""
+    """Convert NumPy numbers to Python numbers for JSON."""
     value: Cell = cell.item() if hasattr(cell, "item") else cell
     return value

@@ -1,4 +1,4 @@
-"""Hand-measured lengths: the table, its repeats, and the floor that they set."""
+"""Read tables of manual lengths, and estimate their repeatability."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FORMULA_STARTS = ("=", "+", "-", "@")
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a table: its number in the file, and its cells by column."""
+    """A line of a table with its line number and its cells by column."""
 
     number: int
     cells: dict[str, str]
@@ -34,30 +34,30 @@ class Line:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A table: names of columns, in lower case, and the lines that are not blank."""
+    """A table with lower-case column names and all lines that are not blank."""
 
     columns: tuple[str, ...]
     lines: tuple[Line, ...]
 
 
 def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionError) -> CsvTable:
-    r"""Read a CSV as any spreadsheet writes it.
+    r"""Read a CSV file as written by any spreadsheet.
 
-    UTF-8 with or without byte order mark, UTF-16 with one, otherwise Windows-1252; separated by
-    comma, semicolon or tab, whichever splits the head most; Excel's `sep=;` line is understood.
-    An apostrophe that guards a text against being run as a formula is taken off.
+    UTF-8 with or without byte order mark, UTF-16 with one, otherwise Windows-1252. The separator is
+    the comma, semicolon or tab that splits the header most; Excel's `sep=;` line is supported. The
+    apostrophe that prevents a text from being run as a formula is removed.
 
     Parameters
     ----------
     path : Path
         The file.
     error : type of CucumberVisionError
-        What to raise.
+        Class of the error to raise.
 
     Raises
     ------
     CucumberVisionError
-        If the file cannot be read, is empty, or a line has more cells than the head.
+        If the file cannot be read, is empty, or a line has more cells than the header.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def _table_of(
 
 
 def parse_number(text: str) -> float | None:
-    """Read a number with a decimal point or comma; None if it is none or not finite.
+    """Parse a number with a decimal point or comma; None if it is invalid or not finite.
 
     Examples
     --------
@@ -142,22 +142,22 @@ _KNOWN = {"capture", "fruit", "kind", "specimen", "repeat"}
 
 @dataclass(frozen=True)
 class TrueLength:
-    """One fruit of one capture, measured by hand one or more times.
+    """Manual length of one fruit in one capture.
 
     Parameters
     ----------
     line : int
-        Line of the file where it first stands.
+        First line of the fruit in the file.
     capture : str
         Name of the capture.
     fruit : int or None
-        Number of the fruit in it; None if the run did not find it.
+        Number of the fruit in the capture; None if it was not detected.
     kind : LengthDefinition
-        What was measured.
+        Definition of length.
     lengths_m : tuple of float
-        Every measurement, metres.
+        All measurements, metres.
     specimen : str
-        The physical fruit.
+        Name of the physical fruit.
     """
 
     line: int
@@ -175,20 +175,20 @@ class TrueLength:
 
 @dataclass(frozen=True)
 class Truth:
-    """A whole table.
+    """A table of manual lengths.
 
     Parameters
     ----------
     path : Path
         The file.
     lengths : tuple of TrueLength
-        In the file's order.
+        Lengths in the order of the file.
     specimens_named : bool
-        Whether a column says which physical fruit each is.
+        Whether the table names the physical fruit.
     sha256 : str
-        Of the file.
+        SHA-256 of the file.
     unused : tuple of str
-        Columns that mean nothing here.
+        Unknown columns.
     """
 
     path: Path
@@ -200,14 +200,14 @@ class Truth:
 
 @dataclass(frozen=True)
 class Floor:
-    """How well the same fruit was measured twice by hand: no method can be shown to be better.
+    """Repeatability of manual measurements, the lower limit of any measurable error.
 
     Parameters
     ----------
     sd_mm, sd_percent : float
-        Pooled standard deviation of one measurement, also relative to the length.
+        Pooled standard deviation of one measurement, absolute and relative.
     specimens, measurements : int
-        Fruit measured more than once, and how often in all.
+        Number of fruit measured more than once, and of their measurements.
     """
 
     sd_mm: float
@@ -217,17 +217,17 @@ class Floor:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a table of hand-measured lengths.
+    """Read a table of manual lengths.
 
-    Columns: `capture`, `fruit` (the number in the run, or 'missed' for one that it did not
-    find), `length_cm` and/or `length_1_cm`, `length_2_cm` …, `kind` (thread, centreline or
-    chord), optionally `specimen` (the physical fruit) and `repeat` (1, 2 … for repeated lines).
+    Columns: `capture`, `fruit` (the number in the run, or 'missed' if it was not detected),
+    `length_cm` and/or `length_1_cm`, `length_2_cm` …, `kind` (thread, centreline or chord),
+    optionally `specimen` (the physical fruit) and `repeat` (1, 2 … for repeated lines).
 
     Raises
     ------
     TruthError
-        Naming file and line, for an empty file, a missing column, a length that is no positive
-        number, an unknown kind, or lines that contradict each other.
+        With file and line, for an empty file, a missing column, a length that is not a positive
+        number, an unknown kind, or contradictory lines.
     """
     table = read_table(path, TruthError)
     columns = [name for name in table.columns if _LENGTH_COLUMN.fullmatch(name)]
@@ -250,9 +250,9 @@ def read_truth(path: Path) -> Truth:
 
 
 def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
-    """Pool the spread of repeated measurements; None where nothing was measured twice.
+    """Return the pooled repeatability, or None without repeated measurements.
 
-    A fruit's measurements count once, though they stand at every capture of it.
+    Measurements of a fruit are counted once, although they are listed for each of its captures.
 
     Examples
     --------
@@ -336,7 +336,7 @@ def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLe
     seen: dict[tuple[object, ...], TrueLength] = {}
     merged: dict[tuple[object, ...], TrueLength] = {}
     for line, one in read:
-        # Fruit that were not found have no number; their specimen tells them apart.
+        # Missed fruit have no number and are distinguished by their specimen.
         fruit = (one.capture, one.specimen if one.fruit is None else one.fruit, one.kind)
         repeat = (*fruit, line.cells.get("repeat", ""))
         before = seen.setdefault(repeat, one)

@@ -1,1 +1,1 @@
-"""Files from untrusted senders: checked before anything reads them."""
+"""Check files from untrusted senders before they are read."""

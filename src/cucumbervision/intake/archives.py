@@ -1,4 +1,4 @@
-"""Zips from untrusted senders: directories checked first, members counted while unpacked."""
+"""Unpack zip files from untrusted senders within limits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
 
 def clean_name(text: str) -> str:
-    """Return a sender's name fit to be shown and kept: its last part, printable, not too long.
+    """Sanitise a file name from a sender: last path component, printable, limited length.
 
     Examples
     --------
@@ -35,7 +35,7 @@ def clean_name(text: str) -> str:
     """
     last = text.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
     plain = unicodedata.normalize("NFC", last.encode("utf-8", "replace").decode())
-    # Controls, marks that turn the direction of writing, and what is assigned to nothing.
+    # Control characters, bidirectional formatting characters and unassigned code points.
     kept = "".join(c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp")))
     kept = " ".join(kept.split())
     if len(kept) > _LONGEST or len(kept.encode()) > 2 * _LONGEST:
@@ -46,12 +46,12 @@ def clean_name(text: str) -> str:
 
 
 def _member_path(name: str, archive: str) -> PurePosixPath:
-    """Return the name of a zip's member as a path inside the zip.
+    """Return the path of a zip member inside the archive.
 
     Raises
     ------
     UploadError
-        If it leads out of the zip, is no name, or is nested too deeply.
+        If the path leaves the archive, is invalid or is nested too deeply.
 
     Examples
     --------
@@ -82,14 +82,14 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
 
 
 def is_zip(path: Path, name: str) -> bool:
-    """Return whether a file is a zip by its first bytes, and no `.npz` by its sender's name."""
+    """Return whether a file is a zip by its first bytes, and not an `.npz` by its name."""
     with path.open("rb") as stream:
         head = stream.read(4)
     return head in (b"PK\x03\x04", b"PK\x05\x06") and not name.lower().endswith(".npz")
 
 
 def _is_clutter(path: PurePosixPath) -> bool:
-    """Return whether a file is one that operating systems leave in folders.
+    """Return whether a file is metadata of an operating system.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def _is_clutter(path: PurePosixPath) -> bool:
     return name in _CLUTTER or name.startswith("._") or "__MACOSX" in path.parts
 
 
-# All that zipfile raises over damaged files.
+# Exceptions that zipfile raises for damaged files.
 _ZIP_FAULTS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, ValueError),
     *(NotImplementedError, RuntimeError, KeyError, IndexError, OverflowError, MemoryError),
@@ -108,31 +108,31 @@ _ZIP_FAULTS = (
 _CHUNK = 1 << 20
 _PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"
-_ENTRY_BYTES = 600  # of the directory, names and extras included
+_ENTRY_BYTES = 600  # maximum size of a directory entry, including name and extra fields
 
 
 @dataclass
 class Budget:
-    """The part of an upload's limits that is left; all zips of one upload share it.
+    """Remaining limits of an upload, shared by all of its zips.
 
     Parameters
     ----------
     members : int
-        Files that may still come.
+        Remaining number of files.
     unpacked_bytes : int
-        Bytes that they may still have.
+        Remaining number of bytes.
     """
 
     members: int
     unpacked_bytes: int
 
     def take(self, size: int, source: str) -> None:
-        """Count bytes.
+        """Subtract bytes from the budget.
 
         Raises
         ------
         UploadError
-            If no more are left.
+            If the budget is exceeded.
         """
         self.unpacked_bytes -= size
         if self.unpacked_bytes < 0:
@@ -142,17 +142,17 @@ class Budget:
 
 
 def _check_directory(path: Path, most_members: int, source: str) -> None:
-    """Refuse a zip whose directory is huge, before it is read into memory.
+    """Reject a zip with a huge directory before it is read into memory.
 
     Raises
     ------
     UploadError
-        If it is damaged, or lists far too many members.
+        If the zip is damaged, or lists too many members.
 
     Notes
     -----
-    The sizes are taken where `zipfile` takes them: the last end record (APPNOTE 4.3.16), or the
-    zip64 record that a locator just before it points to (4.3.14, 4.3.15).
+    Sizes are read from the same records as in `zipfile`: the last end record (APPNOTE 4.3.16), or
+    the zip64 record of the locator before it (4.3.14, 4.3.15).
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -176,32 +176,31 @@ def _check_directory(path: Path, most_members: int, source: str) -> None:
 def unpack(
     path: Path, folder: Path, limits: Limits, budget: Budget, *, source: str
 ) -> Iterator[tuple[str, Path]]:
-    """Unpack a zip, file by file.
+    """Unpack a zip file by file.
 
     Parameters
     ----------
     path : Path
         The zip.
     folder : Path
-        Where to; made here.
+        Output folder; created.
     limits : Limits
-        Largest file, ratio.
+        Limits of file size and compression ratio.
     budget : Budget
-        What is left; counted down while unpacking, since the sizes that a zip states may be false.
+        Remaining limits, updated while unpacking, because sizes in the directory may be false.
     source : str
-        The zip's name, for errors.
+        Name of the zip, for error messages.
 
     Yields
     ------
     str, Path
-        Name and place of each file once it is unpacked; folders and what systems leave behind are
-        left out.
+        Name and path of each unpacked file, without folders and metadata of operating systems.
 
     Raises
     ------
     UploadError
-        If the zip is damaged or locked, a member leads out of it, is a link or a device, two have
-        one name, or the limits are reached.
+        If the zip is damaged or encrypted, a member leaves the folder, is a link or a device, a
+        name occurs twice, or a limit is exceeded.
     """
     _check_directory(path, limits.members, source)
     folder.mkdir(parents=True)
@@ -281,12 +280,12 @@ def _copy(
 
 
 def write_chunk(stream: BinaryIO, chunk: bytes, source: str) -> None:
-    """Write bytes.
+    """Write bytes to a file.
 
     Raises
     ------
     UploadError
-        If the disk takes no more.
+        If the disk is full.
     """
     with wrap_os_errors("cannot be kept", source, "make room on the disk", UploadError):
         stream.write(chunk)

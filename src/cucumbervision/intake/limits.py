@@ -1,4 +1,4 @@
-"""The largest uploads that are accepted."""
+"""Limits of uploads."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ _GB = 1000 * _MB
 
 @dataclass(frozen=True)
 class RecordingLimits:
-    """What the process that plays a recording may use.
+    """Limits of the process that plays a recording.
 
     Parameters
     ----------
     wall_s, cpu_s : float
-        Seconds from start to end, and seconds of computing.
+        Wall time and CPU time, seconds.
     still_s : float
-        Seconds without anything new written: the SDK's player may go round in a damaged file.
+        Maximum time without output, seconds; the SDK may loop in a damaged file.
     memory_bytes : int
         Address space.
     output_bytes : int
-        All that it may write; no single file may be larger either.
+        Total output, also the limit of a single file.
     captures : int
-        Captures that are taken of one recording.
+        Maximum number of captures per recording.
     """
 
     wall_s: float = 300.0
@@ -39,29 +39,28 @@ class RecordingLimits:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one upload may hold.
+    """Limits of an upload.
 
     Parameters
     ----------
     files : int
-        Files sent at once.
+        Maximum number of files.
     file_bytes, total_bytes : int
-        Size of one file, and of all together.
+        Maximum size of one file, and of all files.
     members : int
-        Files in all zips of one upload together.
+        Maximum number of files in all zips of an upload.
     unpacked_bytes : int
-        Size of what the zips hold, unpacked.
+        Maximum unpacked size of all zips.
     ratio : float
-        How many times larger than its packed form a zip's member may be, once it is larger than
-        `ratio_from_bytes`. Deflate reaches 1032.
+        Maximum compression ratio of members larger than `ratio_from_bytes`; Deflate reaches 1032.
     ratio_from_bytes : int
-        Smaller members may shrink as they like.
+        Size above which `ratio` applies.
     zip_depth : int
-        1 allows a zip in a zip; 0 none.
+        Allowed nesting of zips: 1 allows a zip in a zip, 0 none.
     text_bytes : int
-        Size of a JSON, YAML, XML or text file.
+        Maximum size of a JSON, YAML, XML or text file.
     recording : RecordingLimits
-        For `.bag` and `.db3`.
+        Limits for `.bag` and `.db3`.
 
     Raises
     ------

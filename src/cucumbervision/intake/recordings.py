@@ -1,4 +1,4 @@
-"""Recordings from untrusted senders, played in a separate process that limits itself."""
+"""Play recordings from untrusted senders in a separate process with limits."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _TOLD = {
 
 _OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|report\.jsonl")
 
-# What the process needs of the environment: none of our variables are passed on.
+# Environment variables of the process; no others are passed on.
 _KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "LANG")
 
 
@@ -57,41 +57,41 @@ def play_in_process(
     burst: int = 5,
     command: tuple[str, ...] = ("-m", "cucumbervision.intake.recordings"),
 ) -> list[CucumberVisionError]:
-    """Play a recording in a limited process and keep its captures as native folders.
+    """Play a recording in a limited process, and write its captures as native folders.
 
     Parameters
     ----------
     path : Path
-        `.bag` or `.db3`.
+        A `.bag` or `.db3` file.
     folder : Path
-        Made here; gets one folder a capture.
+        Output folder; created, with a subfolder for each capture.
     limits : RecordingLimits, optional
-        What the process may use. Time and output are watched everywhere; computing time, memory
-        and the size of a file where the system has `setrlimit`.
+        Limits of the process. CPU time, memory and file size are limited only if the system has
+        `setrlimit`.
     burst : int
-        Frames fused to one capture.
+        Number of frames per capture.
     command : tuple of str
-        What Python is to run.
+        Arguments of Python.
 
     Returns
     -------
     list of CucumberVisionError
-        What could not be read; the captures that are there are complete all the same.
+        Errors; the existing captures are complete nevertheless.
 
     Raises
     ------
     OSError
-        If the folder cannot be made or the process not be started.
+        If the folder cannot be created or the process cannot be started.
     """
     limits = limits or RecordingLimits()
-    home = folder / "home"  # what libraries leave behind anywhere, they leave there
+    home = folder / "home"  # for files that libraries write to the home folder
     home.mkdir(parents=True)
     order = json.dumps(
         {"path": str(path.resolve()), "folder": str(folder.resolve()), "burst": burst}
         | {"limits": asdict(limits)}
     )
     process = subprocess.Popen(
-        # -P: the folder that it runs in is the recording's, nothing is imported from there.
+        # -P: do not import from the working directory, which contains the recording.
         [sys.executable, "-P", *command, order],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -110,7 +110,7 @@ def play_in_process(
 
 
 def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimits) -> str:
-    """Wait for the process; return what went wrong, or nothing."""
+    """Wait for the process; return its fault or an empty string."""
     looked = moved = time.monotonic()
     until, written = looked + limits.wall_s, 0
     while True:
@@ -139,7 +139,7 @@ def _ending(code: int) -> str:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the process with all that it started."""
+    """Kill the process and its children."""
     if os.name == "posix":
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -199,22 +199,22 @@ def _report_lines(folder: Path) -> list[dict[str, Any]]:
 def open_guarded(
     path: Path | str, options: ReadOptions | None = None, limits: RecordingLimits | None = None
 ) -> CaptureSource:
-    """Open whatever holds captures; recordings are played in a limited process.
+    """Open a source of captures; recordings are played in a limited process.
 
     Parameters
     ----------
     path : Path or str
-        As for `open_source`.
+        See `open_source`.
     options : ReadOptions, optional
-        As for `open_source`.
+        See `open_source`.
     limits : RecordingLimits, optional
-        What the process may use.
+        Limits of the process.
 
     Returns
     -------
     CaptureSource
-        The same captures as `open_source` gives. A recording is played when it is iterated, all of
-        it before the first capture comes; what it writes is gone when the iteration ends.
+        The same captures as from `open_source`. A recording is played completely when the iteration
+        starts; its temporary files are deleted when the iteration ends.
 
     Raises
     ------
@@ -234,12 +234,12 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
         errors = play_in_process(path, out, limits, burst=options.burst)
         if any(out.glob(f"*/{MANIFEST}")):
             for ref in open_source(out, replace(options, depth_unit_m=None)):
-                # Its files are gone when the iteration ends: only loading tells its content.
+                # The files are deleted when the iteration ends, so the content cannot be hashed.
                 own = f"{name}_{ref.frame:06d}"
                 load = partial(_load, ref, own, str(path))
                 yield CaptureRef(own, ref.frame, load, f"{path} frame {ref.frame}")
         for error in errors:
-            # What came before a break is whole; the break itself is a capture that fails.
+            # Captures before a fault are complete; the fault is reported as a failing capture.
             yield CaptureRef(f"{name}_end", -1, partial(fail, error))
 
 
@@ -248,7 +248,7 @@ def _load(ref: CaptureRef, name: str, source: str) -> Capture:
 
 
 def limit_this_process(limits: dict[str, Any]) -> None:
-    """Set this process's limits; what the system has not is left to who watches it."""
+    """Set the resource limits of this process, as far as the system supports them."""
     try:
         import resource
     except ModuleNotFoundError:  # Windows
@@ -265,12 +265,12 @@ def limit_this_process(limits: dict[str, Any]) -> None:
         _, hard = resource.getrlimit(kind)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
-    # The watching process may have been killed: end a little later without it.
+    # Exit soon after the deadline, even if the watching process has been killed.
     signal.alarm(int(limits["wall_s"]) + 5)
 
 
 def drop_network() -> bool:
-    """Cut this process off from every network, where the system lets it; say whether it did.
+    """Disconnect this process from all networks if possible; return whether it succeeded.
 
     Linux with user namespaces (`unshare(2)`): the process keeps its files but sees no interface.
     """
@@ -283,7 +283,7 @@ def drop_network() -> bool:
 
 
 def _play(path: Path, folder: Path, burst: int, most: int) -> None:
-    """Write a recording's captures as native folders 000000, 000001, …, and its errors as lines."""
+    """Write the captures of a recording as native folders 000000, 000001, … and report errors."""
     with (folder / _REPORT).open("a", encoding="utf-8") as report:
 
         def tell(error: CucumberVisionError) -> None:
@@ -310,7 +310,7 @@ def _play(path: Path, folder: Path, burst: int, most: int) -> None:
 
 
 def _main() -> None:
-    """Take the order from the command line."""
+    """Run with the arguments of the command line."""
     order = json.loads(sys.argv[1])
     drop_network()
     limit_this_process(order["limits"])

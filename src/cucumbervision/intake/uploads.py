@@ -1,4 +1,4 @@
-"""From uploaded files to captures that can be opened, with a named error for each that cannot."""
+"""Find the captures in uploaded files, with an error for each unusable file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
 LOOSE = "upload"
-"""The title of files that were sent one by one."""
+"""Title of files that were not sent in a zip."""
 
 _CHUNK = 1 << 20
 _TEXTS = frozenset({".json", ".txt", ".yaml", ".yml", ".xml"})
@@ -49,9 +49,9 @@ class AcceptedSource:
     path : Path
         The folder or file.
     title : str
-        What it is called: the zip's or file's name, or 'upload' for single files together.
+        Name of the zip or file, or 'upload' for single files.
     limits : RecordingLimits
-        For playing a recording.
+        Limits for playing a recording.
     """
 
     path: Path
@@ -59,17 +59,17 @@ class AcceptedSource:
     limits: RecordingLimits = field(default_factory=RecordingLimits)
 
     def open(self, options: ReadOptions | None = None) -> CaptureSource:
-        """Return the captures; they and their errors have the sender's names.
+        """Return the captures; names and errors use the sender's file names.
 
         Parameters
         ----------
         options : ReadOptions, optional
-            As for `open_source`; its intrinsics replace those that came along.
+            See `open_source`; given intrinsics replace uploaded ones.
 
         Raises
         ------
         CucumberVisionError
-            As `open_source`.
+            See `open_source`.
         """
         try:
             source = open_guarded(self.path, options, self.limits)
@@ -92,7 +92,7 @@ class AcceptedSource:
         return error.at(self.shown(error.source))
 
     def shown(self, path: object) -> str:
-        """Return the sender's name of a file of this source."""
+        """Return the sender's name of a file."""
         text = str(path)
         if not text.startswith(str(self.path)):
             return text or self.title
@@ -104,18 +104,18 @@ class AcceptedSource:
 
 @dataclass(frozen=True)
 class AcceptedUploads:
-    """The outcome of an upload.
+    """Result of an upload.
 
     Parameters
     ----------
     folder : Path
-        Where all of it is; does not exist if nothing was accepted.
+        Folder of the upload; does not exist if nothing was accepted.
     sources : list of AcceptedSource
-        What can be measured.
+        Accepted sources of captures.
     refused : list of CucumberVisionError
-        What cannot: the file by its sender's name, and why.
+        Errors of rejected files, with the sender's names.
     ignored : list of str
-        What is not needed.
+        Files that are not needed.
     """
 
     folder: Path
@@ -131,29 +131,29 @@ def accept_uploads(
     *,
     report: Callable[[int, str], None] | None = None,
 ) -> AcceptedUploads:
-    """Keep uploaded files within limits, unpack zips, and find the captures in them.
+    """Store uploaded files within limits, unpack zips, and find the captures.
 
     Parameters
     ----------
     files : sequence of (name, stream or Path)
-        What each file is called by its sender, and its content.
+        The sender's name and the content of each file.
     folder : Path
-        Made if it is missing. A folder of our own naming is made in it and kept if anything was
-        accepted; nothing else remains, whatever happens.
+        Parent folder; created if missing. A subfolder is created and kept only if a file was
+        accepted.
     limits : Limits, optional
-        How much is taken.
+        Limits of the upload.
     report : callable, optional
-        Called with the number of each file, from 0, and its name before it is checked.
+        Called with the number (from 0) and name of each file before it is checked.
 
     Returns
     -------
     AcceptedUploads
-        One broken file costs the others nothing.
+        Accepted sources and errors; a broken file does not affect the others.
 
     Raises
     ------
     UploadError
-        If there are too many files, or `folder` cannot be written.
+        If there are too many files, or `folder` is not writable.
 
     Examples
     --------
@@ -196,7 +196,7 @@ def accept_uploads(
 
 
 class _Intake:
-    """One upload on its way in."""
+    """State of an upload while it is processed."""
 
     def __init__(self, out: AcceptedUploads, limits: Limits) -> None:
         self.out, self.limits = out, limits
@@ -205,7 +205,7 @@ class _Intake:
         self._budget = Budget(limits.members, limits.unpacked_bytes)
 
     def receive(self, number: int, name: str, content: BinaryIO | Path) -> None:
-        """Keep a copy of one file; a zip is unpacked and sorted at once."""
+        """Store one file; a zip is unpacked immediately."""
         title, arrived = clean_name(name), self.out.folder / f"arrived-{number:04d}"
         try:
             self._copy(content, arrived, title)
@@ -223,7 +223,7 @@ class _Intake:
             arrived.unlink(missing_ok=True)
 
     def sort(self, path: Path, title: str) -> None:
-        """Find the captures of a folder, and say which files belong to none."""
+        """Find the captures of a folder, and report the files that belong to none."""
         folder = list_folder(path)
         here, before = AcceptedSource(path, title), len(self.out.sources) + len(self.out.refused)
         kinds = folder.kinds()
@@ -258,7 +258,7 @@ class _Intake:
         parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
         inside = PurePosixPath(*(clean_name(part) for part in parts[-3:] or [""]))
         path, again = self.loose / inside, 2
-        while path.exists():  # color.png and depth.png may each be sent twice, from two folders
+        while path.exists():  # files from different folders may have the same name
             path, again = self.loose / f"{again}" / inside, again + 1
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
@@ -285,7 +285,7 @@ class _Intake:
                 write_chunk(kept, chunk, title)
 
     def _unpack(self, path: Path, folder: Path, title: str, depth: int = 0) -> None:
-        """Unpack a zip and those in it; one that breaks off is refused whole."""
+        """Unpack a zip and nested zips; an incomplete zip is rejected completely."""
         try:
             for name, file in unpack(path, folder, self.limits, self._budget, source=title):
                 shown = f"{title}: {name}"
@@ -312,7 +312,7 @@ class _Intake:
 
 
 def _needs_partner(name: PurePosixPath, used: set[PurePosixPath]) -> bool:
-    """Return whether a file is a picture that lies in no folder of captures."""
+    """Return whether a file is a picture without a matching one."""
     return name.suffix.lower() in _PICTURES and used.isdisjoint(name.parents)
 
 

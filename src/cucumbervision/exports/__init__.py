@@ -1,4 +1,4 @@
-"""Tables, workbook and printed page of a round."""
+"""Export a round as tables, workbook and printable page."""
 
 from enum import StrEnum
 
@@ -6,7 +6,7 @@ __all__ = ["ExportFormat"]
 
 
 class ExportFormat(StrEnum):
-    """What a round can be written as."""
+    """Export formats of a round."""
 
     CSV = "csv"
     XLSX = "xlsx"

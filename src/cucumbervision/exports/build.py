@@ -1,4 +1,4 @@
-"""A round out of the store as typed tables."""
+"""Build the tables of a round from the store."""
 
 from __future__ import annotations
 
@@ -55,29 +55,29 @@ def round_tables(
     rates: Rates | None = None,
     pictures: bool = True,
 ) -> RoundTables:
-    """Make all tables of a round.
+    """Build all tables of a round.
 
     Parameters
     ----------
     store : Store
         The store.
     round_key : str
-        The round, by its key.
+        Key of the round.
     profile : CropProfile, optional
-        For grades and the forecast; without one they stay empty.
+        Crop profile for grades and forecast, which are empty without it.
     profile_name : str
-        What the profile is called; by default its title.
+        Name of the profile; by default its title.
     days : int
-        Days of the forecast.
+        Number of days of the forecast.
     rates : Rates, optional
-        Of picking, for hours and crates.
+        Picking rates for hours and crates.
     pictures : bool
-        Whether small pictures are named, to be written along.
+        Include small pictures.
 
     Raises
     ------
     StoreError, RoundError
-        If the round is not there, or cannot be read.
+        If the round does not exist or cannot be read.
     """
     view = next((one for one in store.rounds() if one.key == round_key), None)
     if view is None:
@@ -143,7 +143,7 @@ def _forecast(
 def _pictures(
     store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
 ) -> dict[str, tuple[str, Callable[[], bytes]]]:
-    """Return name and maker of the pictures, by the keys of fruit and stops."""
+    """Return name and factory of each picture, by the keys of fruit and stops."""
     makers: dict[str, Callable[[], bytes]] = {
         one.key: partial(store.images.read, one.thumbnail)
         for one in content.stops
@@ -161,7 +161,7 @@ def _pictures(
 
 
 def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:
-    """Return hashes by kind, several joined by blanks."""
+    """Return hashes by kind, several separated by spaces."""
     return {
         kind: " ".join(one.sha256 for one in used if one.kind == kind and one.sha256)
         for kind in ("config", "model", "calibration")
@@ -227,7 +227,7 @@ def _fruit_lines(
     profile: CropProfile | None,
     forecast: Forecast | None,
 ) -> Iterator[tuple[str, str, Line]]:
-    """Return key, stop and line of each fruit."""
+    """Return key, stop and row of each fruit."""
     ready: dict[str, float] = {}
     if forecast is not None:
         ids = (one.fruit_id for one in forecast.fruit)
@@ -257,7 +257,7 @@ def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:
 
 
 def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
-    """Return the house's lines, then its rows'; by day and class."""
+    """Return the forecast of the greenhouse, then of each row, by day and class."""
     scopes: list[tuple[str, str | None, Counts, Counts, tuple[int, ...]]] = [
         ("house", None, forecast.house, forecast.picks, ())
     ]
@@ -305,7 +305,7 @@ def _date(today_s: float, day: int) -> str:
 
 
 def _remarks(fruit: RoundFruit) -> str:
-    """Return what else to know of a fruit, in words."""
+    """Return the remarks of a fruit as text."""
     parts = (
         "picked" if fruit.view.picked_s else "",
         "drawn, not grown" if fruit.view.simulated else "",
@@ -322,7 +322,7 @@ def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...
     >>> _length_bins([21.0, 22.0, 27.9])
     ((20, 22, 1), (22, 24, 1), (24, 26, 0), (26, 28, 1))
     """
-    # To 0.01 mm, as in the tables: 0.22 m are 22 cm and not a hair less.
+    # Round to 0.01 mm as in the tables, so that 0.22 m is not less than 22 cm.
     counts = Counter(math.floor(round(length, 3) / _BIN_CM) for length in lengths_cm)
     if not counts:
         return ()

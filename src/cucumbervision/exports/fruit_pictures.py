@@ -1,4 +1,4 @@
-"""A fruit cut out of its capture: its outline, the line that was measured, and a scale bar."""
+"""Draw a fruit cropped from its capture with outline, measured line and scale bar."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
 
 _LONG_SIDE_PX = 480
-_MARGIN, _NARROWEST = 0.12, 0.6  # of the fruit's longer side: around it, and the other side's least
+_MARGIN, _NARROWEST = 0.12, 0.6  # margin and minimum width, relative to the longer side
 _BARS_M = (0.10, 0.05, 0.02, 0.01)
 _QUALITY = 90
 
@@ -31,7 +31,7 @@ _QUALITY = 90
 def fruit_pictures(
     store: Store, round_key: str, fruit: Sequence[RoundFruit]
 ) -> dict[str, Callable[[], bytes]]:
-    """Return what draws each fruit as a JPEG, by the fruit's keys, where its capture was kept."""
+    """Return functions that draw each fruit as JPEG, by key, if its capture was kept."""
     corrected, found = store.corrected(round_key), {}
     read = lru_cache(4)(store.images.read_color)
     by_stop: dict[str, list[RoundFruit]] = {}
@@ -69,16 +69,16 @@ def _maker(
 def draw_fruit(
     color: NDArray[np.uint8], record: DetectionRecord, capture: CaptureRecord
 ) -> NDArray[np.uint8]:
-    """Draw one fruit, cut out with some room around it.
+    """Draw one fruit, cropped with a margin.
 
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
-        RGB: the capture's picture, or a smaller one of it.
+        RGB picture of the capture, possibly downscaled.
     record : DetectionRecord
-        The fruit with mask and methods; what it lacks is left out.
+        The fruit; a missing mask or method is not drawn.
     capture : CaptureRecord
-        Its size and camera.
+        Size and camera of the capture.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def draw_fruit(
     picture = cast("NDArray[np.uint8]", cv2.resize(cut, size, interpolation=by))
 
     def place(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Pixel centres are whole numbers, so the window begins half a pixel before its first.
+        # Pixel centres are integers, so the window starts half a pixel before the first one.
         return (points_px - (left, top) + 0.5) * zoom - 0.5
 
     if record.mask is not None:
@@ -129,9 +129,9 @@ def draw_fruit(
 
 
 def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom of what is shown: whole pixels within the picture."""
+    """Return left, top, right and bottom of the crop in whole pixels."""
     x1, y1, x2, y2 = record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px
-    if x2 - x1 < 1 or y2 - y1 < 1:  # nobody said where it is
+    if x2 - x1 < 1 or y2 - y1 < 1:  # no box
         return 0, 0, width_px, height_px
     longest = max(x2 - x1, y2 - y1)
     spans = []
@@ -145,7 +145,7 @@ def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int
 
 
 def _draw_scale(picture: NDArray[np.uint8], px_per_m: float) -> None:
-    """Draw the longest bar that takes less than half of the picture's width."""
+    """Draw the longest scale bar below half of the picture's width."""
     most_m = 0.5 * picture.shape[1] / px_per_m
     length_m = next((one for one in _BARS_M if one <= most_m), _BARS_M[-1])
     draw_bar(picture, length_m * px_per_m, f"{100 * length_m:.0f} cm", 0.75)

@@ -1,4 +1,4 @@
-"""The tables of a round: their columns, and what fills them."""
+"""Tables of a round and their columns."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Table:
     Parameters
     ----------
     name : str
-        Of its file or sheet.
+        Name of the file or sheet.
     columns : tuple of Field
-        Its columns.
+        Columns.
     rows : list of dict
-        A cell for each column, by the column's name.
+        Cells by column name.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Table:
 
     @classmethod
     def of(cls, name: str, lines: Iterable[Any]) -> Table:
-        """Fill one of the tables of `COLUMNS`; an empty text is an empty cell."""
+        """Create one of the tables of `COLUMNS`; empty text becomes an empty cell."""
         columns = COLUMNS[name]
         rows = [{one.name: _cell(one, line) for one in columns} for line in lines]
         return cls(name, columns, rows)
@@ -49,24 +49,24 @@ def _cell(column: Field, line: Any) -> Cell:
 
 @dataclass(frozen=True)
 class RoundTables:
-    """A round, ready to be written.
+    """All tables of a round for export.
 
     Parameters
     ----------
     title : str
-        The round's name, or its key.
+        Name of the round, or its key.
     provenance : mapping
-        Software, source, when it was written, the round's key, and the hashes of configuration,
-        models, calibration and profile, as JSON values.
+        Software, source, time, key of the round, and hashes of configuration, models, calibration
+        and profile, as JSON values.
     tables : mapping of str to Table
         'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
         'provenance', in this order.
     bins : tuple of (from_cm, to_cm, fruit)
         Histogram of the lengths on the plant.
     pictures : mapping of str to callable
-        What makes the JPEG files beside the tables, by the name that the column `picture` gives.
+        Functions that create the JPEG files, by the name in the column `picture`.
     note : str
-        Why there is no forecast, if there is none.
+        Reason for a missing forecast.
     """
 
     title: str
@@ -82,14 +82,14 @@ class RoundTables:
 
     @property
     def summary(self) -> dict[str, Cell]:
-        """The one row of the summary."""
+        """The row of the summary."""
         return self.tables["summary"].rows[0]
 
 
 def _kept(one: Field) -> Field | None:
-    """Return a field of `measurements.csv` as the store keeps it of a fruit; None if it does not.
+    """Return the stored field of a fruit for a field of `measurements.csv`, or None.
 
-    Its lengths are values of their own there.
+    Lengths are stored as `Length` values.
     """
     inside = one.path.removeprefix("fruit.")
     if not inside.startswith(("length.", "raw_length.")):
@@ -108,7 +108,7 @@ _METHODS = tuple(
 
 
 def _columns() -> dict[str, tuple[Field, ...]]:
-    """Read `columns.csv`: a line without words is a field that the store keeps, '*' all others."""
+    """Read `columns.csv`: a line without description is a stored field, '*' all remaining ones."""
     found = read_fields(Path(__file__).with_name("columns.csv"))
     named = {line["name"] for line, _ in found if line["table"] == "fruit"}
     rest = [*(one for name, one in _KEPT.items() if name not in named), *_METHODS]
@@ -121,4 +121,4 @@ def _columns() -> dict[str, tuple[Field, ...]]:
 
 
 COLUMNS = _columns()
-"""The columns of each table, in order."""
+"""Columns of each table, in order."""

@@ -1,4 +1,4 @@
-"""A round as CSV, Excel, Parquet, JSON and a page to print, and in all formats at once."""
+"""Write a round as CSV, Excel, Parquet, JSON and printable page."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 def write_exports(
     tables: RoundTables, out: Path, formats: Collection[ExportFormat] = tuple(ExportFormat)
 ) -> list[Path]:
-    """Write a round in one or more formats; what is there already is written anew.
+    """Write a round in one or more formats; existing files are replaced.
 
     Parameters
     ----------
     tables : RoundTables
         The round.
     out : Path
-        Folder; made if it is missing. Small pictures go into `pictures/` in it.
+        Output folder; created if missing. Pictures are written to `pictures/`.
     formats : collection of ExportFormat
-        Which.
+        Formats to write.
 
     Returns
     -------
     list of Path
-        The files, without the pictures.
+        The written files, without pictures.
 
     Raises
     ------
     MissingExtraError
         If a format needs a package that is not installed.
     CucumberVisionError
-        If the folder cannot be written.
+        If the folder is not writable.
     """
     writers: dict[ExportFormat, Callable[[RoundTables, Path], list[Path]]] = {
         ExportFormat.CSV: _write_csv,
@@ -76,7 +76,7 @@ def write_exports(
 
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
-    """Write each table as CSV: UTF-8, commas, decimal points; texts defused."""
+    """Write each table as CSV (UTF-8, commas, decimal points) with escaped formulas."""
     paths = [out / f"{name}.csv" for name in tables.tables]
     for path, table in zip(paths, tables.tables.values(), strict=True):
         write_csv(path, [column.name for column in table.columns], table.rows)
@@ -84,7 +84,7 @@ def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
 
 
 def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
-    """Write all tables as one JSON file, with the columns' units and meaning."""
+    """Write all tables as one JSON file with units and descriptions of the columns."""
     keys = ("name", "unit", "type", "says")
     columns = {
         name: [{key: getattr(one, key) for key in keys} for one in table.columns]
@@ -103,7 +103,7 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
 
 
 def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
-    """Write each table as Parquet; units and meaning with the columns, hashes with the file."""
+    """Write each table as Parquet with units, descriptions and hashes as metadata."""
     paths = [out / f"{name}.parquet" for name in tables.tables]
     for path, table in zip(paths, tables.tables.values(), strict=True):
         write_parquet(path, table.columns, table.rows, tables.provenance)
@@ -123,7 +123,7 @@ _NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 
 def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
-    """Write `round.xlsx`: summary, a sheet a table, and what the columns say."""
+    """Write `round.xlsx` with a summary, a sheet per table, and the column descriptions."""
     path, about = out / "round.xlsx", tables.provenance
     with Workbook(path) as book:
         book.book.set_properties(
@@ -164,9 +164,9 @@ def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
 
 
 def _printed(table: Table) -> int:
-    """Return how many of a table's columns are for people on paper."""
+    """Return the number of columns to print."""
     names = [column.name for column in table.columns]
-    # A key at the beginning is what a sheet goes by.
+    # A leading key column identifies the rows.
     return next((n for n, name in enumerate(names) if n > 1 and name in _NOT_PRINTED), len(names))
 
 
@@ -186,9 +186,7 @@ def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
 
 
 def render_sheet(tables: RoundTables) -> str:
-    """Return the page: numbers, charts, forecast, work, pick list, fruit, and what it rests on.
-
-    Every text of it is escaped, and it loads nothing from anywhere.
+    """Return the printable page as self-contained HTML with escaped text.
 
     Raises
     ------
@@ -234,7 +232,7 @@ def _template() -> Template:
 
 
 def _figure(cell: Cell, unit: str = "") -> Any:
-    """Return a cell as people read it."""
+    """Format a cell for the page."""
     if cell is None:
         return "–"
     if isinstance(cell, bool):

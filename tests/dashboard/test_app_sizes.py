@@ -132,6 +132,10 @@ def test_a_page_is_for_everybody(
     query = "&" if "?" in path else "?"
     page.goto(f"{server}{path.format(**named)}{query}round={TODAY}")
     page.get_by_text(words).first.wait_for()
+    if name == "capture":  # with a stop, its picture and its fruit
+        page.locator("button.take:enabled").click()
+        page.locator("#where").get_by_text("saved").wait_for()
+        page.locator("svg.view").first.wait_for()
     page.locator('[data-testid="stSkeleton"]').first.wait_for(state="hidden")
     page.wait_for_timeout(1500)
     if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):

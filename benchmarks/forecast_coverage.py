@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from tests.simulated_houses import HouseSettings, SimulatedHouse, simulate_house
 
 from cucumbervision.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
-from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, fit_growth
-from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, Spreads, fit_growth
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
 
 NAIVE_M_PER_DAY = 0.03

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.agronomy.forecast import FruitState
-from cucumbervision.agronomy.growth import Curve, Link
-from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.growth import Curve, Link, Spreads
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.kalman import Spreads
+    >>> from cucumbervision.agronomy.growth import Spreads
     >>> spreads = Spreads(0.006, 0.002, 0.005, 0.003, 0.003)
     >>> house = simulate_house(HouseSettings(0.03, spreads, links=20), seed=1)
     >>> house.lengths_m.shape, len(house.links)

@@ -8,8 +8,7 @@ import pytest
 from scipy.special import ndtr
 
 from cucumbervision.agronomy.forecast import DetectionRates, Forecast, FruitState, forecast
-from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.growth import GrowthPrior, Link, Spreads, fit_growth
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 

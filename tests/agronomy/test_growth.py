@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 from tests.simulated_houses import HouseSettings, simulate_house
 
-from cucumbervision.agronomy.growth import LINEAR, Curve, Growth, GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
+from cucumbervision.agronomy.growth import (
+    LINEAR,
+    Basis,
+    Curve,
+    Growth,
+    GrowthPrior,
+    Link,
+    Spreads,
+    fit_growth,
+    kalman_filter,
+    measured_histories,
+)
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 

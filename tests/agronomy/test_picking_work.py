@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from cucumbervision.agronomy.forecast import FruitState, forecast
-from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
-from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.growth import GrowthPrior, Spreads, fit_growth
 from cucumbervision.agronomy.picking import Rates, plan_work
 from cucumbervision.agronomy.profiles import load_profile
 

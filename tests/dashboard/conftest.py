@@ -22,11 +22,11 @@ from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import Added, RoundCapture, add_all, add_captures
-from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
+from cucumbervision.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 
-WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
-LONG = RoundRecord(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
+WALK = Round(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
+LONG = Round(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
 FRUIT_PER_STOP = 5
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (

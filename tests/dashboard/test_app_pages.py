@@ -23,7 +23,7 @@ from cucumbervision.dashboard import resources
 from cucumbervision.rounds.adding import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.merge_and_link import link_rounds, move_stop, settle
 from cucumbervision.store.corrections import StopPlace
-from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
+from cucumbervision.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
@@ -395,7 +395,7 @@ def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: S
 def test_an_old_round_says_nothing_of_today(house: Path) -> None:
     with open_store(house) as store:
         template = store.stop(store.stops(WALK)[0].key)
-        past = RoundRecord(name="past", started_s=1_700_000_000.0)
+        past = Round(name="past", started_s=1_700_000_000.0)
         store.save_round(past)
         stop = replace(template, key=new_key(), round_key=past.key, taken_s=past.started_s)
         store.save_stop(stop)
@@ -407,7 +407,7 @@ def test_an_old_round_says_nothing_of_today(house: Path) -> None:
 def test_today_counts_what_is_ready(house: Path) -> None:
     with open_store(house) as store:
         template = store.stop(store.stops(WALK)[1].key)
-        fresh = RoundRecord(name="today", house="house 9", profile="long-cucumber")
+        fresh = Round(name="today", house="house 9", profile="long-cucumber")
         store.save_round(fresh)
         store.save_stop(
             replace(template, key=new_key(), round_key=fresh.key, taken_s=fresh.started_s)

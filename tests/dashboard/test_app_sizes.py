@@ -17,7 +17,7 @@ pytest.importorskip("axe_playwright_python")
 from axe_playwright_python.sync_playwright import Axe
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
 
 WALK, TODAY = key_of("walk"), key_of("today")
@@ -80,7 +80,7 @@ def address(
     shutil.copyfile(made, path)
     shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
     with open_store(path) as store:
-        today = RoundRecord(TODAY, "morning", "house 1", profile="long-cucumber")
+        today = Round(TODAY, "morning", "house 1", profile="long-cucumber")
         store.save_round(today)
         for number, stop in enumerate(store.stops(WALK)):
             record = replace(store.stop(stop.key), key=key_of("today", number), round_key=TODAY)

@@ -26,7 +26,7 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.forecasting import fruit_states
 from cucumbervision.rounds.fruit_table import RoundFruit, hanging_lengths_m
 from cucumbervision.rounds.stop_records import stored_capture
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import Verdict
 
@@ -44,7 +44,7 @@ def measurer() -> SharedMeasurer:
 
 def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store) -> None:
     capture = next(iter(open_source(example_captures()))).load()
-    one = RoundRecord(key_of("other"))
+    one = Round(key_of("other"))
     store.save_round(one)
     spots = Stop("4", "left", 2.0, 1), Stop("4", "right", 2.0, 2)
     for spot in spots:
@@ -130,7 +130,7 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
 ) -> None:
     capture = replace(next(iter(open_source(example_captures()))).load(), name="without finds")
     true = capture.masks[0]
-    one = RoundRecord(key_of("missed"))
+    one = Round(key_of("missed"))
     store.save_round(one)
     blind = replace(OPTIONS, instances="models", confidence=0.999)
     taken = add_one(store, one.key, replace(capture, masks=()), blind)

@@ -26,7 +26,7 @@ from cucumbervision.rounds.forecasting import forecast_today
 from cucumbervision.rounds.from_store import find_round, read_round
 from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.merge_and_link import DAY_S, merge_round
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import Verdict
 
@@ -40,7 +40,7 @@ def walked(store: Store) -> str:
     """A round of two days ago, every stop taken twice; of its fruit one is deleted, one picked,
     one corrected to more than can be seen."""
     begun_s = time.time() - 2 * DAY_S
-    one = RoundRecord(key_of("figures"), "figures", "house 1", begun_s, "long-cucumber")
+    one = Round(key_of("figures"), "figures", "house 1", begun_s, "long-cucumber")
     store.save_round(one)
     for n, stop in enumerate(store.stops(WALK)):
         for again in (0, 1):

@@ -29,7 +29,7 @@ from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview
 from cucumbervision.dashboard.routes import Shown, routes
 from cucumbervision.rounds.adding import DEMONSTRATION
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store
 
 WALK = key_of("walk")
@@ -308,7 +308,7 @@ def test_each_of_1000_presses_is_one_stop_with_its_own_picture(
     while feed.preview().state != "playing":
         time.sleep(0.01)
     time.sleep(1.0)
-    rounds = [RoundRecord(key_of("hand", hand), f"hand {hand}") for hand in range(4)]
+    rounds = [Round(key_of("hand", hand), f"hand {hand}") for hand in range(4)]
     for hand in rounds:
         store.save_round(hand)
     pressed: dict[str, float] = {}

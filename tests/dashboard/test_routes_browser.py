@@ -15,11 +15,11 @@ pytest.importorskip("streamlit")
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 from cucumbervision.rounds.stop_records import stored_capture
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
-WALK = RoundRecord(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
+WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
 

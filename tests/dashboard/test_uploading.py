@@ -20,11 +20,11 @@ from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import DEMONSTRATION
-from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
+from cucumbervision.store.records import DetectionRecord, Round, key_of
 from cucumbervision.store.repository import Store
 
 OPTIONS = MeasureOptions(instances="dataset")
-ROUND = RoundRecord(key_of("uploads"))
+ROUND = Round(key_of("uploads"))
 PLACE = SentPlace(row="7", side="right", position_m=3.0, step_m=0.5, back=True)
 
 

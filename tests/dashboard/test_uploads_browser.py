@@ -16,10 +16,10 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
 
-WALK = RoundRecord(key_of("sent"), "sent", "", 1_700_000_000.0, "long-cucumber")
+WALK = Round(key_of("sent"), "sent", "", 1_700_000_000.0, "long-cucumber")
 PART = 4 * 2**20
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]

@@ -18,7 +18,7 @@ from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     new_key,
 )
@@ -83,7 +83,7 @@ def test_a_small_picture_shows_the_same_place() -> None:
 def test_every_fruit_of_an_export_gets_its_own_picture(tmp_path: Path) -> None:
     record, capture = hanging()
     color = np.full((480, 640, 3), GREY, np.uint8)
-    walk = RoundRecord(name="morning")
+    walk = Round(name="morning")
     with open_store(tmp_path / "house.db") as store:
         kept = {"color": store.images.put_color(color), "thumbnail": None}
         stop = StopRecord(

@@ -22,8 +22,7 @@ from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
-from cucumbervision.exports.build import round_tables
-from cucumbervision.exports.tables import COLUMNS, RoundTables
+from cucumbervision.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision.exports.writers import SHEETS, render_sheet, write_exports
 from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.pipeline.fields import FIELDS, Cell, Column, defused
@@ -32,7 +31,7 @@ from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
@@ -40,7 +39,7 @@ from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
 EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
-WALK = RoundRecord(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
+WALK = Round(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
 CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
 THREAD = LengthDefinition.THREAD
 ROOT = Path(__file__).parents[2]
@@ -182,7 +181,7 @@ def test_without_a_profile_there_are_no_grades_and_no_forecast(store: Store) -> 
 
 
 def test_an_empty_round_can_be_written_too(store: Store, tmp_path: Path) -> None:
-    empty = RoundRecord(key_of("empty"), "=1+1", "", 86400.0)
+    empty = Round(key_of("empty"), "=1+1", "", 86400.0)
     store.save_round(empty)
     tables = round_tables(store, empty.key, load_profile("long-cucumber"))
     assert tables.summary["fruit"] == 0

@@ -12,7 +12,7 @@ import pytest
 
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.intake.limits import Limits, RecordingLimits
+from cucumbervision.intake.archives import Limits, RecordingLimits
 from cucumbervision.intake.recordings import open_guarded, play_in_process
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.inputs import count_captures

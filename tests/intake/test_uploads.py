@@ -13,7 +13,7 @@ import pytest
 
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError, UploadError
-from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import AcceptedUploads, accept_uploads
 
 

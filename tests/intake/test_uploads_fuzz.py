@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import AcceptedSource, accept_uploads
 
 LIMITS = Limits(unpacked_bytes=3_000_000, file_bytes=1_000_000, members=50)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import (
     Registry,
     file_sha256,
@@ -185,3 +186,21 @@ def test_export_refuses_damaged_files(registry: Registry, tmp_path: Path) -> Non
     with pytest.raises(ModelHashError):
         registry.export("inside", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_segmenter_without_weights_needs_no_files(tmp_path: Path) -> None:
+    entry = """
+[[models]]
+name = "by-colour"
+task = "prompted-mask"
+segmenter = "builtins:dict"
+licence = "MIT"
+title = "No weights"
+origin = "somebody"
+embedded = true
+"""
+    (tmp_path / "models.toml").write_text(entry)
+    registry = load_registry(tmp_path / "models.toml", user=tmp_path / "user")
+    opened = open_segmenter("by-colour", prompt="box", registry=registry)
+    assert isinstance(opened, dict)
+    assert opened["prompt"] == "box"

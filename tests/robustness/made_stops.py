@@ -15,7 +15,7 @@ from cucumbervision.store.records import (
     DetectionRecord,
     MethodRecord,
     Point,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
@@ -27,13 +27,13 @@ _START_S = 1.8e9
 _CAMERA = {"fx": 600.0, "fy": 600.0, "stream": "color", "distortion": "none"}
 
 
-def made_round(name: str, day: int = 0) -> RoundRecord:
+def made_round(name: str, day: int = 0) -> Round:
     """Return a round of a day."""
-    return RoundRecord(key_of("made", name, day), name, "house 1", _START_S + 86400.0 * day)
+    return Round(key_of("made", name, day), name, "house 1", _START_S + 86400.0 * day)
 
 
 def made_stop(
-    walk: RoundRecord,
+    walk: Round,
     number: int,
     images: ImageStore | None = None,
     size_px: tuple[int, int] = (160, 120),
@@ -42,7 +42,7 @@ def made_stop(
 
     Parameters
     ----------
-    walk : RoundRecord
+    walk : Round
         The round.
     number : int
         Which stop; every hundredth begins a row.

@@ -26,7 +26,7 @@ from cucumbervision.store.records import (
     DetectionRecord,
     JointRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
@@ -272,9 +272,9 @@ def store(folder: Path) -> None:
         opened.save_joint(walk.key, [together, JointRecord(key_of("none"), "a", 0, "x")], ())
 
 
-def stop_of(opened: Store) -> tuple[RoundRecord, StopRecord]:
+def stop_of(opened: Store) -> tuple[Round, StopRecord]:
     """Return a round and a stop of it, whose pictures are written."""
-    walk = RoundRecord(key_of("walk"), "morning", "house 1", 1000.0)
+    walk = Round(key_of("walk"), "morning", "house 1", 1000.0)
     path = ((0.0, 0.1, 0.5), (0.2, 0.1, 0.5))
     methods = (
         MethodRecord("M1", 0.2),

@@ -192,8 +192,7 @@ def _registry(folder: Path, _name: str) -> None:
 
 
 def _judgement(folder: Path, _name: str) -> None:
-    from cucumbervision.perception.in_use import use_network
-    from cucumbervision.perception.registry import load_registry
+    from cucumbervision.perception.registry import load_registry, use_network
 
     with tempfile.TemporaryDirectory(dir=folder) as user:
         use_network(folder, registry=load_registry(user=Path(user)))
@@ -289,7 +288,7 @@ def _uploads(folder: Path, name: str) -> None:
 
 
 def _recording(folder: Path, _name: str) -> None:
-    from cucumbervision.intake.limits import RecordingLimits
+    from cucumbervision.intake.archives import RecordingLimits
     from cucumbervision.intake.recordings import open_guarded
 
     # The player is ended by the clock, which here must come before the fuzzer's own end.

@@ -12,18 +12,18 @@ from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
 
 THREAD = LengthDefinition.THREAD
-MORNING = RoundRecord(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
+MORNING = Round(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 
 
 class SaveWalk(Protocol):
-    def __call__(self, walk: Walk, record: RoundRecord = ..., row: str = ...) -> None: ...
+    def __call__(self, walk: Walk, record: Round = ..., row: str = ...) -> None: ...
 
 
 @pytest.fixture
@@ -38,14 +38,14 @@ def store(tmp_path: Path) -> Iterator[Store]:
 def save_walk(store: Store) -> SaveWalk:
     """Return what saves a simulated walk as the stops of a round."""
 
-    def save(walk: Walk, record: RoundRecord = MORNING, row: str = "3") -> None:
+    def save(walk: Walk, record: Round = MORNING, row: str = "3") -> None:
         for number in range(len(walk.stops)):
             store.save_stop(_stop(walk, number, record, row))
 
     return save
 
 
-def _stop(walk: Walk, number: int, record: RoundRecord, row: str) -> StopRecord:
+def _stop(walk: Walk, number: int, record: Round, row: str) -> StopRecord:
     views, sign = walk.views, 1.0 - 2.0 * float(walk.stops.side[number])
     fruit: list[DetectionRecord] = []
     for k in (views.stop == number).nonzero()[0].tolist():

@@ -27,7 +27,7 @@ from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
     DetectionRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
@@ -37,7 +37,7 @@ Save = Callable[..., None]
 LONG = load_profile("long-cucumber")
 ROW = SimulatedRow(fruit=60, per_m=10)
 MORNING = key_of("rounds", "morning")
-NEXT = RoundRecord(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
+NEXT = Round(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
 
 
 @pytest.fixture
@@ -175,7 +175,7 @@ def test_a_measured_depth_scale_narrows_what_all_lengths_share() -> None:
 def test_growth_is_followed_through_three_rounds(store: Store) -> None:
     keys = []
     for day in (1, 2, 3):
-        record = RoundRecord(key_of("three", day), f"day {day}", "", day * 86400.0)
+        record = Round(key_of("three", day), f"day {day}", "", day * 86400.0)
         store.save_round(record)
         fruit = DetectionRecord(1, length=Length(0.1 + 0.03 * day))
         capture = CaptureRecord("c", fruit=(fruit,))
@@ -236,7 +236,7 @@ def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> No
 
 def test_a_number_is_never_the_start_of_a_rounds_key(store: Store) -> None:
     key = "2aaaaaaa-0000-4000-8000-000000000000"
-    store.save_round(RoundRecord(key, "Tuesday"))
+    store.save_round(Round(key, "Tuesday"))
     assert find_round(store, "2aa").key == key
     with pytest.raises(RoundError, match="no round is called '2'"):
         find_round(store, "2")

@@ -18,7 +18,7 @@ from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.stop_records import fruit_record, stop_record, view_score
-from cucumbervision.store.records import RoundRecord, record_json
+from cucumbervision.store.records import Round, record_json
 from cucumbervision.store.repository import Store, open_store
 
 OPTIONS = MeasureOptions(instances="dataset")
@@ -36,7 +36,7 @@ def measured() -> CaptureResult:
 def test_a_measured_capture_is_saved_and_comes_back_whole(
     tmp_path: Path, measured: CaptureResult
 ) -> None:
-    walk = RoundRecord(name="morning")
+    walk = Round(name="morning")
     measurer = Measurer(OPTIONS)
     networks = ({"name": "sam", "sha256": "ab"},)
     failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))

@@ -36,7 +36,7 @@ from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.stop_records import stored_capture
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 from cucumbervision_lab.datasets.coco import picture_of, write_fragment
@@ -73,7 +73,7 @@ LAMPS = {
 SEED = 4242
 FRAME = FrameOptions(640, 480, (1.0, 0.0, 0.0), hard=True)
 STOPS_A_ROW = 25
-WALK = RoundRecord(key_of("teaching house"), "morning", "drawn house", 1000.0)
+WALK = Round(key_of("teaching house"), "morning", "drawn house", 1000.0)
 OPTIONS = MeasureOptions(instances="models")
 HIT = 0.5  # overlap of boxes from which a find is that fruit
 GOOD_MASK = 0.6  # overlap of masks under which a user draws anew

@@ -17,7 +17,7 @@ from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 from cucumbervision.rounds.adding import add_captures
-from cucumbervision.store.records import DetectionRecord, RoundRecord
+from cucumbervision.store.records import DetectionRecord, Round
 from cucumbervision.store.repository import open_store
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths
 
@@ -49,7 +49,7 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
     rows = measure_inputs([folder], tmp_path / "out", MeasureOptions()).rows
     assert len(rows) >= 2
     assert {row["mask_source"] for row in rows} == {"dataset" if with_masks else "detector"}
-    added, taken = RoundRecord(name="added"), RoundRecord(name="taken")
+    added, taken = Round(name="added"), Round(name="taken")
     capture = next(iter(open_source(folder))).load()
     with open_store(tmp_path / "house.db") as store:
         store.save_round(added)

@@ -14,15 +14,15 @@ from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import Base
 
-WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1000.0)
-NEXT_DAY = RoundRecord(key_of("next day"), "next morning", "house 1", 87400.0)
+WALK = Round(key_of("walk"), "morning", "house 1", 1000.0)
+NEXT_DAY = Round(key_of("next day"), "next morning", "house 1", 87400.0)
 
 
 class MakeStop(Protocol):

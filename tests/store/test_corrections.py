@@ -11,7 +11,7 @@ from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.measurement.result import Length
 from cucumbervision.store.engine import begin
 from cucumbervision.store.links import LinkKind, LinkRecord
-from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of, new_key
+from cucumbervision.store.records import DetectionRecord, Round, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 
@@ -132,7 +132,7 @@ def test_what_was_taken_away_does_not_come_back_over_something_newer(
 
 
 def test_undo_is_of_the_round_that_was_named(store: Store, make_stop: MakeStop) -> None:
-    walks = (RoundRecord(key_of("walk"), started_s=1000.0), RoundRecord(NEXT_DAY))
+    walks = (Round(key_of("walk"), started_s=1000.0), Round(NEXT_DAY))
     for walk in walks:
         store.save_stop(make_stop(1, round=walk))
     for walk in walks:
@@ -219,7 +219,7 @@ def test_merging_by_hand_ends_what_parted_the_groups(store: Store, keys: list[st
 def test_only_what_can_be_one_fruit_is_linked(
     store: Store, keys: list[str], make_stop: MakeStop
 ) -> None:
-    store.save_stop(make_stop(1, round=RoundRecord(NEXT_DAY, started_s=87400.0)))
+    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
     later = store.detections(NEXT_DAY)[0].key
     wrongs: tuple[Callable[[], int], ...] = (
         lambda: store.merge(keys[0], keys[0]),
@@ -248,7 +248,7 @@ def test_more_fruit_than_a_command_takes_are_picked_at_once(
 def test_growth_is_linked_and_unlinked_by_hand(
     store: Store, keys: list[str], make_stop: MakeStop
 ) -> None:
-    store.save_stop(make_stop(1, round=RoundRecord(NEXT_DAY, started_s=87400.0)))
+    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
     later = store.detections(NEXT_DAY)[0].key
     store.link_growth(keys[0], later)
     expected = LinkRecord(LinkKind.GROWTH, keys[0], later, None, True)

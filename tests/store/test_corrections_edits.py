@@ -7,7 +7,7 @@ import pytest
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import LinkKind, LinkRecord, Position
-from cucumbervision.store.records import DetectionRecord, RoundRecord, Saved, key_of
+from cucumbervision.store.records import DetectionRecord, Round, Saved, key_of
 from cucumbervision.store.repository import Store
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
     store.rename_round(WALK, "evening")
     assert [one.record.name for one in store.rounds()] == ["next morning", "evening"]
     # Who began it may still send it under its first name.
-    assert store.save_round(RoundRecord(WALK, "morning", "house 1", 1000.0)) is Saved.ALREADY_THERE
+    assert store.save_round(Round(WALK, "morning", "house 1", 1000.0)) is Saved.ALREADY_THERE
     store.delete_round(WALK)
     assert [one.key for one in store.rounds()] == [NEXT_DAY]
     assert [one.key for one in store.rounds(deleted=True)] == [WALK]

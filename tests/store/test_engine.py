@@ -11,7 +11,7 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.engine import begin, database_url, named
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
 
 
@@ -116,7 +116,7 @@ def test_a_store_that_may_not_be_written_can_be_read() -> None:
     with tempfile.TemporaryDirectory() as name:  # pytest's own are closed to others
         folder = Path(name)
         with open_store(folder / "house.db") as store:
-            store.save_round(RoundRecord(key_of("walk"), "morning"))
+            store.save_round(Round(key_of("walk"), "morning"))
         for path, mode in ((folder / "house.db", 0o444), (folder, 0o555)):
             path.chmod(mode)
         before, files = os.geteuid(), sorted(folder.iterdir())

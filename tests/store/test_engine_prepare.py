@@ -13,7 +13,7 @@ from cucumbervision.store.engine import VERSION, VERSION_TABLE, begin, database_
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
@@ -76,7 +76,7 @@ def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
 
 
 def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
-    walk, stop = RoundRecord(key_of("walk")), key_of("stop")
+    walk, stop = Round(key_of("walk")), key_of("stop")
     capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.3), tilt_deg=4.0),))
     with open_store(address) as store:
         store.save_round(walk)

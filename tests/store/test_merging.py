@@ -10,12 +10,12 @@ from cucumbervision.store.records import (
     DetectionRecord,
     JointRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     key_of,
 )
 from cucumbervision.store.repository import open_store
 
-WALK = RoundRecord(key_of("walk"), "morning")
+WALK = Round(key_of("walk"), "morning")
 TUBE = MethodRecord(
     "M6", 0.21, "centreline", path_m=((0.0, 0.1, 0.5), (0.0, 0.31, 0.5)), diameter_m=(0.04, 0.04)
 )

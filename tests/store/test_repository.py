@@ -18,7 +18,7 @@ from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
     MethodRecord,
-    RoundRecord,
+    Round,
     Saved,
     StopRecord,
     key_of,
@@ -114,7 +114,7 @@ def test_doubles_within_a_stop_are_refused(
 
 
 def test_rounds_are_listed_with_what_they_hold(store: Store, make_stop: MakeStop) -> None:
-    store.save_round(RoundRecord(key_of("other"), "elsewhere", "house 2", 500.0))
+    store.save_round(Round(key_of("other"), "elsewhere", "house 2", 500.0))
     store.save_stop(make_stop(1))
     store.save_stop(make_stop(2, fruit=3))
     found = [(r.record.name, r.stops, r.fruit, r.last_s) for r in store.rounds()]
@@ -281,7 +281,7 @@ def test_two_programs_and_a_page_write_to_one_store(store: Store, make_stop: Mak
 
 def test_what_a_server_acknowledged_outlives_its_crash(cluster: Any, make_stop: MakeStop) -> None:
     with open_store(cluster.new_database()) as store:
-        store.save_round(RoundRecord(WALK))
+        store.save_round(Round(WALK))
         for step in range(5):
             store.save_stop(make_stop(step))
         cluster.stop(at_once=True)

@@ -8,7 +8,7 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.links import LinkKind, LinkRecord, Position
-from cucumbervision.store.records import RoundRecord, key_of, new_key
+from cucumbervision.store.records import Round, key_of, new_key
 from cucumbervision.store.repository import Store
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ WALK, NEXT_DAY = key_of("walk"), key_of("next day")
 @pytest.fixture
 def keys(store: Store, make_stop: MakeStop) -> list[str]:
     """Two fruit at each of two stops, and the next day again."""
-    for walk in (RoundRecord(WALK, started_s=1000.0), RoundRecord(NEXT_DAY, started_s=87400.0)):
+    for walk in (Round(WALK, started_s=1000.0), Round(NEXT_DAY, started_s=87400.0)):
         for step in (1, 2):
             store.save_stop(make_stop(step, round=walk))
     return [one.key for walk in (WALK, NEXT_DAY) for one in store.detections(walk)]

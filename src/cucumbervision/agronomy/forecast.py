@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.growth import measured_points
-from cucumbervision.agronomy.kalman import kalman_filter, measured_histories
+from cucumbervision.agronomy.growth import kalman_filter, measured_histories, measured_points
 from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.agronomy.growth import Growth, Link
-    from cucumbervision.agronomy.kalman import FilteredStates, Histories, Spreads
+    from cucumbervision.agronomy.growth import FilteredStates, Growth, Histories, Link, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
 

@@ -139,9 +139,9 @@ class CaptureRef:
 
     name: str
     frame: int
-    load: Callable[[], Capture]
+    load: Callable[[], Capture] = field(repr=False)
     at: str = ""
-    parts: Callable[[], Iterable[Path | bytes]] | None = None
+    parts: Callable[[], Iterable[Path | bytes]] | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class CaptureSource:
 
     path: Path
     kind: str
-    refs: Callable[[], Iterator[CaptureRef]]
+    refs: Callable[[], Iterator[CaptureRef]] = field(repr=False)
     total: int | None = None
 
     def __iter__(self) -> Iterator[CaptureRef]:

@@ -15,20 +15,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import (
-    calibrate,
-    dashboard,
-    detect,
-    evaluate,
-    export,
-    measure,
-    models,
-    record,
-    round,
-    schema,
-    serve,
-    stream,
-)
+from cucumbervision.cli import live, measure, models, own_truth, round, schema, servers
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 
@@ -43,18 +30,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("measure", epilog=EXIT_CODES)(measure.measure)
-app.command("detect", epilog=EXIT_CODES)(detect.detect)
-app.command("stream", epilog=EXIT_CODES)(stream.stream)
-app.command("record", epilog=EXIT_CODES)(record.record)
-app.command("cameras")(record.cameras)
+app.command("detect", epilog=EXIT_CODES)(measure.detect)
+app.command("stream", epilog=EXIT_CODES)(live.stream)
+app.command("record", epilog=EXIT_CODES)(live.record)
+app.command("cameras")(live.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
-app.command("serve")(serve.serve)
+app.command("serve")(servers.serve)
 app.command("schema")(schema.schema)
-app.command("dashboard")(dashboard.dashboard)
-app.command("calibrate")(calibrate.calibrate)
-app.command("export")(export.export)
+app.command("dashboard")(servers.dashboard)
+app.command("calibrate")(own_truth.calibrate)
+app.command("export")(round.export)
 _GROUPS = {
-    "evaluate": evaluate.app,
+    "evaluate": own_truth.app,
     "models": models.app,
     "round": round.app,
 }

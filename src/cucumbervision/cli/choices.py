@@ -41,19 +41,36 @@ InputSize = Annotated[
     ),
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
+Instances = Annotated[
+    str,
+    typer.Option(
+        help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
+        "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
+    ),
+]
+SegmenterName = Annotated[
+    str | None,
+    typer.Option(
+        help="Network that draws the masks (`models list` names them), or none; also redraws a "
+        "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
+        show_default=False,
+    ),
+]
+Fast = Annotated[
+    bool,
+    typer.Option(
+        "--fast",
+        help="Let networks compute in half precision where the processor can: quicker, but "
+        "outlines and lengths may differ a little from machine to machine.",
+    ),
+]
 Burst = Annotated[
     int, typer.Option(min=1, max=99, help="Frames of a recording or camera fused to one capture.")
 ]
 
 
 def measure_options(
-    instances: Annotated[
-        str,
-        typer.Option(
-            help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
-            "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
-        ),
-    ] = "auto",
+    instances: Instances = "auto",
     pose: Annotated[
         Path | None,
         typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
@@ -65,14 +82,7 @@ def measure_options(
     length: Annotated[
         LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
     ] = LengthDefinition.CENTRELINE,
-    segmenter: Annotated[
-        str | None,
-        typer.Option(
-            help="Network that draws the masks (`models list` names them), or none; also redraws a "
-            "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
-            show_default=False,
-        ),
-    ] = None,
+    segmenter: SegmenterName = None,
     confidence: Confidence = DEFAULT_CONFIDENCE,
     intrinsics: Annotated[
         Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
@@ -92,14 +102,7 @@ def measure_options(
     ] = "long-cucumber",
     input_size: InputSize = "",
     runtime: Runtime = "auto",
-    fast: Annotated[
-        bool,
-        typer.Option(
-            "--fast",
-            help="Let networks compute in half precision where the processor can: quicker, but "
-            "outlines and lengths may differ a little from machine to machine.",
-        ),
-    ] = False,
+    fast: Fast = False,
 ) -> MeasureOptions:
     """Return what these options of a command ask for."""
     from cucumbervision.agronomy.profiles import load_profile

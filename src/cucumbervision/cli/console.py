@@ -247,7 +247,7 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
     if not failures:
         return
     console = Console(stderr=True, highlight=False)
-    also = f", also in {out}/failures.csv" if out else ""
+    also = f", also in {out}/failures.csv" if out and (out / "failures.csv").exists() else ""
     console.print(f"{len(failures)} failed{also}:", markup=False, soft_wrap=True)
     for failure in failures:
         console.print(f"  {failure.message}", soft_wrap=True, markup=False)

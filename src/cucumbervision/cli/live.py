@@ -1,4 +1,4 @@
-"""What the commands print that run until they are stopped: `stream` and `record`."""
+"""`cucumbervision stream`, `record` and `cameras`: what runs until it is stopped."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ import json
 import os
 import sys
 import time
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-from rich.console import Console
-from rich.markup import escape
+import typer
 
+from cucumbervision.cli.choices import Burst, Fps, Quiet, Retries, Serial, measure_options, takes
 from cucumbervision.errors import CameraError
-from cucumbervision.pipeline.measurer import Failure, exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cucumbervision.capture.recorder import Recorded
     from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.pipeline.measurer import Failure
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.streaming.stream import StreamedFrame
 
 
@@ -30,6 +32,11 @@ def print_stream(
     Failures and a summary go to the standard error. The stream ends with its source, after `most`
     frames, on Ctrl-C, and when nobody reads the lines any more.
     """
+    from rich.console import Console
+    from rich.markup import escape
+
+    from cucumbervision.pipeline.measurer import Failure, exit_code
+
     errors = Console(stderr=True, highlight=False)
     failures: list[Failure] = []
     count = dropped = 0
@@ -87,6 +94,11 @@ def print_recording(
     recorded: Iterator[Recorded | CucumberVisionError], *, quiet: bool = False
 ) -> int:
     """Print a line a capture that is written, and return the exit code."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from cucumbervision.pipeline.measurer import Failure, exit_code
+
     errors, lines = Console(stderr=True, highlight=False), Console(quiet=quiet, highlight=False)
     failures: list[Failure] = []
     count = 0
@@ -112,3 +124,159 @@ def print_recording(
     if not quiet:
         errors.print(f"{count} captures written, {len(failures)} failed")
     return exit_code(count, failures)
+
+
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE",
+        help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
+    ),
+]
+FastWay = Annotated[
+    bool,
+    typer.Option(
+        "--fast",
+        help="For speed: the detector's masks at 640 pixels, no SAM, no keypoints, half "
+        "precision where the processor can, and one fruit measured a frame.",
+    ),
+]
+Follow = Annotated[
+    bool, typer.Option("--follow", help="Wait for what comes into a folder, from now on.")
+]
+EveryFrame = Annotated[
+    bool,
+    typer.Option("--every", help="Drop no frame of a recording or followed folder."),
+]
+Frames = Annotated[
+    int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
+]
+
+
+@takes("options", measure_options, {"fast", "depth", "burst"})
+def stream(
+    source: Source,
+    fast: FastWay = False,
+    follow: Follow = False,
+    every: EveryFrame = False,
+    serial: Serial = None,
+    fps: Fps = 15,
+    retries: Retries = 3,
+    frames: Frames = None,
+    quiet: Quiet = False,
+    *,
+    options: MeasureOptions,
+) -> None:
+    """Measure frames as they come, the newest first, and know each fruit again.
+
+    Every frame is one line of JSON on the standard output: when it was taken, how late the line
+    is, how many frames were dropped, and its fruit with numbers that stay and lengths from all
+    frames.
+    """
+    from cucumbervision.capture.realsense import CameraConfig
+    from cucumbervision.pipeline.measurer import Measurer
+    from cucumbervision.streaming.sources import open_stream
+    from cucumbervision.streaming.stream import FruitStream
+
+    fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
+    config = CameraConfig(serial=serial, fps=fps)
+    arrivals = open_stream(
+        source,
+        options.reading,
+        config=config,
+        every=every,
+        follow=follow,
+        retries=retries,
+    )
+    raise typer.Exit(print_stream(fruit.follow(arrivals), frames, quiet=quiet))
+
+
+Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
+
+
+Out = Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")]
+FilledFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        help="A folder that another program fills, in the camera's place.",
+        show_default=False,
+    ),
+]
+Every = Annotated[
+    float | None,
+    typer.Option(min=0.0, help="Seconds from one capture to the next; else Enter takes one."),
+]
+Count = Annotated[int | None, typer.Option(min=1, help="End after so many.", show_default=False)]
+RowName = Annotated[str | None, typer.Option(help="Row in the house.")]
+Side = Annotated[str | None, typer.Option(help="Side of the row: left or right.")]
+Position = Annotated[float | None, typer.Option(help="Metres along the row of the first capture.")]
+Step = Annotated[float, typer.Option(help="Metres from one capture to the next.")]
+CapturesName = Annotated[str, typer.Option(help="What the captures are called.")]
+DepthPreset = Annotated[
+    Preset | None, typer.Option(help="The depth camera's preset; its own without.")
+]
+Exposure = Annotated[
+    float | None,
+    typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
+]
+
+
+def record(
+    out: Out,
+    serial: Serial = None,
+    folder: FilledFolder = None,
+    every: Every = None,
+    count: Count = None,
+    burst: Burst = 5,
+    row: RowName = None,
+    side: Side = None,
+    position: Position = None,
+    step: Step = 0.0,
+    name: CapturesName = "capture",
+    preset: DepthPreset = None,
+    exposure: Exposure = None,
+    retries: Retries = 3,
+    quiet: Quiet = False,
+) -> None:
+    """Write captures of a live camera: one at each Enter, or every so many seconds.
+
+    What is written is read by `cucumbervision measure` and every other command.
+    """
+    from itertools import islice
+
+    from cucumbervision.capture.camera import FolderCamera, RgbdCamera
+    from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+    from cucumbervision.capture.realsense_device import CameraSettings
+    from cucumbervision.capture.recorder import Walk, record_captures
+
+    config = CameraConfig(serial, fps=15, burst=burst, settings=CameraSettings(preset, exposure))
+
+    def open_camera() -> RgbdCamera:
+        return RealSenseCamera(config) if folder is None else FolderCamera(folder)
+
+    signals = clock(every) if every is not None else enter_keys(quiet=quiet)
+    recorded = record_captures(
+        open_camera,
+        out,
+        islice(signals, count),
+        Walk(row, side, position, step),
+        name=name,
+        retries=retries,
+    )
+    raise typer.Exit(print_recording(recorded, quiet=quiet))
+
+
+def cameras() -> None:
+    """List the RealSense cameras that are plugged in, with their serial numbers."""
+    from cucumbervision.capture.realsense_device import list_cameras
+    from cucumbervision.cli.console import columns_table, screen
+
+    found = list_cameras()
+    if not found:
+        typer.echo("No RealSense camera is connected; plug a D4xx into a USB 3 port")
+        raise typer.Exit(2)
+    table = columns_table(None, ["camera", "serial number", "firmware", "USB"])
+    for one in found:
+        table.add_row(one.name, one.serial, one.firmware, one.usb)
+    screen().print(table)

@@ -1,4 +1,4 @@
-"""`cucumbervision measure` and `demo`: RGB-D captures in, lengths out."""
+"""`cucumbervision measure`, `demo` and `detect`: captures or plain pictures in, fruit out."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cucumbervision.cli.choices import AsJson, Quiet, loop_options, measure_opti
 if TYPE_CHECKING:
     from cucumbervision.pipeline.batch import LoopOptions
     from cucumbervision.pipeline.options import MeasureOptions
+
 
 Inputs = Annotated[
     list[Path],
@@ -87,3 +88,29 @@ def demo(
 
     options, batch = MeasureOptions(instances="models"), BatchOptions()
     raise typer.Exit(measure_and_show([example_captures()], out, options, batch, quiet=quiet))
+
+
+_MEASURING = {
+    *("methods", "selector", "length", "calibration", "profile"),
+    *("intrinsics", "depth", "depth_unit", "burst"),
+}
+
+
+@takes("options", measure_options, _MEASURING)
+def detect(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="IMAGE...",
+            help="Pictures (JPEG, PNG, WebP, TIFF, BMP), or folders of them.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and pictures.")],
+    quiet: Quiet = False,
+    *,
+    options: MeasureOptions,
+) -> None:
+    """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
+    from cucumbervision.cli.console import detect_and_show
+
+    raise typer.Exit(detect_and_show(inputs, out, options, quiet=quiet))

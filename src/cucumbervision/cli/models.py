@@ -82,7 +82,7 @@ def use(
     from rich.console import Console
 
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.in_use import undo_use, use_network, use_shipped
+    from cucumbervision.perception.registry import undo_use, use_network, use_shipped
 
     if (given is not None) + back + shipped != 1:
         raise ModelError(

@@ -1,4 +1,4 @@
-"""`cucumbervision round`: begin, fill, merge, link, list and check rounds."""
+"""`cucumbervision round` and `export`: begin, fill, merge, link, list, check and export rounds."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from cucumbervision.cli.choices import (
     measure_options,
     takes,
 )
+from cucumbervision.exports import ExportFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
+
 
 app = typer.Typer(
     name="round",
@@ -70,11 +72,11 @@ def new(
 ) -> None:
     """Begin a round and print its key."""
     from cucumbervision.agronomy.profiles import load_profile
-    from cucumbervision.store.records import RoundRecord
+    from cucumbervision.store.records import Round
     from cucumbervision.store.repository import open_store
 
     load_profile(profile)
-    record = RoundRecord(name=name, house=house, profile=profile)
+    record = Round(name=name, house=house, profile=profile)
     with open_store(store, images=images) as opened:
         opened.save_round(record)
     typer.echo(record.key)
@@ -420,3 +422,35 @@ def pick_list(
             pick.name,
         )
     screen().print(table)
+
+
+def export(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
+    round_: Annotated[
+        str,
+        typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; the newest without."),
+    ] = "",
+    store: StoreName = "house.db",
+    images: Images = None,
+    formats: Annotated[
+        list[ExportFormat] | None,
+        typer.Option("--format", "-f", help="Repeat for several; csv, xlsx, json without."),
+    ] = None,
+    profile: Profile = None,
+) -> None:
+    """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""
+    from cucumbervision.exports.build import round_tables
+    from cucumbervision.exports.writers import write_exports
+
+    usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
+    with opened_round(store, round_, images) as (opened, one):
+        tables = round_tables(
+            opened,
+            one.key,
+            chosen_profile(profile, one),
+            profile_name=profile or one.record.profile,
+        )
+        for path in write_exports(tables, out, formats or usual):
+            typer.echo(path)
+    if tables.note:
+        typer.echo(f"no forecast: {tables.note}", err=True)

@@ -10,7 +10,7 @@ from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.words import plain, round_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.merge_and_link import delete_round
-from cucumbervision.store.records import RoundRecord
+from cucumbervision.store.records import Round
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,7 +56,7 @@ def _begin() -> None:
     def begin() -> None:
         # What the fields hold now: the page may not have been drawn since they were filled in.
         name, house = (str(st.session_state[key]).strip() for key in ("new_name", "new_house"))
-        record = RoundRecord(name=name, house=house, profile=resources.settings().profile)
+        record = Round(name=name, house=house, profile=resources.settings().profile)
         resources.store().save_round(record)
         st.session_state["round"] = record.key
         st.session_state[_BEGINNING] = False

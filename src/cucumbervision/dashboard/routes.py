@@ -38,7 +38,7 @@ from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
-from cucumbervision.store.records import RoundRecord
+from cucumbervision.store.records import Round
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -178,7 +178,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
 def _begin(request: Request, content: bytes) -> Any:
     sent = SentRound.model_validate_json(content)
     profile = resources.settings().profile
-    record = RoundRecord(name=sent.name.strip(), house=sent.house.strip(), profile=profile)
+    record = Round(name=sent.name.strip(), house=sent.house.strip(), profile=profile)
     _store_of(request).save_round(record)
     return {"round": record.key}
 

@@ -13,7 +13,7 @@ from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.dashboard.uploads import MOST_TRIES, UploadOutcome
 from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadError
-from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.rounds.adding import Added, RoundCapture, add_all, round_for_capture

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
-from cucumbervision.exports.tables import Table
+from cucumbervision.exports.build import Table
 from cucumbervision.pipeline.tables import (
     Workbook,
     write_csv,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-    from cucumbervision.exports.tables import RoundTables
+    from cucumbervision.exports.build import RoundTables
     from cucumbervision.pipeline.fields import Cell
 
 

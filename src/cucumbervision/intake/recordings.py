@@ -28,7 +28,7 @@ from cucumbervision.errors import (
     IntrinsicsError,
     MissingExtraError,
 )
-from cucumbervision.intake.limits import RecordingLimits
+from cucumbervision.intake.archives import RecordingLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

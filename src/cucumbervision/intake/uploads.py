@@ -16,12 +16,13 @@ from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError, wrap_os_errors
 from cucumbervision.intake.archives import (
     Budget,
+    Limits,
+    RecordingLimits,
     clean_name,
     is_zip,
     unpack,
     write_chunk,
 )
-from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import open_guarded
 
 if TYPE_CHECKING:

@@ -298,9 +298,9 @@ class Measurement:
     kind: LengthKind | None = None
     reason: Reason = Reason.OK
     fallback: tuple[str, ...] = ()
-    path_m: NDArray[np.float64] | None = None
+    path_m: NDArray[np.float64] | None = field(default=None, repr=False)
     measured_by: Method | None = None
-    fit: TubeFit | None = None
+    fit: TubeFit | None = field(default=None, repr=False)
 
     @property
     def own(self) -> bool:

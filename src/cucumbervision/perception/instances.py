@@ -8,7 +8,7 @@ without the whole are joined by depth (`perception.pieces`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -85,10 +85,10 @@ class Instance:
     box: NDArray[np.float64]
     confidence: float = 1.0
     class_name: str = "cucumber"
-    mask: NDArray[np.bool_] | None = None
+    mask: NDArray[np.bool_] | None = field(default=None, repr=False)
     mask_source: MaskSource | None = None
-    detector_mask: NDArray[np.bool_] | None = None
-    keypoints: NDArray[np.float64] | None = None
+    detector_mask: NDArray[np.bool_] | None = field(default=None, repr=False)
+    keypoints: NDArray[np.float64] | None = field(default=None, repr=False)
     mask_failure: str = ""
     end_confidence: float | None = None
     input_size_px: int | None = None

@@ -1,7 +1,10 @@
-"""The registry of networks: description, origin, licence and verified files.
+"""The registry of networks: description, origin, licence, verified files, and a user's own.
 
 `models.toml` beside this file lists them. Embedded networks are part of the package;
 `cucumbervision models pull` fetches the others into the user's folder, never at run time.
+
+`in-use.json` in the folder of fetched models lists the user's networks, the newest last. Each is in
+a folder of its own beside it, as fetched networks are.
 """
 
 from __future__ import annotations
@@ -10,13 +13,17 @@ import hashlib
 import json
 import os
 import shutil
+import tempfile
 import tomllib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ class Model:
     origin : str
         Who published it.
     files : tuple of ModelFile
-        What the runtimes load.
+        What the runtimes load; none where a segmenter has no weights.
     source : ModelSource, optional
         What the files were exported from.
     architecture : str
@@ -101,7 +108,7 @@ class Model:
     licence: str
     title: str
     origin: str
-    files: tuple[ModelFile, ...]
+    files: tuple[ModelFile, ...] = ()
     source: ModelSource | None = None
     architecture: str = ""
     embedded: bool = False
@@ -113,7 +120,7 @@ _HERE = Path(__file__).parent
 _MANIFEST = "manifest.json"
 
 IN_USE = "in-use.json"
-"""In the folder of fetched models: the user's own networks, as `perception.in_use` writes them."""
+"""In the folder of fetched models: the user's own networks."""
 
 
 @dataclass(frozen=True)
@@ -369,3 +376,136 @@ def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
         if not isinstance(files, dict) or not isinstance(source, str):
             raise ValueError("its entries have the wrong types")
     return {"files": files, "source_sha256": source}
+
+
+JUDGEMENT = "judgement.json"
+"""Written by `train house`: old and new network evaluated on the same pictures."""
+
+_LONGEST_NAME = 200
+
+
+def use_network(given: Path, *, anyway: bool = False, registry: Registry | None = None) -> Model:
+    """Make a user's network the default for its task.
+
+    Parameters
+    ----------
+    given : Path
+        The folder of a `train house` run, or a YOLO ONNX export.
+    anyway : bool
+        Skip the check that it is better.
+    registry : Registry, optional
+        The registry to change; `load_registry()` by default.
+
+    Returns
+    -------
+    Model
+        Its entry in the registry.
+
+    Raises
+    ------
+    ModelError
+        If it is not a YOLO network for segments or poses; unless `anyway`, if it was not compared
+        with the network in use, or is not better.
+    """
+    registry = registry or load_registry()
+    judgement = _read_judgement(given)
+    path = _network_file(given, judgement)
+    from cucumbervision.perception.yolo import YoloDetector
+
+    task = YoloDetector(path, "onnxruntime").task
+    sha256 = file_sha256(path)
+    if not anyway:
+        _require_better(path, sha256, judgement, registry.default(task))
+    name = f"{path.stem}-{sha256[:8]}"
+    model = Model(
+        name=name,
+        task=task,
+        licence="AGPL-3.0-only",
+        title=f"{path.name}, put in use on this machine",
+        origin="trained by its user",
+        files=(ModelFile("network", path.name, sha256, path.stat().st_size),),
+    )
+    earlier = tuple(one for one in registry.own if one.name != name)
+    changed = replace(registry, own=(*earlier, model))
+    with tempfile.TemporaryDirectory() as folder:
+        changed.install(name, (Path(shutil.copyfile(path, Path(folder) / path.name)),))
+    _write(changed)
+    return model
+
+
+def undo_use(task: str = "segment", registry: Registry | None = None) -> Model | None:
+    """Remove the user's newest network, and return the one in use for its task now.
+
+    Raises
+    ------
+    ModelError
+        If none is in use.
+    """
+    registry = registry or load_registry()
+    newest = registry.default(task)
+    if newest not in registry.own:
+        raise ModelError(
+            f"the package's own network is in use for {task}",
+            remedy="there is nothing to take back",
+        )
+    return _keep(registry, task, tuple(one for one in registry.own if one != newest))
+
+
+def use_shipped(task: str = "segment", registry: Registry | None = None) -> Model | None:
+    """Remove all of the user's networks for a task, and return the package's own."""
+    registry = registry or load_registry()
+    return _keep(registry, task, tuple(one for one in registry.own if one.task != task))
+
+
+def _keep(registry: Registry, task: str, own: tuple[Model, ...]) -> Model | None:
+    changed = replace(registry, own=own)
+    _write(changed)
+    return changed.default(task)
+
+
+def _write(registry: Registry) -> None:
+    text = json.dumps({"models": [asdict(one) for one in registry.own]}, indent=2)
+    registry.user.mkdir(parents=True, exist_ok=True)
+    part = registry.user / f"{IN_USE}.part"
+    part.write_text(text + "\n", encoding="utf-8")
+    part.replace(registry.user / IN_USE)
+
+
+def _read_judgement(given: Path) -> Mapping[str, Any]:
+    """Return the comparison in a run's folder; empty for a single file."""
+    path = (given if given.is_dir() else given.parent) / JUDGEMENT
+    if not path.is_file():
+        return {}
+    with wrap_reader_errors(path, ModelError, "judge it again"):
+        values = read_json(path, ModelError, "judge it again")
+        return {name: values[name] for name in ("file", "new", "old", "better", "why")}
+
+
+def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
+    path = given
+    if given.is_dir():
+        # The file name only: a comparison is about files in its own folder.
+        path = given / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
+    if not path.is_file() or path.suffix != ".onnx":
+        raise ModelError(
+            "there is no exported and judged network",
+            source=given,
+            remedy="give the folder of a finished `train house` run, or an .onnx file",
+        )
+    return path
+
+
+def _require_better(
+    path: Path, sha256: str, judgement: Mapping[str, Any], used: Model | None
+) -> None:
+    """Raise if a network is not known to be better than the one in use."""
+    if judgement.get("new") != sha256:
+        fault, remedy = "it was not compared with the network in use", "run `train house`"
+    elif used is not None and judgement["old"] != used.files[0].sha256:
+        fault = "it was judged against another network than the one in use"
+        remedy = "run the same `train house` again"
+    elif not judgement["better"]:
+        fault, remedy = f"it is not better: {judgement['why']}", "judge more stops and train again"
+    else:
+        return
+    raise ModelError(fault, source=path, remedy=f"{remedy}, or add --anyway")

@@ -240,6 +240,9 @@ class Measurer:
         self._registry, self._detector = registry, detector
         self._finder: Finder | None = None
 
+    def __repr__(self) -> str:
+        return f"<Measurer: {self.options.instances}, {self.options.length}>"
+
     @property
     def models(self) -> list[dict[str, Any]]:
         """Name, SHA-256 and runtime of each network that was loaded so far."""

@@ -35,7 +35,7 @@ from cucumbervision.rounds.poses import (
 from cucumbervision.rounds.remeasuring import measure_stop_again
 from cucumbervision.rounds.stop_records import holds_still, stop_record
 from cucumbervision.rounds.walking import refuse_taken
-from cucumbervision.store.records import RoundRecord, Saved, key_of
+from cucumbervision.store.records import Round, Saved, key_of
 from cucumbervision.store.views import CameraAt
 
 if TYPE_CHECKING:
@@ -456,5 +456,5 @@ def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile:
     if any(one.key == DEMONSTRATION for one in store.rounds(deleted=True)):
         store.restore_round(DEMONSTRATION)
     elif all(one.key != DEMONSTRATION for one in store.rounds()):
-        store.save_round(RoundRecord(DEMONSTRATION, _NAME, profile=profile))
+        store.save_round(Round(DEMONSTRATION, _NAME, profile=profile))
     return DEMONSTRATION

@@ -57,6 +57,9 @@ class Client:
             )
         self._url, self._token, self._timeout_s = url.rstrip("/"), token, timeout_s
 
+    def __repr__(self) -> str:
+        return f"<Client {self._url}>"
+
     def health(self) -> dict[str, Any]:
         """Return the service's status and version."""
         return self._ask("/health")

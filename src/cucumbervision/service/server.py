@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import AccessError, MissingExtraError
-from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.archives import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -29,7 +29,7 @@ from cucumbervision.store.schema import (
     Mark,
     MaskLine,
     MethodLine,
-    Round,
+    RoundLine,
     Row,
     StopLine,
 )
@@ -56,6 +56,11 @@ _REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
 def columns_of(table: type[Base], names: Sequence[str]) -> list[Any]:
     """Return a table's columns of these names, for a query."""
     return [getattr(table, name) for name in names]
+
+
+def cells_by_name(record: Any, names: Sequence[str]) -> dict[str, Any]:
+    """Return fields of a record as cells by their names."""
+    return {name: getattr(record, name) for name in names}
 
 
 def pack_um(values_m: Sequence[float] | Sequence[Point]) -> bytes:
@@ -231,7 +236,7 @@ def id_of(connection: Connection, table: Any, cells: dict[str, Any], *unique: st
 
 def row_id_of(connection: Connection, round_id: int, name: str) -> int:
     """Return the id of a row of a round's house, inserted where it is not there yet."""
-    house = connection.execute(select(Round.house).where(Round.id == round_id)).scalar_one()
+    house = connection.execute(select(RoundLine.house).where(RoundLine.id == round_id)).scalar_one()
     return id_of(connection, Row, {"house": house, "name": name}, "house", "name")
 
 
@@ -249,7 +254,7 @@ def round_id_of(connection: Connection, key: str) -> int:
     StoreError
         If it is not there.
     """
-    query = select(Round.id).where(Round.key == checked_key(key, "round"))
+    query = select(RoundLine.id).where(RoundLine.key == checked_key(key, "round"))
     found = connection.execute(query).scalar()
     if found is None:
         raise StoreError(f"round {key} is not in the store", remedy="save the round first")

@@ -34,7 +34,7 @@ from cucumbervision.store.schema import (
     Mark,
     MaskLine,
     MethodLine,
-    Round,
+    RoundLine,
     Row,
     StopArtifact,
     StopLine,
@@ -114,7 +114,7 @@ def _lines_of(stop_ids: Sequence[int]) -> Iterator[Any]:
 
 # Of tables whose lines have a hash each: their name, and the columns that it is of.
 _HASHED: dict[Any, tuple[str, tuple[str, ...]]] = {
-    Round: ("round", (*ROUND_CELLS, "deleted")),
+    RoundLine: ("round", (*ROUND_CELLS, "deleted")),
     StopLine: ("position of stop", ("key", "fitted_m", "fitted_sd_m")),
     Mark: ("correction", ("fruit_id", "slot", "value", "details", "action_id", "ended_by_id")),
     LinkLine: (
@@ -230,8 +230,8 @@ def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
 
 def _in_round(table: Any, number: int) -> Any:
     """Return which lines of a table belong to a round, for a query."""
-    if table is Round:
-        return Round.id == number
+    if table is RoundLine:
+        return RoundLine.id == number
     if table is LinkLine:
         return or_(LinkLine.first_round_id == number, LinkLine.second_round_id == number)
     return (DetectionLine if table is Mark else table).round_id == number

@@ -27,7 +27,7 @@ from cucumbervision.store.schema import (
     DetectionLine,
     LinkLine,
     Mark,
-    Round,
+    RoundLine,
     StopLine,
 )
 from cucumbervision.store.views import Verdict
@@ -184,14 +184,14 @@ class Corrections(Database):
     def rename_round(self, key: str, name: str, *, by: str = "") -> int:
         """Call a round something else."""
         with self.writing() as connection:
-            found = _line(connection, Round, key)
-            return _edit(connection, Round, found, "rename-round", {"name": name}, by)
+            found = _line(connection, RoundLine, key)
+            return _edit(connection, RoundLine, found, "rename-round", {"name": name}, by)
 
     def delete_round(self, key: str, *, by: str = "") -> int:
         """Take a round with all its stops out of the list of rounds."""
         with self.writing() as connection:
-            found = _line(connection, Round, key)
-            return _edit(connection, Round, found, "delete-round", {"deleted": True}, by)
+            found = _line(connection, RoundLine, key)
+            return _edit(connection, RoundLine, found, "delete-round", {"deleted": True}, by)
 
     def undo(self, round_key: str | None = None, *, number: int | None = None, by: str = "") -> int:
         """Undo an action: the round's newest that has not been undone, or the one named.
@@ -301,7 +301,9 @@ def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
 
     Stops can still be saved. In SQLite a writing transaction is alone anyway.
     """
-    query = select(Round.id).where(Round.id.in_(sorted(set(round_ids)))).order_by(Round.id)
+    query = (
+        select(RoundLine.id).where(RoundLine.id.in_(sorted(set(round_ids)))).order_by(RoundLine.id)
+    )
     connection.execute(query.with_for_update(key_share=True))
 
 
@@ -338,7 +340,7 @@ def _link(
 
 
 def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
-    query = select(Round.key).where(Round.id == one.round_id)
+    query = select(RoundLine.key).where(RoundLine.id == one.round_id)
     links = links_of(connection, connection.execute(query).scalar_one())
     keys = {one.key, *(end for link in links for end in (link.first, link.second))}
     return group_detections(keys, links)[one.key]
@@ -414,7 +416,7 @@ def stop_line(connection: Connection, key: str) -> Any:
     return _line(connection, StopLine, key)
 
 
-_TABLES: dict[str, Any] = {"stops": StopLine, "rounds": Round}
+_TABLES: dict[str, Any] = {"stops": StopLine, "rounds": RoundLine}
 
 
 def _line(connection: Connection, table: Any, key: str) -> Any:
@@ -431,7 +433,7 @@ def _edit(
 ) -> int:
     before = {name: getattr(line, name) for name in after}
     details = {"table": table.__tablename__, "key": line.key, "before": before, "after": after}
-    round_id = line.id if table is Round else line.round_id
+    round_id = line.id if table is RoundLine else line.round_id
     number = log_action(connection, kind, by, round_id, details=details)
     change_line(connection, details)
     return number
@@ -489,8 +491,8 @@ def original_name(connection: Connection, round_key: str) -> str | None:
     """Return what a round was called before it was renamed; None where it never was."""
     renamed = (
         select(Action.details)
-        .join(Round, Round.id == Action.round_id)
-        .where(Round.key == round_key, Action.kind == "rename-round")
+        .join(RoundLine, RoundLine.id == Action.round_id)
+        .where(RoundLine.key == round_key, Action.kind == "rename-round")
         .order_by(Action.id)
         .limit(1)
     )

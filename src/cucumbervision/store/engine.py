@@ -242,6 +242,9 @@ class Database:
         self._images = images
         self._signed_by = ""
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}>"
+
     def signed(self, by: str) -> Self:
         """Return the same database, where what is done by hand is logged as this person's."""
         one = copy(self)

@@ -23,7 +23,7 @@ from cucumbervision.store.corrections import find_detections, lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import JointRecord, record_json
-from cucumbervision.store.schema import JointLine, LinkLine, Round, StopLine
+from cucumbervision.store.schema import JointLine, LinkLine, RoundLine, StopLine
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -112,8 +112,8 @@ class Merging(Database):
         """Return a round's joint measurements by their keys, without paths and poses."""
         query = (
             select(*_LISTED)
-            .join(Round, Round.id == JointLine.round_id)
-            .where(Round.key == round_key)
+            .join(RoundLine, RoundLine.id == JointLine.round_id)
+            .where(RoundLine.key == round_key)
         )
         with self.reading() as connection:
             rows = cells_of(connection, query)
@@ -130,8 +130,8 @@ class Merging(Database):
         """
         query = (
             select(*_LISTED, JointLine.drawing)
-            .join(Round, Round.id == JointLine.round_id)
-            .where(and_(Round.key == round_key, JointLine.key == key))
+            .join(RoundLine, RoundLine.id == JointLine.round_id)
+            .where(and_(RoundLine.key == round_key, JointLine.key == key))
         )
         with self.reading() as connection:
             rows = cells_of(connection, query)

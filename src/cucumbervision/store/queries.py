@@ -17,10 +17,8 @@ from cucumbervision.store.cells import (
     detection_from_json,
     detection_of,
     image_ref,
-    points,
     record_of,
     round_id_of,
-    unpack_um,
 )
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import (
@@ -33,37 +31,32 @@ from cucumbervision.store.links import (
 )
 from cucumbervision.store.records import (
     ArtifactRecord,
-    CaptureRecord,
     DetectionRecord,
-    ImageRef,
     MethodRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     checked_key,
 )
 from cucumbervision.store.schema import (
     ADDED,
-    CAPTURE_CELLS,
     DETECTION_CELLS,
     IMAGE_COLUMNS,
     IS_ACTIVE,
     METHOD_CELLS,
     ROUND_CELLS,
     Action,
-    Artifact,
     CaptureLine,
     DetectionLine,
     Image,
     LinkLine,
     Mark,
-    MaskLine,
     MethodLine,
-    Round,
+    RoundLine,
     Row,
-    StopArtifact,
     StopLine,
     is_active,
 )
+from cucumbervision.store.stop_content import artifacts_of, read_stop
 from cucumbervision.store.views import (
     ActionView,
     CameraAt,
@@ -97,21 +90,21 @@ class Queries(Database):
 
         `deleted` gives those that were deleted instead.
         """
-        of_round = and_(StopLine.round_id == Round.id, ~StopLine.deleted)
+        of_round = and_(StopLine.round_id == RoundLine.id, ~StopLine.deleted)
         query = select(
-            *columns_of(Round, ROUND_CELLS),
+            *columns_of(RoundLine, ROUND_CELLS),
             select(func.count(StopLine.id)).where(of_round).scalar_subquery(),
             select(func.count(DetectionLine.id))
-            .where(DetectionLine.round_id == Round.id, IS_ACTIVE)
+            .where(DetectionLine.round_id == RoundLine.id, IS_ACTIVE)
             .scalar_subquery(),
             select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
-        ).order_by(Round.started_s.desc(), Round.id.desc())
-        query = query.where(Round.deleted == deleted)
+        ).order_by(RoundLine.started_s.desc(), RoundLine.id.desc())
+        query = query.where(RoundLine.deleted == deleted)
         if house is not None:
-            query = query.where(Round.house == house)
+            query = query.where(RoundLine.house == house)
         with self.reading() as connection:
             rows = cells_of(connection, query)
-            return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
+            return [RoundView(Round(*row[:6]), *row[6:]) for row in rows]
 
     def stop_is_deleted(self, key: str) -> bool | None:
         """Return whether a stop was deleted; None where it never was in the store."""
@@ -150,7 +143,7 @@ class Queries(Database):
             If it is not there.
         """
         key = checked_key(key, "fruit")
-        of_round = select(Round.key).join(DetectionLine, DetectionLine.round_id == Round.id)
+        of_round = select(RoundLine.key).join(DetectionLine, DetectionLine.round_id == RoundLine.id)
         with self.reading() as connection:
             found = of_round.where(DetectionLine.key == key, IS_ACTIVE)
             round_key = connection.execute(found).scalar()
@@ -193,7 +186,7 @@ class Queries(Database):
         rejected, detections : int
             False detections, and all detections of the rounds in which any was judged.
         """
-        own, other = aliased(Round), aliased(Round)
+        own, other = aliased(RoundLine), aliased(RoundLine)
         kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
         with self.reading() as connection:
             house = select(own.house).where(own.id == round_id_of(connection, round_key))
@@ -255,9 +248,9 @@ class Queries(Database):
                 *columns_of(StopLine, ("key", "pose", "mirrored")),
                 *columns_of(CaptureLine, ("id", "name", "camera")),
             )
-            .join(Round, Round.id == StopLine.round_id)
+            .join(RoundLine, RoundLine.id == StopLine.round_id)
             .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
-            .where(Round.key == round_key, ~StopLine.deleted)
+            .where(RoundLine.key == round_key, ~StopLine.deleted)
             .order_by(StopLine.id, CaptureLine.number)
         )
         found: dict[str, CameraAt] = {}
@@ -272,7 +265,7 @@ class Queries(Database):
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
         with self.reading() as connection:
-            return artifacts_of(connection, and_(Round.key == round_key, ~StopLine.deleted))
+            return artifacts_of(connection, and_(RoundLine.key == round_key, ~StopLine.deleted))
 
     def stop(self, stop_key: str) -> StopRecord:
         """Return a stop with everything: as it was saved, but where people put it since.
@@ -468,17 +461,17 @@ def _actions_of(
     query: Any = (
         select(
             *columns_of(Action, ("id", "at_s", "by", "kind")),
-            Round.key,
+            RoundLine.key,
             *columns_of(Action, ("fruit", "details", "undoes_id")),
             undo.id,
         )
-        .outerjoin(Round, Round.id == Action.round_id)
+        .outerjoin(RoundLine, RoundLine.id == Action.round_id)
         .outerjoin(undo, undo.undoes_id == Action.id)
         .order_by(Action.id.desc())
         .limit(limit)
     )
     if round_key is not None:
-        query = query.where(Round.key == checked_key(round_key, "round"))
+        query = query.where(RoundLine.key == checked_key(round_key, "round"))
     return [
         record_of(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
         for row in cells_of(connection, query)
@@ -495,114 +488,3 @@ def corrected_of(connection: Connection, which: Any) -> dict[str, DetectionRecor
     rows = cells_of(connection, query)
     with decoding(connection):
         return {key: detection_from_json(details) for key, details in rows}
-
-
-def artifacts_of(connection: Connection, which: Any) -> dict[str, tuple[ArtifactRecord, ...]]:
-    """Return what stops were measured with, in the order given, by the stops' keys."""
-    query = (
-        select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
-        .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
-        .join(Artifact, Artifact.id == StopArtifact.artifact_id)
-        .join(Round, Round.id == StopLine.round_id)
-        .where(which)
-        .order_by(StopLine.id, StopArtifact.number)
-    )
-    found: dict[str, list[ArtifactRecord]] = {}
-    for key, *cells in cells_of(connection, query):
-        found.setdefault(key, []).append(ArtifactRecord(*cells))
-    return {key: tuple(artifacts) for key, artifacts in found.items()}
-
-
-def read_stop(connection: Connection, key: str) -> StopRecord:
-    """Return a stop as it was saved, but where people put it since.
-
-    Raises
-    ------
-    StoreError
-        If it is not there.
-    """
-    key = checked_key(key, "stop")
-    names = ("side", "position_m", "position_sd_m", "step", "taken_s", "note", "pose", "failures")
-    query = (
-        select(StopLine.id, Round.key, Row.name, *columns_of(StopLine, names))
-        .join(Round, Round.id == StopLine.round_id)
-        .outerjoin(Row, Row.id == StopLine.row_id)
-        .where(StopLine.key == key)
-    )
-    rows = cells_of(connection, query)
-    if not rows:
-        raise StoreError(f"stop {key} is not in the store", remedy="look it up in stops()")
-    stop_id, round_key, row, *cells = rows[0]
-    values = dict(zip(names, cells, strict=True))
-    return StopRecord(
-        key,
-        round_key,
-        row,
-        **{**values, "pose": tuple(values["pose"]), "failures": tuple(values["failures"])},
-        captures=_captures_of(connection, stop_id),
-        artifacts=artifacts_of(connection, StopLine.key == key).get(key, ()),
-    )
-
-
-def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, ...]:
-    detections = _records_of(connection, stop_id)
-    refs = (CaptureLine.color_sha256, CaptureLine.depth_sha256, CaptureLine.thumbnail_sha256)
-    query = (
-        select(CaptureLine.id, *refs, *columns_of(CaptureLine, CAPTURE_CELLS))
-        .where(CaptureLine.stop_id == stop_id)
-        .order_by(CaptureLine.number)
-    )
-    rows = cells_of(connection, query)
-    wanted = {sha256 for row in rows for sha256 in row[1:4] if sha256}
-    of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
-    images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
-    return tuple(
-        record_of(
-            CaptureRecord,
-            *row[4:],
-            *(images.get(sha256) for sha256 in row[1:4]),
-            tuple(detections.get(row[0], ())),
-        )
-        for row in rows
-    )
-
-
-def _records_of(connection: Connection, stop_id: int) -> dict[int, list[DetectionRecord]]:
-    """Return the detections of a stop with masks and methods, by their captures' numbers."""
-    of_methods = (
-        select(
-            MethodLine.fruit_id,
-            MethodLine.path_um,
-            MethodLine.diameter_um,
-            *columns_of(MethodLine, METHOD_CELLS),
-        )
-        .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
-        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .where(CaptureLine.stop_id == stop_id)
-        .order_by(MethodLine.fruit_id, MethodLine.number)
-    )
-    methods: dict[int, list[MethodRecord]] = {}
-    for row in cells_of(connection, of_methods):
-        with decoding(connection):
-            line_m, diameter_m = points(row[1]), unpack_um(row[2])
-        methods.setdefault(row[0], []).append(record_of(MethodRecord, *row[3:], line_m, diameter_m))
-    of_detections = (
-        select(
-            DetectionLine.id,
-            DetectionLine.capture_id,
-            MaskLine.keypoints,
-            MaskLine.rle,
-            *columns_of(DetectionLine, DETECTION_CELLS),
-        )
-        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .join(MaskLine, MaskLine.fruit_id == DetectionLine.id)
-        .where(CaptureLine.stop_id == stop_id, IS_ACTIVE)
-        .order_by(DetectionLine.id)
-    )
-    found: dict[int, list[DetectionRecord]] = {}
-    for row in cells_of(connection, of_detections):
-        with decoding(connection):
-            keypoints = tuple(tuple(point) for point in row[2])
-            one = detection_of(row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
-        found.setdefault(row[1], []).append(one)
-    return found

@@ -119,7 +119,7 @@ class ImageRef:
 
 
 @dataclass(frozen=True)
-class RoundRecord:
+class Round:
     """One walk through a house.
 
     Parameters

@@ -10,12 +10,9 @@ from sqlalchemy import and_, func, insert, or_, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import (
+    cells_by_name,
     columns_of,
-    detection_cells,
-    id_of,
-    insert_all,
     insert_new,
-    pack_um,
     round_id_of,
     row_id_of,
 )
@@ -34,7 +31,7 @@ from cucumbervision.store.images import ImageStore
 from cucumbervision.store.merging import Merging
 from cucumbervision.store.queries import Queries
 from cucumbervision.store.records import (
-    RoundRecord,
+    Round,
     Saved,
     StopRecord,
     checked_key,
@@ -44,28 +41,27 @@ from cucumbervision.store.records import (
     record_json,
 )
 from cucumbervision.store.schema import (
-    CAPTURE_CELLS,
-    METHOD_CELLS,
     ROUND_CELLS,
-    Artifact,
     CaptureLine,
     DetectionLine,
-    Image,
     LinkLine,
     Mark,
-    MaskLine,
-    MethodLine,
-    Round,
+    RoundLine,
     StopArtifact,
     StopLine,
 )
+from cucumbervision.store.stop_content import (
+    add_content,
+    add_detections,
+    checked_stop,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from sqlalchemy import Connection
 
-    from cucumbervision.store.records import ArtifactRecord, CaptureRecord, DetectionRecord
+    from cucumbervision.store.records import DetectionRecord
 
 _STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
@@ -96,9 +92,9 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     --------
     >>> import tempfile
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision.store.records import CaptureRecord, DetectionRecord, RoundRecord
+    >>> from cucumbervision.store.records import CaptureRecord, DetectionRecord, Round
     >>> from cucumbervision.store.records import StopRecord, new_key
-    >>> walk, stop = RoundRecord(name="morning"), new_key()
+    >>> walk, stop = Round(name="morning"), new_key()
     >>> capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.31)),))
     >>> record = StopRecord(stop, walk.key, row="3", position_m=1.2, captures=(capture,))
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -133,7 +129,7 @@ class Store(Queries, Corrections, Merging):
     there.
     """
 
-    def save_round(self, record: RoundRecord) -> Saved:
+    def save_round(self, record: Round) -> Saved:
         """Add a round; the same one sent again changes nothing.
 
         Raises
@@ -143,12 +139,12 @@ class Store(Queries, Corrections, Merging):
         """
         record = replace(record, key=checked_key(record.key, "round"))
         with self.writing() as connection:
-            cells = with_hash(Round, {**_cells(record, ROUND_CELLS), "deleted": False})
-            if insert_new(connection, Round, cells, "key") is not None:
+            cells = with_hash(RoundLine, {**cells_by_name(record, ROUND_CELLS), "deleted": False})
+            if insert_new(connection, RoundLine, cells, "key") is not None:
                 return Saved.NEW
-            columns = columns_of(Round, ROUND_CELLS)
-            found = connection.execute(select(*columns).where(Round.key == record.key)).one()
-            first = RoundRecord(*found)
+            columns = columns_of(RoundLine, ROUND_CELLS)
+            found = connection.execute(select(*columns).where(RoundLine.key == record.key)).one()
+            first = Round(*found)
             if (name := original_name(connection, record.key)) is not None:
                 first = replace(first, name=name)
             if first != record:
@@ -169,12 +165,12 @@ class Store(Queries, Corrections, Merging):
             If its round is not there, a key is no UUID, two captures have one name or two fruit of
             a capture one number.
         """
-        stop = _checked_stop(stop)
+        stop = checked_stop(stop)
         sha256 = content_sha256(stop)
         with self.writing() as connection:
             round_id = round_id_of(connection, stop.round_key)
             cells = {
-                **_cells(stop, _STOP_CELLS),
+                **cells_by_name(stop, _STOP_CELLS),
                 "content_sha256": sha256,
                 "round_id": round_id,
                 "row_id": None if stop.row is None else row_id_of(connection, round_id, stop.row),
@@ -192,7 +188,7 @@ class Store(Queries, Corrections, Merging):
                 [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
                 for number, capture in enumerate(stop.captures)
             ]
-            _add_content(connection, stop_id, round_id, stop, keys)
+            add_content(connection, stop_id, round_id, stop, keys)
             seal_stops(connection, StopLine.id == stop_id)
         return Saved.NEW
 
@@ -225,7 +221,7 @@ class Store(Queries, Corrections, Merging):
         StoreError
             If the stop is not there.
         """
-        stop = _checked_stop(stop)
+        stop = checked_stop(stop)
         sha256 = content_sha256(stop)
         known = {now: key for key, now in same.items()}
         with self.writing() as connection:
@@ -240,7 +236,7 @@ class Store(Queries, Corrections, Merging):
                 ]
                 for number, capture in enumerate(stop.captures)
             ]
-            _add_content(connection, line.id, line.round_id, stop, keys)
+            add_content(connection, line.id, line.round_id, stop, keys)
             _carry_over(connection, old, corrected)
             cells = {"content_sha256": sha256, "failures": [dict(one) for one in stop.failures]}
             connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
@@ -292,125 +288,10 @@ class Store(Queries, Corrections, Merging):
             number = (connection.execute(highest).scalar() or 0) + 1
             key = key_of("fruit", stop_key, place, number)
             numbered = replace(record, number=number)
-            _add_detections(connection, capture_id, round_id, [key], [numbered])
+            add_detections(connection, capture_id, round_id, [key], [numbered])
             seal_stops(connection, StopLine.key == stop_key)
             mark_added(connection, key, by, accept="doubtful" not in record.flags.split())
         return key
-
-
-def _checked_stop(stop: StopRecord) -> StopRecord:
-    """Return a stop with its keys in canonical form."""
-    stop = replace(
-        stop,
-        key=checked_key(stop.key, "stop"),
-        round_key=checked_key(stop.round_key, "round"),
-    )
-    _check_once([capture.name for capture in stop.captures], stop.key, "captures are called")
-    for capture in stop.captures:
-        _check_once([fruit.number for fruit in capture.fruit], capture.name, "fruit have number")
-    return stop
-
-
-def _check_once(names: Sequence[object], source: str, what: str) -> None:
-    double = next((name for name in names if names.count(name) > 1), None)
-    if double is not None:
-        raise StoreError(f"two {what} {double}", source=source, remedy="give each its own")
-
-
-def _cells(record: Any, names: Sequence[str]) -> dict[str, Any]:
-    return {name: getattr(record, name) for name in names}
-
-
-def _add_content(
-    connection: Connection,
-    stop_id: int,
-    round_id: int,
-    stop: StopRecord,
-    keys: Sequence[Sequence[str]],
-) -> None:
-    """Add a stop's artifacts, captures and fruit; the fruit's keys by capture."""
-    _add_artifacts(connection, stop_id, stop.artifacts)
-    _add_images(connection, stop.captures)
-    for number, (capture, own) in enumerate(zip(stop.captures, keys, strict=True)):
-        capture_id = _add_capture(connection, stop_id, number, capture)
-        _add_detections(connection, capture_id, round_id, own, capture.fruit)
-
-
-def _add_artifacts(
-    connection: Connection, stop_id: int, artifacts: Sequence[ArtifactRecord]
-) -> None:
-    unique = ("kind", "name", "sha256")
-    # In one order for all, so that two writers never wait for each other in a circle.
-    ids = {
-        number: id_of(connection, Artifact, record_json(artifacts[number]), *unique)
-        for number in sorted(
-            range(len(artifacts)), key=lambda n: [getattr(artifacts[n], one) for one in unique]
-        )
-    }
-    lines = [
-        {"stop_id": stop_id, "number": number, "artifact_id": ids[number]} for number in sorted(ids)
-    ]
-    insert_all(connection, StopArtifact, lines)
-
-
-def _add_images(connection: Connection, captures: Sequence[CaptureRecord]) -> None:
-    refs = (ref for one in captures for ref in (one.color, one.depth, one.thumbnail))
-    images = {ref.sha256: ref for ref in refs if ref is not None}
-    for sha256 in sorted(images):
-        insert_new(connection, Image, vars(images[sha256]), "sha256")
-
-
-def _add_capture(connection: Connection, stop_id: int, number: int, capture: CaptureRecord) -> int:
-    refs = {"color": capture.color, "depth": capture.depth, "thumbnail": capture.thumbnail}
-    cells = {
-        **_cells(capture, CAPTURE_CELLS),
-        "camera": dict(capture.camera),
-        "provenance": dict(capture.provenance),
-        **{f"{name}_sha256": ref and ref.sha256 for name, ref in refs.items()},
-        "stop_id": stop_id,
-        "number": number,
-    }
-    line = insert(CaptureLine).values(**cells).returning(CaptureLine.id)
-    return connection.execute(line).scalar_one()
-
-
-def _add_detections(
-    connection: Connection,
-    capture_id: int,
-    round_id: int,
-    keys: Sequence[str],
-    records: Sequence[DetectionRecord],
-) -> None:
-    if not records:
-        return
-    lines = [
-        {
-            **detection_cells(record),
-            "key": key,
-            "capture_id": capture_id,
-            "round_id": round_id,
-        }
-        for key, record in zip(keys, records, strict=True)
-    ]
-    add = insert(DetectionLine).returning(DetectionLine.id, sort_by_parameter_order=True)
-    ids = connection.execute(add, lines).scalars().all()
-    masks = [
-        {"fruit_id": i, "rle": record.mask, "keypoints": [list(p) for p in record.keypoints]}
-        for i, record in zip(ids, records, strict=True)
-    ]
-    insert_all(connection, MaskLine, masks)
-    methods = [
-        {
-            **_cells(method, METHOD_CELLS),
-            "fruit_id": i,
-            "number": number,
-            "path_um": pack_um(method.path_m),
-            "diameter_um": pack_um(method.diameter_m),
-        }
-        for i, record in zip(ids, records, strict=True)
-        for number, method in enumerate(record.methods)
-    ]
-    insert_all(connection, MethodLine, methods)
 
 
 def _conflict(what: str, key: str) -> StoreConflictError:

@@ -76,7 +76,7 @@ class Base(DeclarativeBase):
     }
 
 
-class Round(Base):
+class RoundLine(Base):
     """One walk through a house."""
 
     __tablename__ = "rounds"

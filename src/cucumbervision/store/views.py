@@ -11,7 +11,7 @@ from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
     ImageRef,
-    RoundRecord,
+    Round,
     StopRecord,
 )
 
@@ -63,7 +63,7 @@ class Verdict(StrEnum):
 class RoundView:
     """A round and how much it holds: stops, detections of fruit, time of the last stop."""
 
-    record: RoundRecord
+    record: Round
     stops: int
     fruit: int
     last_s: float | None

@@ -2,7 +2,7 @@
 
 `FruitStream` measures one frame at a time with `Measurer`. Its fast form uses the detector's masks
 without SAM and pose network, and measures only the fruit of a frame that gain most: frames from one
-place add little information on a fruit (`track_length.FIXED`).
+place add little information on a fruit (`tracks.FIXED`).
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
 from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.streaming.track_length import TrackLength, same_place
-from cucumbervision.streaming.tracks import FrameView, Tracker, frame_view
+from cucumbervision.streaming.tracks import FrameView, Tracker, TrackLength, frame_view, same_place
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -131,6 +130,9 @@ class StreamedFrame:
     def capture(self) -> Capture:
         """The frame as it was measured."""
         return self.result.capture
+
+    def __repr__(self) -> str:
+        return f"<StreamedFrame {self.capture.name}: {list(self.result.fruit)}>"
 
     def as_json(self) -> dict[str, Any]:
         """Return the frame as a JSON object with the fields that have a value."""

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.accuracy.table import Table
-from cucumbervision.errors import MissingExtraError
 from cucumbervision_lab.benchmark.length_tables import comparable_readings, shown_methods
+from cucumbervision_lab.benchmark.records import require_extra
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -105,8 +105,9 @@ def write_report(
     Raises
     ------
     MissingExtraError
-        If Jinja2 is not installed.
+        As `require_extra`.
     """
+    require_extra()
     origin = {name: _plain_text(value) for name, value in (provenance or {}).items()}
     page = _template().render(
         title=title,
@@ -149,10 +150,8 @@ def _plain_text(value: object) -> str:
 
 
 def _template() -> Template:
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ModuleNotFoundError:
-        raise MissingExtraError("jinja2", "benchmark") from None
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(
         loader=PackageLoader("cucumbervision_lab.benchmark", "templates"),
         autoescape=True,
@@ -232,17 +231,9 @@ def method_style(method: str) -> tuple[str, str, str]:
 
 
 def new_figure(height_in: float) -> Figure:
-    """Return an empty figure with the width of the report.
+    """Return an empty figure with the width of the report."""
+    from matplotlib.figure import Figure
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        raise MissingExtraError("matplotlib", "benchmark") from None
     return Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, layout="constrained")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model, read_text
@@ -147,7 +148,7 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
     Raises
     ------
     MissingExtraError
-        If pandas is not installed.
+        As `require_extra`.
 
     Examples
     --------
@@ -159,10 +160,9 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
     0    a     M1      0.19           0.2       NaN
     1    a     M6       NaN           0.2       NaN
     """
-    try:
-        import pandas as pd
-    except ModuleNotFoundError:
-        raise MissingExtraError("pandas", "benchmark") from None
+    require_extra()
+    import pandas as pd
+
     rows = []
     for record in records:
         shared = {**vars(record), **record.details}
@@ -173,3 +173,16 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
         ]
     with wrap_reader_errors("the records", remedy="run the benchmark again"):
         return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))
+
+
+def require_extra() -> None:
+    """Check that the tools of tables and report are there.
+
+    Raises
+    ------
+    MissingExtraError
+        If one of them is not installed.
+    """
+    for name in ("pandas", "matplotlib", "jinja2"):
+        if find_spec(name) is None:
+            raise MissingExtraError(name, "benchmark")

@@ -36,6 +36,7 @@ def benchmark(
     masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
     from cucumbervision_lab.benchmark import run
+    from cucumbervision_lab.benchmark.records import require_extra
     from cucumbervision_lab.benchmark.report import (
         glance_table,
         paper_table,
@@ -43,6 +44,7 @@ def benchmark(
     )
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
+    require_extra()  # before an hour of measuring
     if learn_intervals is not None:
         from cucumbervision_lab.detection.learn_intervals import learn_intervals as learn
 

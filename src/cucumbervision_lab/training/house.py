@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.in_use import JUDGEMENT
-from cucumbervision.perception.registry import file_sha256
+from cucumbervision.perception.registry import JUDGEMENT, file_sha256
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.detection.outcomes import GroupScore, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos

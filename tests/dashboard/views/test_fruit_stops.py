@@ -17,7 +17,7 @@ from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
 from cucumbervision.rounds.merge_and_link import merge_round
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -62,7 +62,7 @@ def test_a_fruit_shows_the_tube_in_all_its_views(
         draw("left", number, tmp_path / "walk")
     path = tmp_path / "row.db"
     with open_store(path) as store:
-        store.save_round(RoundRecord(WALK, "walk"))
+        store.save_round(Round(WALK, "walk"))
         add_captures(store, WALK, [tmp_path / "walk"], OPTIONS)
         merge_round(store, WALK)
         measure_jointly(store, WALK)

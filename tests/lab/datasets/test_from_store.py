@@ -15,7 +15,7 @@ from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
     new_key,
@@ -50,7 +50,7 @@ def find(number: int, left: int) -> DetectionRecord:
 def store(tmp_path: Path) -> Iterator[Store]:
     with open_store(tmp_path / "house.db") as opened:
         for key in (WALK, LATER):
-            opened.save_round(RoundRecord(key, house="north"))
+            opened.save_round(Round(key, house="north"))
         yield opened
 
 

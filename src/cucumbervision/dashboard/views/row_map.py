@@ -24,14 +24,14 @@ from cucumbervision.dashboard.words import (
     step_words,
 )
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.fruit_context import around, least_sure_first
+from cucumbervision.rounds.fruit_table import around, least_sure_first
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cucumbervision.dashboard.round_tables import GradedRound
-    from cucumbervision.rounds.fruit_context import FruitContext, OtherDay
+    from cucumbervision.rounds.fruit_table import FruitContext, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 
 _ROWS_AT_ONCE = 4

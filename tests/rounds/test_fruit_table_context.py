@@ -7,20 +7,20 @@ import pytest
 
 from cucumbervision.measurement.result import Length
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.fruit_context import around, least_sure_first
+from cucumbervision.rounds.fruit_table import around, least_sure_first
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.row_fruit import FalseShare
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
-    RoundRecord,
+    Round,
     StopRecord,
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
-MONDAY = RoundRecord(key_of("monday"), "monday", "north", 1_700_000_000.0)
+MONDAY = Round(key_of("monday"), "monday", "north", 1_700_000_000.0)
 TUESDAY = replace(MONDAY, key=key_of("tuesday"), name="tuesday", started_s=1_700_000_000.0 + DAY_S)
 
 

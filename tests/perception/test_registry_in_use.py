@@ -10,9 +10,16 @@ from typer.testing import CliRunner
 
 from cucumbervision.cli.models import app
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.in_use import JUDGEMENT, undo_use, use_network, use_shipped
 from cucumbervision.perception.networks import NetworkLoader
-from cucumbervision.perception.registry import IN_USE, file_sha256, load_registry
+from cucumbervision.perception.registry import (
+    IN_USE,
+    JUDGEMENT,
+    file_sha256,
+    load_registry,
+    undo_use,
+    use_network,
+    use_shipped,
+)
 
 SHIPPED = load_registry(user=Path("/nowhere"))
 DETECTOR = SHIPPED.resolve("cucumber-seg")["network"]

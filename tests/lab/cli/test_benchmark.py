@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cucumbervision.cli.app import app
+from cucumbervision.errors import MissingExtraError
+
+
+def test_a_tool_that_is_missing_is_named_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    result = CliRunner().invoke(app, ["benchmark", "--quick", "--out", str(tmp_path / "out")])
+    assert isinstance(result.exception, MissingExtraError)
+    assert "matplotlib is not installed; pip install" in str(result.exception)
+    assert not (tmp_path / "out").exists()

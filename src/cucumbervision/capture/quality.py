@@ -1,4 +1,4 @@
-"""How good a frame's depth is, in a word and with advice, for who holds the camera."""
+"""Assess the depth quality of a frame, with advice for the camera operator."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class DepthQuality:
     Parameters
     ----------
     fill : float
-        Share of the picture's middle with a reading, 0 to 1.
+        Share of valid readings in the centre of the picture, 0 to 1.
     distance_m : float, optional
-        Of the nearest tenth of what is in the middle: the fruit, not what is behind them.
+        Distance of the nearest tenth of the centre, that is of the fruit, not the background.
     verdict : str
         'good', 'too-near', 'too-far', 'moving', 'poor' or 'none'.
     advice : str
-        What to do, in a few words.
+        Advice to the operator.
     """
 
     fill: float
@@ -42,7 +42,7 @@ class DepthQuality:
 
 
 def depth_quality(capture: Capture) -> DepthQuality:
-    """Return the quality of a frame's depth, judged by its middle and how far the picture moved.
+    """Return the depth quality of a frame from its centre and the motion of the picture.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""RealSense D4xx cameras: the SDK's aligned frames, live or played back, and bursts of them."""
+"""RealSense D4xx cameras: aligned frames and bursts, live or from a recording."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class AlignedFrame:
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     depth_m : ndarray of float32, shape (H, W)
-        Metres, 0 where there is no reading.
+        Metres; 0 for no reading.
     number : int
-        The colour stream's own frame number.
+        Frame number of the colour stream.
     timestamp_s : float, optional
-        Seconds since the epoch; None where the camera counts from its own start.
+        Seconds since the epoch; None if the camera's clock starts with the camera.
     """
 
     color: NDArray[np.uint8]
@@ -63,7 +63,7 @@ def burst_capture(
     place: object,
     **about: Any,
 ) -> Capture:
-    """Return the capture of a burst: `place` is named in errors, `about` is more of the capture.
+    """Fuse a burst to a capture; `place` is for error messages, `about` are further fields.
 
     Raises
     ------
@@ -83,18 +83,18 @@ def burst_capture(
 
 
 class AlignedStream:
-    """A started pipeline; a context manager that stops it on every way out.
+    """A running pipeline as a context manager.
 
     Parameters
     ----------
     configure : callable
-        Given the SDK module and its `config`, says what to stream.
+        Configures the streams, given the SDK module and its `config`.
     source : object
-        The file or camera, for errors.
+        The file or camera, for error messages.
     playback : bool
-        True for a recording: it is read as fast as it is taken, no frame is dropped.
+        True for a recording, which is then read without dropping frames.
     timeout_s : float
-        How long to wait for a frame.
+        Maximum time to wait for a frame.
     """
 
     def __init__(
@@ -126,12 +126,12 @@ class AlignedStream:
             self._configure(rs, config)
             device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
             self._pipeline, self._reached_s = pipeline, 0.0
-            # A recording may be played as if it were a camera; it is stopped as a recording.
+            # A recording played as a camera must be stopped like a recording.
             self._file = device.as_playback() if device.is_playback() else None
             self._playback = self._file if self._recorded else None
             if self._playback is not None:
-                # The SDK reads on as soon as its first sensor has started, and drops what the
-                # others should have had. Paused, it waits until all of them have.
+                # The SDK starts reading with the first sensor and drops frames of the others. Pause
+                # the playback until all sensors have started.
                 self._playback.set_real_time(False)
                 self._playback.pause()
             self._read_profile(pipeline.start(config))
@@ -146,9 +146,9 @@ class AlignedStream:
         return self
 
     def _play(self) -> None:
-        # Waits until the sensors have started: from then on 'stopped' means the file's end.
+        # Wait until the sensors have started; afterwards 'stopped' means the end of the file.
         self._playback.pause()
-        # This returns only when frames are taken, so it must not be waited for.
+        # This returns only when frames are read, so it must not block.
         self._resuming = threading.Thread(target=self._playback.resume, daemon=True)
         self._resuming.start()
 
@@ -156,10 +156,9 @@ class AlignedStream:
         self.close()
 
     def close(self) -> None:
-        """Stop the pipeline and let its threads end; harmless when it is not running."""
+        """Stop the pipeline and its threads, if it is running."""
         if self._pipeline is not None:
-            # A camera that was unplugged cannot be stopped, only let go; nor can one that
-            # never started.
+            # A camera that was unplugged or never started cannot be stopped, only released.
             with contextlib.suppress(RuntimeError):
                 self._pipeline.stop()
         if self._resuming is not None:
@@ -171,7 +170,7 @@ class AlignedStream:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """The colour stream's, at the size that is streamed; once it is open."""
+        """Intrinsics of the colour stream at the streamed size, once it is open."""
         self._require_open()
         return self._intrinsics
 
@@ -184,14 +183,14 @@ class AlignedStream:
             )
 
     def read(self) -> AlignedFrame | None:
-        """Return the next frame that has both pictures; None at a recording's end.
+        """Return the next frame with both pictures; None at the end of a recording.
 
         Raises
         ------
         CameraError
-            If a camera sends nothing in time, or is gone.
+            If a camera sends no frame in time or is disconnected.
         CaptureError
-            If a recording breaks off.
+            If a recording is truncated.
         """
         self._require_open()
         deadline_s = time.monotonic() + self._timeout_s
@@ -199,7 +198,7 @@ class AlignedStream:
             try:
                 self._note_position()
                 arrived, frames = self._pipeline.try_wait_for_frames(_STEP_MS)
-                # The first sets may hold one picture only.
+                # The first frame sets may contain only one picture.
                 if arrived and frames.get_color_frame() and frames.get_depth_frame():
                     return self._convert(frames)
                 if not arrived and self._is_over():
@@ -207,7 +206,7 @@ class AlignedStream:
             except RuntimeError as error:
                 raise self._fault(error) from None
             if arrived and self._recorded:
-                # A recording may have a long part of one stream only; it comes to an end.
+                # A recording may contain a long section of only one stream, but it ends.
                 deadline_s = time.monotonic() + self._timeout_s
         if self._recorded:
             raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
@@ -219,7 +218,7 @@ class AlignedStream:
 
     def _note_position(self) -> None:
         if self._playback is not None:
-            # Falls back to 0 once the last frame is in the queue.
+            # The position is reset to 0 when the last frame is in the queue.
             self._reached_s = max(self._reached_s, self._playback.get_position() / 1e9)
 
     def _is_over(self) -> bool:
@@ -227,7 +226,7 @@ class AlignedStream:
             return False
         if self._playback.current_status() != self._rs.playback_status.stopped:
             return False
-        # The SDK ends playback without a word where it can no longer read the file.
+        # The SDK ends playback silently if it cannot read the rest of the file.
         length_s = self._playback.get_duration().total_seconds()
         if length_s - self._reached_s > _TAIL_S:
             raise CaptureError(
@@ -254,7 +253,7 @@ class AlignedStream:
             *pinhole, Stream.COLOR, self._lens_model(lens), (k1, k2, p1, p2, k3)
         )
         self._device = device = profile.get_device()
-        # The SDK holds it in single precision: 0.0010000000475 is 0.001.
+        # The SDK uses single precision: 0.0010000000475 is 0.001.
         scale = device.first_depth_sensor().get_depth_scale()
         self._unit_m = float(f"{scale:.6g}")
         self.device = {
@@ -285,7 +284,7 @@ class AlignedStream:
         aligned = self._align.process(frames)
         color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
         raw = np.asanyarray(depth.get_data())
-        # Hardware clocks count from the camera's start.
+        # Hardware clocks start with the camera.
         epoch = color.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock
         return AlignedFrame(
             self._rgb(color),
@@ -307,7 +306,7 @@ class AlignedStream:
             "uyvy": cv2.COLOR_YUV2RGB_UYVY,
         }
         if name == "rgb8":
-            # The SDK takes its buffer back.
+            # Copy, because the SDK reuses its buffer.
             return np.array(data, dtype=np.uint8)
         if name not in codes:
             raise CaptureError(
@@ -328,10 +327,10 @@ class AlignedStream:
 
 
 def _finish_reading(file: Any) -> None:
-    # Freed while its reading thread has still work, the SDK's playback (2.59) crashes the process:
-    # work that the thread has taken from its queue, but not begun, is done on what is gone
-    # (`dispatcher::stop`, called by `~playback_device`). `pause` returns when all that was queued
-    # before is done; the second time that includes what the first lot queued itself.
+    # SDK 2.59 crashes if the playback is destroyed while its reader thread has pending work: tasks
+    # taken from the queue run on destroyed objects (`dispatcher::stop`, called by
+    # `~playback_device`). `pause` returns when all queued tasks are done; the second call includes
+    # tasks queued by earlier tasks.
     for _ in range(2):
         with contextlib.suppress(RuntimeError):
             file.pause()
@@ -348,25 +347,25 @@ def play_file(path: Path) -> Callable[[Any, Any], None]:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """What to stream.
+    """Streaming options of a camera.
 
     Parameters
     ----------
     serial : str, optional
-        The camera's serial number; without it the first one found.
+        Serial number; by default the first camera found.
     width, height : int
         Size of both streams, pixels.
     fps : int
-        Frames a second.
+        Frames per second.
     burst : int
-        Frames fused to one capture.
+        Number of frames per capture.
     warm_up : int
-        Frames thrown away at the start, while exposure settles.
+        Number of frames dropped at the start, while exposure settles.
     timeout_s : float
-        How long to wait for a frame.
+        Maximum time to wait for a frame.
     playback : Path, optional
-        A recording to play through the same driver in place of a camera; size, rate and serial
-        are then the recording's.
+        Recording to play instead of a camera; size, rate and serial number are then those of the
+        recording.
     settings : CameraSettings
         Exposure and presets; not for recordings.
     """
@@ -388,7 +387,7 @@ class CameraConfig:
             raise ValueError("timeout_s must be positive")
 
 
-_STALE_S, _QUEUED = 0.5, 2  # after such a pause, so many frames are old ones of the SDK's queue
+_STALE_S, _QUEUED = 0.5, 2  # pause after which the queued frames of the SDK are dropped
 
 
 class RealSenseCamera(AlignedStream):
@@ -397,12 +396,12 @@ class RealSenseCamera(AlignedStream):
     Parameters
     ----------
     config : CameraConfig, optional
-        What to stream.
+        Streaming options.
 
     Raises
     ------
     CameraError
-        On entering, if there is no such camera, or it is in use.
+        On entering, if the camera is not available or in use.
     MissingExtraError
         On entering, if pyrealsense2 is not installed.
     """
@@ -431,29 +430,29 @@ class RealSenseCamera(AlignedStream):
         return self
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
-        """Take a burst and fuse it to one capture.
+        """Capture a burst and fuse it.
 
         Parameters
         ----------
         name : str, optional
-            What to call it; by default 'capture_' and its first frame's number.
+            Name; by default 'capture_' and the number of its first frame.
         stop : Stop, optional
-            Where it is taken.
+            Position in the greenhouse.
 
         Returns
         -------
         Capture
-            `frame` is the camera's own number of the burst's first frame.
+            Capture whose `frame` is the camera's number of the first frame.
 
         Raises
         ------
         CameraError
-            If the camera is not open, sends nothing in time, or the played recording is over.
+            If the camera is not open, sends no frame in time, or the played recording has ended.
         DepthError
             If no pixel of the burst has a reading between 0.1 and 5 m.
         """
         if self.config.playback is None and time.monotonic() - self._taken_s > _STALE_S:
-            for _ in range(_QUEUED):  # what waited here was taken before it was asked for
+            for _ in range(_QUEUED):  # queued frames were captured before this call
                 self._next_frame()
         frames = [self._next_frame() for _ in range(self.config.burst)]
         self._taken_s = time.monotonic()

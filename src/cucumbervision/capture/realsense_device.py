@@ -1,4 +1,4 @@
-"""RealSense devices: the SDK itself, which cameras there are, and their settings."""
+"""RealSense devices: importing the SDK, listing cameras, and camera settings."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from cucumbervision.errors import CameraError, MissingExtraError
 
 
 def import_realsense() -> Any:
-    """Import pyrealsense2, or say in one line what is missing.
+    """Import pyrealsense2.
 
     Raises
     ------
     MissingExtraError
         If the package is not installed.
     CameraError
-        If it is, but the system lacks libusb.
+        If libusb is missing.
     """
     try:
         import pyrealsense2
@@ -31,7 +31,7 @@ def import_realsense() -> Any:
 
 
 def camera_fault(error: RuntimeError, source: object) -> CameraError:
-    """Name what the SDK says of a camera."""
+    """Convert an error of the SDK."""
     text = str(error)
     if "No device" in text:
         return CameraError(
@@ -54,12 +54,12 @@ def camera_fault(error: RuntimeError, source: object) -> CameraError:
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A camera that is plugged in.
+    """A connected camera.
 
     Parameters
     ----------
     name, serial, firmware, usb : str
-        As the SDK gives them; empty where it does not know. `usb` is '3.2' for a USB 3 port.
+        Values from the SDK; empty if unknown. `usb` is '3.2' for a USB 3 port.
     """
 
     name: str
@@ -69,19 +69,19 @@ class FoundCamera:
 
 
 def list_cameras(context: Any = None) -> list[FoundCamera]:
-    """Return the RealSense cameras that are plugged in.
+    """Return the connected RealSense cameras.
 
     Parameters
     ----------
     context : pyrealsense2.context, optional
-        Where to look; a new one by default.
+        SDK context; by default a new one.
 
     Raises
     ------
     MissingExtraError
         If pyrealsense2 is not installed.
     CameraError
-        If the SDK cannot look.
+        If the SDK fails.
     """
     rs = import_realsense()
     info = rs.camera_info
@@ -98,19 +98,18 @@ def list_cameras(context: Any = None) -> list[FoundCamera]:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """How a camera exposes and matches; what is None stays as the camera has it.
+    """Exposure and preset of a camera; None keeps the current setting.
 
     Parameters
     ----------
     preset : str, optional
-        Name of the depth camera's preset, as the SDK has it: 'high_accuracy', 'high_density',
-        'medium_density', 'hand', 'default'.
+        Name of the depth preset in the SDK: 'high_accuracy', 'high_density', 'medium_density',
+        'hand', 'default'.
     exposure_us, gain : float, optional
-        Of the colour camera, microseconds and the sensor's own steps; its automatic exposure is
-        switched off, or on again by an exposure of 0. In the SDK's units a colour exposure is a
-        hundred microseconds.
+        Exposure in microseconds and gain of the colour camera, which disable automatic exposure; an
+        exposure of 0 enables it.
     depth_exposure_us, depth_gain : float, optional
-        The same of the depth camera.
+        The same for the depth camera.
     laser_mw : float, optional
         Power of the projector, milliwatts; 0 switches it off.
     """
@@ -123,11 +122,11 @@ class CameraSettings:
     laser_mw: float | None = None
 
 
-_COLOR_STEP_US = 100.0  # of a D4xx's colour exposure
+_COLOR_STEP_US = 100.0  # unit of the colour exposure in the SDK
 
 
 def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: object) -> None:
-    """Set what is asked for, each within the range that the camera names.
+    """Apply camera settings after checking their ranges.
 
     Parameters
     ----------
@@ -136,21 +135,21 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
     device : pyrealsense2.device
         The camera.
     settings : CameraSettings
-        What to set.
+        Settings to apply.
     source : object
-        What errors call the camera.
+        The camera, for error messages.
 
     Raises
     ------
     CameraError
-        If the camera does not have the setting, or the value is out of its range.
+        If the camera does not support a setting, or a value is out of range.
     """
     depth, color, o = "Stereo Module", "RGB Camera", rs.option
     automatic = None if settings.exposure_us is None else float(settings.exposure_us == 0)
     exposure = settings.exposure_us / _COLOR_STEP_US if settings.exposure_us else None
     power = settings.laser_mw
     wanted = (
-        # A preset sets the depth camera's other options too, so it comes first.
+        # Apply the preset first, because it also changes other depth options.
         (depth, o.visual_preset, _preset(rs, settings.preset, source)),
         (color, o.enable_auto_exposure, automatic),
         (color, o.exposure, exposure),

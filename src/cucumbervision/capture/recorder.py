@@ -1,4 +1,4 @@
-"""Captures from a live camera into folders: one at each signal, each whole or not at all."""
+"""Record captures of a live camera to folders, one per trigger."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Walk:
-    """Where captures are taken: the first place, and how far it is to the next.
+    """Positions of consecutive captures along a row.
 
     Parameters
     ----------
     row, side : str, optional
-        Row in the house, and its side.
+        Row in the greenhouse, and its side.
     position_m : float, optional
-        Of the first capture along the row.
+        Position of the first capture along the row.
     step_m : float
-        From one to the next.
+        Distance between captures.
 
     Examples
     --------
@@ -45,23 +45,23 @@ class Walk:
     step_m: float = 0.0
 
     def stop(self, number: int) -> Stop:
-        """Return the place of a capture, counted from 0."""
+        """Return the position of a capture, counted from 0."""
         at_m = None if self.position_m is None else round(self.position_m + number * self.step_m, 4)
         return Stop(self.row, self.side, at_m, number + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A capture that was written.
+    """A recorded capture.
 
     Parameters
     ----------
     capture : Capture
-        As it was written.
+        The capture.
     path : Path
         Its `capture.json`.
     quality : DepthQuality
-        How good its depth is, and what to do better.
+        Its depth quality with advice.
     """
 
     capture: Capture
@@ -78,35 +78,35 @@ def record_captures(
     name: str = "capture",
     retries: int = 0,
 ) -> Iterator[Recorded | CucumberVisionError]:
-    """Write a capture at each signal.
+    """Record a capture for each trigger signal.
 
-    A camera that is gone is opened again, and the capture then taken. A capture's `capture.json`
-    is written last: one that breaks off is none, and its number is not used again.
+    A disconnected camera is reconnected before the capture is taken. `capture.json` is written
+    last, so an interrupted write leaves no capture; its number is not reused.
 
     Parameters
     ----------
     open_camera : callable
-        Makes the camera; it is open from the first signal on.
+        Creates the camera, which is opened at the first signal.
     out : Path
-        Gets a folder a capture, `NAME_0001` and so on after the last that is there.
+        Folder for the captures, numbered `NAME_0001` and so on after existing ones.
     signals : iterable
-        When to take one: a key, a clock, a trigger of a robot. The recording ends with them.
+        Trigger signals, such as keys, a clock or a robot. The recording ends with them.
     walk : Walk, optional
-        Where they are taken.
+        Positions of the captures.
     name : str
-        What the captures are called.
+        Base name of the captures.
     retries : int
-        How often in a row a camera that is gone is opened again.
+        Maximum number of consecutive attempts to reconnect.
 
     Yields
     ------
     Recorded or CucumberVisionError
-        What was written, or why a capture was not; the next is tried all the same.
+        A recorded capture, or the error of a failed one, after which recording continues.
 
     Raises
     ------
     CameraError
-        If there is no camera, or it does not come back.
+        If the camera is not available or cannot be reconnected.
     """
     walk, name = walk or Walk(), safe_name(name)
     number, taken = _last_number(out, name), 0

@@ -1,4 +1,4 @@
-"""What every reader gives: captures by name, each loaded on demand; where the bundled ones are."""
+"""Sources of captures that are loaded on demand, and the bundled examples."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a user says about a source beyond its path.
+    """Options for reading a source.
 
     Parameters
     ----------
     intrinsics : Path, optional
-        An intrinsics file, used in place of the source's own calibration once the guard has let
-        it pass; needed where the source has none.
+        Intrinsics file that replaces the intrinsics of the source if it passes the check; required
+        if the source has none.
     depth : Path, optional
-        The depth picture, for a pair given as two files.
+        Depth picture, for a pair given as two files.
     depth_unit_m : float, optional
-        Metres of one depth step; by default what the source says, else 0.001 for whole numbers
-        and 1 for floats.
+        Metres per depth step; by default that of the source, otherwise 0.001 for integers and 1 for
+        floats.
     burst : int
-        Frames fused to one capture, for recordings.
+        Number of frames per capture, for recordings.
 
     Examples
     --------
@@ -65,16 +65,16 @@ class ReadOptions:
 
 @dataclass
 class Folder:
-    """The names of the files below a path that no reader has taken yet.
+    """Names of the files below a path that no reader has used yet.
 
     Parameters
     ----------
     path : Path
         The folder.
     files : dict of str to list of str
-        Names by the folder that they are in, relative to `path`; '' is the path itself.
+        Names by folder relative to `path`; '' is the path itself.
     faults : list of CaptureError
-        Folders that may not be read.
+        Errors of unreadable folders.
 
     Examples
     --------
@@ -92,12 +92,12 @@ class Folder:
     faults: list[CaptureError] = field(default_factory=list)
 
     def add(self, name: str) -> None:
-        """Add a file by its name relative to the path, with slashes."""
+        """Add a file by its name relative to the path."""
         at, _, own = name.rpartition("/")
         self.files.setdefault(at, []).append(own)
 
     def take(self, head: str, *inside: str) -> dict[str, dict[str, list[str]]]:
-        """Take a file `head` wherever it is, with all files of the folders that are named in it."""
+        """Remove and return all files `head`, with the files of the subfolders `inside`."""
         found = [at for at, names in self.files.items() if head in names]
         for at in found:
             self.files[at].remove(head)
@@ -107,7 +107,7 @@ class Folder:
         }
 
     def kinds(self) -> str:
-        """Return how many files there are of the most frequent kinds, in words."""
+        """Return the number of files of the most frequent types as text."""
         counts = Counter(Path(name).suffix.lower() or "other" for name in self)
         return ", ".join(f"{n} {kind}" for kind, n in counts.most_common(5)) or "no file"
 
@@ -118,23 +118,21 @@ class Folder:
 
 @dataclass(frozen=True)
 class CaptureRef:
-    """One capture of a source, not read yet.
+    """A capture of a source that is loaded on demand.
 
     Parameters
     ----------
     name : str
-        Unique within the source and fit for file names.
+        Name, unique within the source and valid in file names.
     frame : int
-        The source's own number: BOP image id, recording frame.
+        Number in the source: BOP image id, recording frame.
     load : callable
-        Reads the capture; raises a `CucumberVisionError` if this one is broken, which says
-        nothing about the others.
+        Loads the capture; raises a `CucumberVisionError` if it is broken.
     at : str
-        Where it lies: the same for the same capture, however it was reached; empty where there is
-        no such place.
+        Canonical location of the capture, empty if there is none.
     parts : callable, optional
-        Lists what it is read from, files and bytes, so that its content can be hashed without
-        reading pixels; None where only loading would tell.
+        Lists the files and bytes of the capture, for hashing without decoding; None if unknown
+        without loading.
     """
 
     name: str
@@ -146,18 +144,18 @@ class CaptureRef:
 
 @dataclass(frozen=True)
 class CaptureSource:
-    """A path that holds captures.
+    """A source of captures.
 
     Parameters
     ----------
     path : Path
-        What the user named.
+        Path given by the user.
     kind : str
-        The reader: 'native', 'bop', 'pair', 'viewer' or 'recording'.
+        Format: 'native', 'bop', 'pair', 'viewer' or 'recording'.
     refs : callable
-        Starts an iterator over the captures.
+        Returns an iterator over the captures.
     total : int, optional
-        How many there are, for a progress bar; None where only reading would tell.
+        Number of captures, for a progress bar; None if unknown without reading.
 
     Examples
     --------
@@ -172,22 +170,22 @@ class CaptureSource:
     total: int | None = None
 
     def __iter__(self) -> Iterator[CaptureRef]:
-        """Iterate over the captures, in the source's order."""
+        """Iterate over the captures in the order of the source."""
         return self.refs()
 
     @classmethod
     def listed(cls, path: Path, kind: str, parts: Iterable[Listed]) -> CaptureSource:
-        """Return the source of captures that are known beforehand.
+        """Create a source of captures that are known in advance.
 
         Parameters
         ----------
         path : Path
-            What the user named.
+            Path given by the user.
         kind : str
-            The reader.
+            Format.
         parts : iterable of (str, int, callable, Path, callable)
-            Each capture's name, which is made fit and unique, its frame, what reads it when it is
-            given that name, where it lies, and what it is read from, as in `CaptureRef`.
+            Name (made valid and unique), frame, loader that takes the name, location and parts of
+            each capture; see `CaptureRef`.
 
         Examples
         --------
@@ -203,15 +201,15 @@ class CaptureSource:
 
 
 def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called as any loader
-    """Raise an error that was kept until its capture's turn."""
+    """Raise a deferred error."""
     raise error
 
 
-_LONGEST_NAME = 200  # bytes; leaves room for a number and a suffix
+_LONGEST_NAME = 200  # bytes; leaves space for a number and a suffix
 
 
 def safe_name(text: str) -> str:
-    """Make a name that is fit for a file name on every system: letters of any alphabet stay.
+    """Return a name that is valid in file names on every system; keeps letters of any script.
 
     Examples
     --------
@@ -224,7 +222,7 @@ def safe_name(text: str) -> str:
     >>> len(safe_name("x" * 300)), safe_name("x" * 300) == safe_name("x" * 301)
     (200, False)
     """
-    # Marks belong to the letters before them: Hindi has half of its vowels as such.
+    # Keep combining marks, which are vowels in Hindi.
     kept = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
     name = re.sub("_+", "_", "".join(kept)).strip("._") or "capture"
     if len(name.encode()) <= _LONGEST_NAME:
@@ -235,9 +233,9 @@ def safe_name(text: str) -> str:
 
 
 def unique_name(name: str, taken: set[str]) -> str:
-    """Return a name with a number if it was there before, and take it.
+    """Return a unique name by appending a number if necessary, and add it to `taken`.
 
-    Letter case makes no difference: some systems have none in file names.
+    Case-insensitive, because some file systems are.
 
     Examples
     --------
@@ -254,7 +252,7 @@ def unique_name(name: str, taken: set[str]) -> str:
 
 
 def example_captures() -> Path:
-    """Return the folder of the captures that come with the package.
+    """Return the folder of the bundled captures.
 
     Examples
     --------

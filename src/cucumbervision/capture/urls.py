@@ -1,4 +1,4 @@
-"""Places that hold files: folders of this machine, and stores on the network named by a URL."""
+"""Paths of local folders and of remote stores given by a URL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_SAID_S = 2.0  # of shorter waits nothing is said
+_SAID_S = 2.0  # shorter waits are not logged
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 32.0)
 _FINAL = (
     FileNotFoundError,
@@ -29,7 +29,7 @@ Result = TypeVar("Result")
 
 
 def as_path(place: Path | str) -> Path:
-    """Return what reads and writes at a place.
+    """Return a path object for a path or URL.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def as_path(place: Path | str) -> Path:
     Returns
     -------
     Path
-        Of a URL an object with a path's methods (`upath.UPath`), though no `pathlib.Path`.
+        For a URL, a `upath.UPath`, which has the methods of a path but is not a `pathlib.Path`.
 
     Raises
     ------
     MissingExtraError
-        If a URL is named without the extra 'remote', or without what its protocol needs.
+        If the extra 'remote' or a package for the protocol is not installed.
     CucumberVisionError
-        If no protocol is called so.
+        If the protocol is unknown.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def as_path(place: Path | str) -> Path:
         from upath import UPath
 
         found = UPath(place)
-        _ = found.fs  # loads what the protocol needs
+        _ = found.fs  # imports the package of the protocol
     except ImportError as error:
         raise MissingExtraError(error.name or str(error), "remote") from None
     except ValueError as error:
@@ -76,28 +76,28 @@ def as_path(place: Path | str) -> Path:
 
 
 def is_remote(place: object) -> bool:
-    """Return whether a place is a store on the network, as `as_path` returns it."""
+    """Return whether a path from `as_path` is remote."""
     return not isinstance(place, str | Path)
 
 
 def with_retries(
     place: Path, call: Callable[[], Result], waits_s: Sequence[float] = _WAITS_S
 ) -> Result:
-    """Call what reads or writes at a place; a store that does not answer is asked again.
+    """Call a function that accesses a path; retry if a remote store does not respond.
 
     Parameters
     ----------
     place : Path
-        As `as_path` returns it; what fails on this machine fails at once.
+        Path from `as_path`; local errors are not retried.
     call : callable
-        Reads or writes; may be called again.
+        Function to call, possibly repeatedly.
     waits_s : sequence of float
-        Seconds between the attempts: a store may be gone for a minute and a half.
+        Seconds between the attempts.
 
     Raises
     ------
     OSError
-        If the store says no, or does not answer at last.
+        If the store reports an error, or does not respond to the last attempt.
     """
     if not is_remote(place):
         return call()
@@ -106,7 +106,7 @@ def with_retries(
             return call()
         except _FINAL:
             raise
-        # Each protocol has a family of errors of its own.
+        # Each protocol has its own exception classes.
         except Exception as error:
             if wait_s is None:
                 said = f"the store does not answer ({type(error).__name__}: {error})"
@@ -115,4 +115,4 @@ def with_retries(
                 fault = f"does not answer ({type(error).__name__})"
                 _log.warning("%s: %s; asked again in %g s", place, fault, wait_s)
             time.sleep(wait_s)
-    raise AssertionError  # the last wait is None
+    raise AssertionError  # unreachable: the last wait is None

@@ -1,4 +1,4 @@
-"""One reader a kind of capture, each found by the names of files."""
+"""Readers of captures, one per format, selected by file names."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ READERS = {
     "viewer": find_snapshots,
     "pair": find_pairs,
 }
-"""What finds captures in a folder, by kind; a file that one takes is not seen by the next."""
+"""Functions that find captures in a folder, by format; each file is used by one reader only."""
 
 _REMEDY = (
     "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
@@ -55,7 +55,7 @@ _REMEDY = (
 
 
 def open_source(path: Path | str, options: ReadOptions | None = None) -> CaptureSource:
-    """Open whatever holds captures.
+    """Open a source of captures.
 
     Parameters
     ----------
@@ -64,17 +64,17 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
         finds captures, one colour picture with `options.depth`, an `.npz` with colour and depth,
         or, on this machine, a `.bag` or `.db3` recording.
     options : ReadOptions, optional
-        What the user says beyond the path.
+        Intrinsics, depth picture, depth unit and burst length.
 
     Returns
     -------
     CaptureSource
-        The captures, not read yet; after them, as captures that fail, what could not be opened.
+        The captures, read on demand; files that cannot be opened follow as failing captures.
 
     Raises
     ------
     CaptureError
-        If the path is missing, holds nothing that a reader knows, or nothing of it can be read.
+        If the path is missing, has no known format, or cannot be read at all.
     """
     path = as_path(path)
     options = options or ReadOptions()
@@ -85,7 +85,7 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
 
 
 def _open_or_error(path: Path, options: ReadOptions) -> CaptureSource | CaptureError:
-    # What a reader refuses is an answer, which is not asked for again.
+    # Errors of readers are returned, not raised, so that they are not retried.
     try:
         return _open(path, options)
     except CaptureError as error:
@@ -105,7 +105,7 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
         return open_recording(path, options)
     if path.name == MANIFEST and path.is_file():
         path = path.parent
-    # On a web server a folder's list is a file, too.
+    # On a web server, the listing of a folder is also a file.
     if path.is_file() and (path.suffix or not is_remote(path)):
         return open_pair_file(path, options)
     if not is_remote(path) and not path.is_dir():
@@ -134,13 +134,13 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
 
 
 def find_captures(folder: Folder) -> dict[str, Opener]:
-    """Return what opens the captures of a folder, by kind; `folder` keeps what none takes."""
+    """Return the openers of a folder's captures by format; `folder` keeps the unused files."""
     found = {kind: find(folder) for kind, find in READERS.items()}
     return {kind: opener for kind, opener in found.items() if opener is not None}
 
 
 def list_folder(path: Path) -> Folder:
-    """Return the names of all files below a path; folders that may not be read are faults."""
+    """Return the names of all files below a path; unreadable folders are listed as faults."""
     folder = Folder(path)
     if is_remote(path):
         store = path.fs  # type: ignore[attr-defined] # a `upath.UPath`
@@ -155,7 +155,7 @@ def list_folder(path: Path) -> Folder:
             CaptureError(fault, source=error.filename, remedy="check who may read it")
         )
 
-    # A link may lead to a folder that was seen, or around the path itself.
+    # Links may lead to visited folders or form a cycle.
     seen = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
         at = Path(place).relative_to(path)

@@ -37,7 +37,7 @@ class _FrameCamera(BaseModel):
 
 
 def find_scenes(folder: Folder) -> Opener | None:
-    """Find BOP scenes; the user's intrinsics replace `cam_K`, a depth unit `depth_scale`."""
+    """Find BOP scenes; given intrinsics replace `cam_K`, a given depth unit `depth_scale`."""
     found = folder.take(SCENE_CAMERAS, *_PARTS)
     return partial(_open_scenes, folder.path, found) if found else None
 
@@ -73,9 +73,9 @@ def _scene(
                 "is no object of image ids", source=scene / SCENE_CAMERAS, remedy="correct the file"
             )
     except CaptureError as error:
-        # The other scenes of a data set still load.
+        # Other scenes of the data set can still be loaded.
         fault = error
-    # A mask or depth picture without its colour picture is a broken frame, not none.
+    # A mask or depth picture without a colour picture is reported as a broken frame.
     for image in sorted(set().union(*files.values())):
         own = {kind: found.get(image, []) for kind, found in files.items()}
         said = None if fault else cameras.get(str(image))
@@ -92,7 +92,7 @@ def _scene(
 def _read_from(
     files: dict[str, list[Path]], camera: Any, given: CameraFile | None
 ) -> list[Path | bytes]:
-    """Return what a frame is read from: of the scene's cameras its own alone."""
+    """Return the inputs of a frame, including only its own camera entry."""
     beside = [] if given is None else [given.path]
     pictures = files["rgb"][:1] + files["depth"][:1] + files["mask_visib"]
     return [json.dumps(camera).encode(), *pictures, *beside]

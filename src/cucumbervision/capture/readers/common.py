@@ -1,4 +1,4 @@
-"""What the readers share: the user's intrinsics, and one frame from its files."""
+"""Shared functions of the readers: choose intrinsics, and build a capture from files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
 
-_MIDDLE = 0.3  # where a principal point is at least, of the picture's width and height
+_MIDDLE = 0.3  # minimum relative position of the principal point
 
 
 def choose_intrinsics(
@@ -31,13 +31,13 @@ def choose_intrinsics(
     *,
     source: object,
 ) -> Intrinsics:
-    """Return the user's intrinsics if they pass the guard, else the source's own.
+    """Return the given intrinsics if they pass the check, otherwise those of the source.
 
     Raises
     ------
     IntrinsicsError
-        If what is to be used belongs to another stream or size, with the scale error that it
-        would cause; or if there are none at all.
+        If the intrinsics belong to another stream or size, with the scale error that they would
+        cause; or if there are none.
     """
     if given is not None:
         camera = given.intrinsics
@@ -58,7 +58,7 @@ def choose_intrinsics(
 
 
 def no_intrinsics(source: object) -> CaptureError:
-    """Return the error for a source that carries no calibration when the user names none."""
+    """Return the error for a source without intrinsics."""
     return IntrinsicsError(
         "carries no camera intrinsics, without which pixels have no lengths",
         source=source,
@@ -67,12 +67,12 @@ def no_intrinsics(source: object) -> CaptureError:
 
 
 def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path) -> None:
-    """Refuse a depth picture of another size than its colour picture.
+    """Raise an error if the sizes of depth and colour picture differ.
 
     Raises
     ------
     CaptureError
-        Naming both sizes.
+        If the sizes differ.
     """
     if color.shape[:2] != depth.shape[:2]:
         raise CaptureError(
@@ -94,36 +94,36 @@ def frame_capture(
     depth_camera: Intrinsics | None = None,
     **about: Any,
 ) -> Capture:
-    """Return the capture of a colour picture and its depth.
+    """Create a capture from a colour and a depth picture.
 
-    Depth is brought into the colour picture if the calibration says that it is not there yet: one
-    with both `depth` and `depth_to_color` does; else depth must have the colour picture's size.
+    Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`; otherwise
+    depth must have the size of the colour picture.
 
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
     read_raw : callable
-        Reads the depth picture's numbers, shape (h, w), once the intrinsics have passed.
+        Reads the raw depth values, shape (h, w), after the intrinsics have been checked.
     own : Intrinsics, optional
-        The source's.
+        Intrinsics of the source.
     given : CameraFile, optional
-        The user's.
+        Intrinsics given by the user.
     unit_m : float, optional
-        Metres of one depth step, where the user says it.
+        Metres per depth step, if given by the user.
     source, depth_source : Path
-        The files, for errors.
+        The files, for error messages.
     depth_camera : Intrinsics, optional
-        The depth camera's, where the user's file does not have them.
+        Intrinsics of the depth camera, if not in the user's file.
     **about
-        More of the `Capture`.
+        Further fields of `Capture`.
 
     Raises
     ------
     CaptureError
-        If sizes disagree, or depth has no valid reading.
+        If sizes differ, or depth has no valid reading.
     IntrinsicsError
-        As `choose_intrinsics` raises it.
+        See `choose_intrinsics`.
     """
     height, width = color.shape[:2]
     intrinsics = choose_intrinsics(own, given, width, height, source=source)

@@ -1,4 +1,4 @@
-"""The project's own capture folder, read and written: `capture.json`, pictures and masks."""
+"""Read and write native capture folders: `capture.json`, pictures and masks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MASKS = "mask_visib"
 
 
 def _inside(name: str) -> str:
-    # A capture folder may come from anyone; it must not name files elsewhere.
+    # Capture folders may be untrusted, so file names must not leave the folder.
     if PureWindowsPath(name).is_absolute() or name.startswith(("/", "\\")) or ".." in name:
         raise ValueError("must be a file in the capture's folder")
     return name
@@ -61,7 +61,7 @@ class _Frame(StrictModel):
 
 
 class _Stop(StrictModel):
-    """Where in the house it was taken."""
+    """Position in the greenhouse."""
 
     row: str | None = None
     side: str | None = None
@@ -70,7 +70,7 @@ class _Stop(StrictModel):
 
 
 class Manifest(StrictModel):
-    """What `capture.json` holds; `docs/captures.md` describes every key."""
+    """Contents of `capture.json`; `docs/captures.md` describes every key."""
 
     format: Literal["cucumbervision-capture"]
     version: Literal[1]
@@ -89,7 +89,7 @@ class Manifest(StrictModel):
 
 
 def find_native(folder: Folder) -> Opener | None:
-    """Find native capture folders; the user's intrinsics replace a folder's own."""
+    """Find native capture folders; given intrinsics replace those of the folder."""
     found = folder.take(MANIFEST, "", MASKS)
     return partial(_open_folders, folder.path, [*found]) if found else None
 
@@ -131,7 +131,7 @@ def _load(
                 remedy="give shorter bursts",
             )
     if len(frames) == 1:
-        # A single frame's depth stays as it is, so that what was written is what is read.
+        # Depth of a single frame is not fused, so that reading returns what was written.
         fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
     else:
         with as_errors_of(folder):
@@ -179,7 +179,7 @@ def _masks(folder: Path, frame: int) -> list[Path]:
     return paths
 
 
-# Steps to try, coarse first: 16 bits of the finest reach 3.3 m.
+# Depth units to try, from coarse to fine; 16 bits of the finest reach 3.3 m.
 _UNITS_M = (0.001, 0.0005, 0.00025, 0.0001, 0.00005)
 
 _STEPS = 65535
@@ -194,37 +194,36 @@ def write_native(
     burst: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]] = (),
     timestamps_s: Sequence[float | None] = (),
 ) -> Path:
-    """Write a capture as a native folder, which reads back the same.
+    """Write a capture as a native folder without loss.
 
     Parameters
     ----------
     capture : Capture
-        What to write; its name, frame, stop, masks, intrinsics and provenance are kept.
+        The capture; name, frame, stop, masks, intrinsics and provenance are included.
     folder : Path
-        Made if it does not exist; must not hold a capture yet.
+        Output folder; created if missing, must not contain a capture.
     burst : sequence of (color, depth_m), optional
-        The burst's single frames, written in place of the capture's fused picture and fused
-        again when read: colour uint8 (H, W, 3), depth float32 (H, W) in metres.
+        Frames of the burst, written instead of the fused picture and fused again when read: colour
+        uint8 (H, W, 3), depth float32 (H, W) in metres.
     timestamps_s : sequence of float, optional
-        Seconds since the epoch of the burst's frames.
+        Timestamps of the frames, seconds since the epoch.
 
     Returns
     -------
     Path
-        The `capture.json` written, last of all files: an interrupted write is no capture.
+        The `capture.json`, which is written last, so that an interrupted write leaves no capture.
 
     Raises
     ------
     CaptureError
-        If the folder already holds a capture, cannot be written, or depth reaches farther than
-        65.5 m.
+        If the folder already contains a capture or is not writable, or depth exceeds 65.5 m.
 
     Notes
     -----
-    Depth is 16-bit PNG in steps of 1 mm, or in finer steps where 1 mm would lose something (a
-    burst's median may lie between two millimetres). Where the finest that reaches the farthest
-    reading (0.05 mm up to 3.3 m, 0.1 mm up to 6.5 m) loses something,
-    `capture.json` says how much at most under `depth_rounding_m`.
+    Depth is written as 16-bit PNG in steps of 1 mm, or in finer steps if 1 mm would round values (a
+    burst's median may lie between two millimetres). If even the finest possible step (0.05 mm up to
+    3.3 m, 0.1 mm up to 6.5 m) rounds values, `capture.json` states the maximum error as
+    `depth_rounding_m`.
 
     Examples
     --------

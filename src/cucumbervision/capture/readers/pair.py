@@ -1,4 +1,4 @@
-"""Colour and depth pictures with matching names, and arrays of both."""
+"""Read colour and depth pictures with matching names, and `.npz` files with both."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Pair:
-    """Files of one frame; a part that is missing is None, an `.npz` with both is both.
+    """Files of one frame; None for a missing file, the same `.npz` for both if it contains both.
 
     Parameters
     ----------
     color, depth : Path, optional
         The pictures.
     camera : Path, optional
-        The nearest intrinsics file: beside the colour picture, or in a folder above it.
+        Nearest intrinsics file, in the folder of the colour picture or above.
     unit_m : float, optional
-        Metres of one depth step, where the format says it.
+        Metres per depth step, if defined by the format.
     """
 
     color: Path | None
@@ -58,12 +58,12 @@ class Pair:
 
     @property
     def is_whole(self) -> bool:
-        """Whether one file holds both."""
+        """Whether one file contains both."""
         return self.color is not None and self.color == self.depth
 
 
 def find_pairs(folder: Folder) -> Opener | None:
-    """Find the frames of `match_pairs`, and take their files."""
+    """Find the frames of `match_pairs`, and mark their files as used."""
     try:
         pairs = _associated(folder)
     except CaptureError as error:
@@ -77,13 +77,13 @@ def find_pairs(folder: Folder) -> Opener | None:
 
 
 def match_pairs(folder: Folder) -> list[Pair]:
-    """Pair the pictures of a folder by their names, and add `.npz` files with colour and depth.
+    """Pair the pictures of a folder by name, and add `.npz` files with colour and depth.
 
-    Names match when they are equal but for the words 'color', 'colour', 'rgb' and 'depth':
+    Names match if they are equal except for the words 'color', 'colour', 'rgb' and 'depth':
     `rgb_7.png` and `depth_7.png`, `color/7.jpg` and `depth/7.npy`, `7_color_depth.npy` and
-    `7_color.png`, or plain `7.png` and `7_depth.npy`. A picture left alone is a
-    pair with one part missing, so that it is not lost silently; an 8-bit 'depth' picture left
-    alone is only there to be looked at. Without any whole pair there are none.
+    `7_color.png`, or plain `7.png` and `7_depth.npy`. An unmatched picture becomes a pair with a
+    missing part, so that it is reported; unmatched 8-bit 'depth' pictures are ignored. Without any
+    complete pair, the result is empty.
     """
     colors, depths = _by_role(folder)
     both = colors.keys() & depths.keys()
@@ -105,7 +105,7 @@ def match_pairs(folder: Folder) -> list[Pair]:
 
 
 def _associated(folder: Folder) -> list[Pair]:
-    """Return the pairs that a list in TUM's form names: time, colour, time and depth a line."""
+    """Return the pairs of an association file in TUM format: time, colour, time, depth."""
     names, pairs = {*folder}, []
     for at, own in folder.files.items():
         for path in (folder.path / at / name for name in own if name.lower() in _LISTS):
@@ -121,10 +121,10 @@ def _associated(folder: Folder) -> list[Pair]:
 
 
 def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the colour and the depth pictures by name, under the key of their pair.
+    """Return the colour and the depth pictures by the key of their pair.
 
-    A depth picture of 8 bits gives way to any other of its key. A picture whose name says neither
-    is the colour of the depth picture that is called so.
+    An 8-bit depth picture is replaced by any other one with the same key. A picture without a role
+    in its name is the colour of the depth picture with the same key.
     """
     colors: dict[str, str] = {}
     depths: dict[str, str] = {}
@@ -141,11 +141,9 @@ def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _pair_role(name: str) -> tuple[str, str]:
-    """Return which part of a pair a file is by its name, and the key of the pair.
+    """Return the role of a file by its name, and the key of its pair.
 
-    'depth', 'color', 'picture' for one whose name says neither, or '' for no picture.
-
-    Both parts of a pair have one key.
+    The role is 'depth', 'color', 'picture' if the name has no role, or '' for other files.
 
     Examples
     --------
@@ -167,7 +165,7 @@ def _key(name: str) -> str:
 
 
 def _is_8_bit_png(path: Path) -> bool:
-    """Return whether a file is a PNG of 8 bits, which is no depth but a picture of it."""
+    """Return whether a file is an 8-bit PNG, which is a visualisation of depth."""
     head = _head(path, 25)
     return head.startswith(b"\x89PNG") and head[-1] == 8
 
@@ -175,18 +173,18 @@ def _is_8_bit_png(path: Path) -> bool:
 def _head(path: Path, size: int) -> bytes:
     try:
         return read_head(path, size)
-    except CaptureError:  # named as it is read
+    except CaptureError:  # reported when the file is read
         return b""
 
 
 def _holds_color(path: Path) -> bool:
-    """Return whether an `.npz` has an array 'color'; one that is damaged is named as it is read."""
+    """Return whether an `.npz` has an array 'color'; damaged files are reported when read."""
     if _head(path, 2) != b"PK":
         return True
     try:
         with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
             return "color.npy" in archive.namelist()
-    except Exception:  # zipfile raises what it likes
+    except Exception:  # zipfile can raise any exception
         return True
 
 
@@ -220,7 +218,7 @@ def _files(pair: Pair, given: CameraFile | None) -> list[Path]:
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open one colour picture with `options.depth`, or an `.npz` that holds both.
+    """Open a colour picture with `options.depth`, or an `.npz` with both.
 
     Parameters
     ----------
@@ -236,7 +234,7 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
     CaptureError
         If the file is neither.
     IntrinsicsError
-        If a pair comes without intrinsics, or their file is malformed.
+        If the intrinsics are missing or invalid.
     """
     suffix = path.suffix.lower()
     is_array = suffix == ".npz" and options.depth is None

@@ -1,4 +1,4 @@
-"""Recordings of a RealSense camera (`.bag`, `.db3`), played back through the SDK itself."""
+"""Read recordings of a RealSense camera (`.bag`, `.db3`) through the SDK."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ _TIMEOUT_S = 5.0
 
 
 def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open a recording, cut into consecutive bursts of `options.burst` frames.
+    """Open a recording as consecutive bursts of `options.burst` frames.
 
     Parameters
     ----------
     path : Path
         `.bag` or `.db3`.
     options : ReadOptions
-        Burst length, and intrinsics that replace the recording's own if the guard lets them
-        pass. The depth unit is the recording's.
+        Burst length, and intrinsics that replace those of the recording if they pass the check.
+        The depth unit is that of the recording.
 
     Returns
     -------
     CaptureSource
-        Of unknown length. Each iteration plays the file once, from its beginning; it is
-        released when the iteration ends or is dropped. The last burst may be shorter.
+        Source of unknown length. Each iteration plays the file once and releases it at its end.
+        The last burst may be shorter.
 
     Raises
     ------
     MissingExtraError
         If pyrealsense2 is not installed.
     CaptureError
-        If the file is no recording with colour and depth.
+        If the file is not a recording with colour and depth.
     """
     import_realsense()
     given = read_camera_file(options.intrinsics) if options.intrinsics else None
@@ -79,7 +79,7 @@ def _refs(
             remedy="record both streams at one rate",
         )
     if fault is not None:
-        # What came before a break is whole; the break itself is a capture that fails.
+        # Captures before a fault are complete; the fault is reported as a failing capture.
         yield CaptureRef(f"{name}_end", -1, partial(fail, fault))
 
 
@@ -91,11 +91,11 @@ def _next_burst(
         try:
             frame = stream.read()
         except CaptureError as fault:
-            # It is kept longer than the pipeline, which its traceback would hold on to.
+            # Drop the traceback, because it would keep the pipeline alive.
             return frames, fault.with_traceback(None)
         if frame is None:
             break
-        # A colour stream that is slower than depth comes again with each new depth.
+        # A slower colour stream is repeated with each new depth frame.
         if not frames or frame.number != frames[-1].number:
             frames.append(frame)
     return frames, None

@@ -1,7 +1,7 @@
-"""Snapshots that RealSense Viewer exports: `*_Color.png`, `*_Depth.raw`, `*_Depth_metadata.csv`.
+"""Read snapshots of RealSense Viewer: `*_Color.png`, `*_Depth.raw`, `*_Depth_metadata.csv`.
 
-The Viewer saves depth as the depth camera sees it, and no extrinsics: those come with the user's
-intrinsics file (`depth_to_color`).
+The Viewer exports depth without alignment to colour and without extrinsics, which must be given in
+an intrinsics file (`depth_to_color`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ENDINGS = (_COLOR, _RAW, _TABLE, _COLOR_TABLE, _PICTURE)
 
 @dataclass(frozen=True)
 class _Snapshot:
-    """What one frame's table says: size, lens, number and time."""
+    """Metadata of one frame: size, intrinsics, number and time."""
 
     intrinsics: Intrinsics
     format: str
@@ -45,12 +45,11 @@ class _Snapshot:
 
 
 def find_snapshots(folder: Folder) -> Opener | None:
-    """Find the exports of a folder.
+    """Find the snapshots of a folder.
 
-    A folder counts when it has depth as numbers (`.raw`) or its table; a colourised picture of
-    depth counts beside a colour picture of the Viewer's name, so that it can be refused. The
-    intrinsics file must have `depth_to_color`; its `depth` block, if there is one, goes before the
-    snapshot's own table.
+    A snapshot has raw depth (`.raw`) or its metadata. A colourised depth picture next to a colour
+    picture also counts, so that it is reported. The intrinsics file must have `depth_to_color`; its
+    optional `depth` block takes precedence over the metadata.
     """
     found: dict[str, Path | None] = {}
     for at, names in folder.files.items():
@@ -126,24 +125,24 @@ def _load(
 
 
 def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
-    """Read the table that RealSense Viewer writes beside each picture.
+    """Read the metadata file of a picture from RealSense Viewer.
 
     Parameters
     ----------
     path : Path
-        `*_metadata.csv`: a key and a value a line.
+        `*_metadata.csv` with a key and a value per line.
     stream : Stream
-        Whose table it is.
+        Stream of the picture.
 
     Raises
     ------
     CaptureError
-        If it is missing, or a size or focal length is.
+        If the file, a size or a focal length is missing.
 
     Notes
     -----
-    The table names the lens model but not its coefficients; a D4xx depth stream is rectified
-    and has none.
+    The metadata contains the lens model but no coefficients; the depth stream of a D4xx is
+    rectified and has none.
     """
     lines = read_bytes(path).decode("utf-8", errors="replace").splitlines()
     fields = [line.split(",", 1) for line in lines if "," in line]
@@ -161,7 +160,7 @@ def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
         ) from None
     except IntrinsicsError as error:
         raise IntrinsicsError(error.message, source=path, remedy="export it again") from None
-    # A hardware clock counts from the camera's start, not from the epoch.
+    # A hardware clock starts with the camera, not at the epoch.
     time_s = milliseconds / 1000 if milliseconds > _YEAR_2001_MS else None
     return _Snapshot(intrinsics, values.get("format", ""), number, time_s)
 

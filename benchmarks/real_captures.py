@@ -40,11 +40,12 @@ def rows_of(folder: Path, prompt: str | None) -> list[dict[str, Any]]:
 
 
 def carrot_table(folder: Path) -> Table:
-    """Return mean and spread (sd / mean) of each method over the frames."""
+    """Return each method's mean and spread over the frames, and the intervals' mean width."""
     table = Table(title="Carrot, one rigid object in ten frames: mean cm (sd/mean %) [frames]")
     table.add_column("masks")
     for method in AVAILABLE:
         table.add_column(str(method), justify="right")
+    table.add_column("interval", justify="right")
     for name, prompt in MASKS.items():
         rows = rows_of(folder, prompt)
         cells = []
@@ -56,6 +57,12 @@ def carrot_table(folder: Path) -> Table:
                 continue
             spread = 100 * lengths.std(ddof=1) / lengths.mean()
             cells.append(f"{lengths.mean():.2f} ({spread:.2f}) [{len(lengths)}]")
+        wide = [
+            100 * (r["interval_high_cm"] - r["interval_low_cm"]) / r["length_cm"]
+            for r in rows
+            if r["interval_low_cm"] is not None
+        ]
+        cells.append(f"{np.mean(wide):.1f} % wide [{len(wide)}]" if wide else "–")
         table.add_row(name, *cells)
     return table
 

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.hidden_end import FARTHEST_M, covered_reach, hidden_length
+from cucumbervision.measurement.hidden_end import (
+    FARTHEST_M,
+    BeyondEnd,
+    beyond_ends,
+    covered_reach,
+    hidden_length,
+)
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
@@ -44,6 +50,31 @@ def test_the_whole_length_lies_between_what_is_seen_and_what_would_be() -> None:
     assert far.high_m < 0.36
     # A thicker fruit is a longer one.
     assert hidden_length(0.10, 0.05, 0.2).median_m > hidden_length(0.10, 0.03, 0.2).median_m
+
+
+def test_how_much_is_seen_behind_an_end() -> None:
+    # A fruit of radius 2 cm at 0.5 m, from column 302 to 546: the last ball's centre is column 522.
+    depth, mask = np.full((480, 848), 1.0, np.float32), np.zeros((480, 848), bool)
+    mask[216:264, 302:547] = True
+    depth[mask] = 0.5
+    centres = np.stack([np.linspace(-0.08, 0.08, 17), np.zeros(17), np.full(17, 0.5)], axis=1)
+    radii = np.full(17, 0.02)
+    first, last = beyond_ends(depth, mask, CAMERA, centres, radii)
+    assert first == last == BeyondEnd(covered=False, behind=1.0)
+    depth[:240][~mask[:240]] = 0.0  # above the axis nothing is read
+    half = beyond_ends(depth, mask, CAMERA, centres, radii)[1]
+    assert half.behind == pytest.approx(0.5, abs=0.03)
+    depth[~mask] = 0.5  # all round it lie others
+    assert beyond_ends(depth, mask, CAMERA, centres, radii)[1] == BeyondEnd(False, 0.0)
+    depth[~mask] = 0.4
+    assert beyond_ends(depth, mask, CAMERA, centres, radii)[1] == BeyondEnd(True, 0.0)
+
+
+def test_what_lies_beyond_an_end_outside_the_picture_is_not_known() -> None:
+    depth = np.full((480, 848), 0.5, np.float32)
+    centres = np.stack([np.linspace(0.0, 0.9, 19), np.zeros(19), np.full(19, 0.5)], axis=1)
+    last = beyond_ends(depth, np.ones((480, 848), bool), CAMERA, centres, np.full(19, 0.02))[1]
+    assert last == BeyondEnd(covered=False, behind=0.0)
 
 
 def test_a_covered_end_gets_an_interval_and_seen_ends_none() -> None:

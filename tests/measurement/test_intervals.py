@@ -10,6 +10,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.intervals import (
+    REAL_SD,
     Band,
     IntervalModel,
     IntervalModels,
@@ -35,6 +36,11 @@ from cucumbervision_lab.synthesis.scene import Scene, render
 
 def even(key: str, percent: float) -> IntervalModel:
     return IntervalModel(key, 0.9, (), (np.log(percent / 100),), {"": Band(0.0, 1.0, 1.0, 100)})
+
+
+def half(percent: float, more_sd: float = REAL_SD) -> float:
+    """What one side of such an interval is, relative, on a real fruit."""
+    return float(np.hypot(percent / 100, 1.644854 * more_sd))
 
 
 MODELS = IntervalModels(
@@ -76,14 +82,14 @@ def test_a_tubes_interval_is_about_the_length_that_was_asked(
     length = length_of(seen, definition)
     assert length.interval_of is length.kind is definition
     assert length.basis is IntervalBasis.SIMULATED
-    assert length.high_m == pytest.approx(length.value_m * np.exp(percent / 100))
-    assert length.low_m == pytest.approx(length.value_m * np.exp(-percent / 100))
+    assert length.high_m == pytest.approx(length.value_m * np.exp(half(percent)))
+    assert length.low_m == pytest.approx(length.value_m * np.exp(-half(percent)))
 
 
 def test_an_unknown_scale_is_in_it(seen: tuple[Capture, Instance]) -> None:
     length = length_of(seen, LengthDefinition.CENTRELINE, known=False)
-    half = np.hypot(0.01, 1.6449 * 0.01)
-    assert length.low_m == pytest.approx(length.value_m * np.exp(-half), rel=1e-5)
+    more_sd = float(np.hypot(REAL_SD, 0.01))
+    assert length.low_m == pytest.approx(length.value_m * np.exp(-half(1.0, more_sd)), rel=1e-5)
 
 
 def test_a_length_without_a_model_has_no_interval(seen: tuple[Capture, Instance]) -> None:
@@ -99,7 +105,7 @@ def test_a_raw_lengths_interval_is_about_the_centreline(seen: tuple[Capture, Ins
         LengthKind.BOX_CHORD,
         LengthDefinition.CENTRELINE,
     )
-    assert length.high_m == pytest.approx(length.value_m * np.exp(0.2))
+    assert length.high_m == pytest.approx(length.value_m * np.exp(half(20.0)))
 
 
 def test_what_was_not_measured_has_no_length(seen: tuple[Capture, Instance]) -> None:
@@ -172,10 +178,10 @@ def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
 def test_what_networks_draw_has_models_of_its_own(seen: tuple[Capture, Instance]) -> None:
     capture, given = seen
     models = IntervalModels(0.9, {k: even(k, p) for k, p in (("M6", 1), ("M6 perceived", 3))}, 100)
-    for source, spread in ((MaskSource.DATASET, 0.01), (MaskSource.SAM, 0.03)):
+    for source, percent in ((MaskSource.DATASET, 1.0), (MaskSource.SAM, 3.0)):
         fruit = (capture, replace(given, mask_source=source))
         length = length_of(fruit, LengthDefinition.CENTRELINE, models=models)
-        assert length.high_m == pytest.approx(length.value_m * np.exp(spread))
+        assert length.high_m == pytest.approx(length.value_m * np.exp(half(percent)))
 
 
 def test_the_shipped_models_know_every_method() -> None:

@@ -82,6 +82,23 @@ class HiddenLength:
     high_m: float
 
 
+@dataclass(frozen=True)
+class BeyondEnd:
+    """What lies beyond one end of a body, within 60 degrees of straight ahead.
+
+    Parameters
+    ----------
+    covered : bool
+        Whether most of what lies just beyond it is nearer than the fruit.
+    behind : float
+        Share of the pixels up to a radius beyond it that are read clearly behind the fruit, 0 to
+        1: a fruit that went on there would be seen.
+    """
+
+    covered: bool = False
+    behind: float = 0.0
+
+
 def with_hidden_end(
     measured: Measurement, depth_m: NDArray[np.float32], intrinsics: Intrinsics
 ) -> Measurement:
@@ -111,14 +128,14 @@ def with_hidden_end(
     return replace(measured, fit=replace(fit, whole=whole))
 
 
-def covered_ends(
+def beyond_ends(
     depth_m: NDArray[np.float32],
     mask: NDArray[np.bool_],
     intrinsics: Intrinsics,
     centres_m: NDArray[np.float64],
     radii_m: NDArray[np.float64],
-) -> tuple[bool, bool]:
-    """Return which ends of a body something nearer covers.
+) -> tuple[BeyondEnd, BeyondEnd]:
+    """Return what lies beyond the first and the last end of a body.
 
     Parameters
     ----------
@@ -141,22 +158,22 @@ def covered_ends(
     >>> mask[216:264, 200:320] = True
     >>> depth[mask], depth[:, 320:400] = 0.5, 0.4
     >>> centres = np.stack([np.linspace(-0.08, -0.02, 9), np.zeros(9), np.full(9, 0.52)], axis=1)
-    >>> covered_ends(depth, mask, camera, centres, np.full(9, 0.02))
-    (False, True)
+    >>> ends = beyond_ends(depth, mask, camera, centres, np.full(9, 0.02))
+    >>> [(end.covered, round(end.behind, 1)) for end in ends]
+    [(False, 1.0), (True, 0.1)]
     """
     at = intrinsics.project(centres_m)
     radii_px = np.maximum(radii_m, 0.0) * intrinsics.fx_px / centres_m[:, 2]
     body_px = float(np.median(radii_px))
-    inner = max(1, len(at) // 16)
-    found = []
+    far_px, inner, found = max(body_px, _RING_PX[1]), max(1, len(at) // 16), []
     for tip, before in ((0, inner), (-1, -1 - inner)):
-        reach = float(radii_px[tip]) + max(body_px, _RING_PX[1])
+        reach = float(radii_px[tip]) + far_px
         rows, columns = (
             np.arange(max(int(c - reach), 0), max(min(int(c + reach) + 2, size), 0))
             for c, size in zip(at[tip, ::-1], depth_m.shape, strict=True)
         )
         if not (len(rows) and len(columns)):
-            found.append(False)
+            found.append(BeyondEnd())
             continue
         window = np.ix_(rows, columns)
         z, own = depth_m[window], mask[window]
@@ -164,16 +181,18 @@ def covered_ends(
         away, ahead = np.linalg.norm(off, axis=-1), _unit(at[tip] - at[before])
         surface = z[own & valid_depth(z) & (away < radii_px[tip] + body_px)]
         gap = away - radii_px[tip]
-        beyond = ~own & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < _RING_PX[1])
-        if len(surface) < _LEAST_READINGS or not beyond.any():
-            found.append(False)
+        beyond = ~own & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < far_px)
+        close = beyond & (gap < _RING_PX[1])
+        if len(surface) < _LEAST_READINGS or not close.any():
+            found.append(BeyondEnd())
             continue
-        near_m = float(np.median(surface))
-        near_m -= _IN_FRONT_M + _IN_FRONT_SD * float(
-            depth_noise(np.array(near_m), intrinsics.fx_px)
-        )
-        nearer = beyond & valid_depth(z) & (z < near_m)
-        found.append(bool(nearer.sum() > _COVERED_SHARE * beyond.sum()))
+        at_m = float(np.median(surface))
+        noise_m = float(depth_noise(np.array(at_m), intrinsics.fx_px))
+        off_m, read = z - at_m, valid_depth(z)
+        clear_m = _IN_FRONT_M + _IN_FRONT_SD * noise_m
+        nearer, behind = close & read & (off_m < -clear_m), beyond & read & (off_m > clear_m)
+        covered = bool(nearer.sum() > _COVERED_SHARE * close.sum())
+        found.append(BeyondEnd(covered, float(behind.sum() / beyond.sum())))
     return found[0], found[1]
 
 

@@ -21,7 +21,12 @@ from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
-from cucumbervision.measurement.hidden_end import DRAWN_KINDS, covered_ends, with_hidden_end
+from cucumbervision.measurement.hidden_end import (
+    DRAWN_KINDS,
+    BeyondEnd,
+    beyond_ends,
+    with_hidden_end,
+)
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -299,8 +304,8 @@ def measure_m6(
     found = fit_view(view)
     if isinstance(found, Reason):
         return Measurement(Method.M6, reason=found)
-    covered = covered_ends(depth_m, mask, intrinsics, *found.shape.balls())
-    return with_hidden_end(judged_fit(view, found, covered), depth_m, intrinsics)
+    beyond = beyond_ends(depth_m, mask, intrinsics, *found.shape.balls())
+    return with_hidden_end(judged_fit(view, found, beyond), depth_m, intrinsics)
 
 
 def fits_well(
@@ -417,7 +422,7 @@ def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
 
 
 def judged_fit(
-    view: TubeView, fitting: TubeFitting, covered: tuple[bool, bool] = (False, False)
+    view: TubeView, fitting: TubeFitting, beyond: tuple[BeyondEnd, BeyondEnd]
 ) -> Measurement:
     """Return what a fitted tube measures, or why it is none.
 
@@ -427,29 +432,32 @@ def judged_fit(
         The view in whose coordinates it is.
     fitting : TubeFitting
         The tube.
-    covered : tuple of bool
-        Which ends something nearer covers (`covered_ends`).
+    beyond : tuple of BeyondEnd
+        What lies beyond its ends.
     """
     overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
     traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
     length = traits.lengths.centreline_m
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
-    fit = _fit(view, fitting, traits, covered)
+    fit = _fit(view, fitting, traits, beyond)
     if fit.explained < _MIN_EXPLAINED:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return Measurement(Method.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
 
 def _fit(
-    view: TubeView, fitting: TubeFitting, traits: TubeTraits, covered: tuple[bool, bool]
+    view: TubeView,
+    fitting: TubeFitting,
+    traits: TubeTraits,
+    beyond: tuple[BeyondEnd, BeyondEnd],
 ) -> TubeFit:
     explained, hidden, _ = _coverage(view, fitting.shape)
     rays = fitting.rays
     far = np.linalg.norm(rays.centres_m, axis=1)
     outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
     depth_m = 1.4826 * float(np.median(np.abs(fitting.points.gap_m)))
-    first, last = (s and not c for s, c in zip(fitting.ends_seen, covered, strict=True))
+    first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, beyond, strict=True))
     flags = []
     if not (first and last):
         flags.append(Flag.END_HIDDEN)
@@ -475,6 +483,7 @@ def _fit(
         depth_m,
         (first, last),
         fitting.ends_covariance,
+        (beyond[0].behind, beyond[1].behind),
         tuple(flags),
     )
 

@@ -208,8 +208,13 @@ def _turned(fit: TubeFit) -> TubeFit:
         axis_m=fit.traits.axis_m[::-1],
     )
     first, last = fit.ends_seen
-    covariance = fit.ends_covariance[::-1]
-    return replace(fit, traits=traits, ends_seen=(last, first), ends_covariance=covariance)
+    return replace(
+        fit,
+        traits=traits,
+        ends_seen=(last, first),
+        ends_covariance=fit.ends_covariance[::-1],
+        ends_open=fit.ends_open[::-1],
+    )
 
 
 def fruit_pose(

@@ -246,6 +246,8 @@ class TubeFit:
         Whether the outline shows the first and the last end of `traits.axis_m`.
     ends_covariance : ndarray of float64, shape (2, 6, 6)
         Covariance of each end's place (metres) and of the unit vector out of the fruit there.
+    ends_open : tuple of float
+        Share of what lies just beyond either end that is clearly behind it, 0 to 1.
     flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
@@ -264,6 +266,7 @@ class TubeFit:
     depth_rms_m: float
     ends_seen: tuple[bool, bool]
     ends_covariance: NDArray[np.float64]
+    ends_open: tuple[float, float]
     flags: tuple[Flag, ...] = ()
     whole: HiddenLength | None = None
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
+from cucumbervision.measurement.hidden_end import BeyondEnd, beyond_ends
 from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, view_tube
 from cucumbervision.measurement.pose import fruit_pose, stem_first
 from cucumbervision.measurement.result import (
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.geometry.tube import TubeShape
     from cucumbervision.geometry.tube_fit import TubeFitting
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.m6 import TubeView
@@ -177,12 +179,32 @@ def _joint(
         fitted = fit_views(seen, first.fitting.shape)
     except np.linalg.LinAlgError:
         return None
+    beyond = _beyond_ends(kept, fitted.poses, fitted.body.shape)
     one_tube, sure = stem_first(
-        judged_fit(first.tube, fitted.body), first.view.instance, first.view.capture
+        judged_fit(first.tube, fitted.body, beyond), first.view.instance, first.view.capture
     )
     # What is known of the fruit beside its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
     return _together(alone, one_tube, sure, kept, fitted.poses), fitted.poses
+
+
+def _beyond_ends(
+    kept: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], shape: TubeShape
+) -> tuple[BeyondEnd, BeyondEnd]:
+    # What is seen behind an end by any view is not hidden by what covers it in another.
+    centres, radii = shape.balls()
+    by_view = [
+        beyond_ends(
+            one.view.capture.depth_m,
+            one.mask,
+            one.view.capture.intrinsics,
+            centres @ pose[:3, :3].T + pose[:3, 3],
+            radii,
+        )
+        for one, pose in zip(kept, poses, strict=True)
+    ]
+    first, last = (max(end.behind for end in ends) for ends in zip(*by_view, strict=True))
+    return BeyondEnd(behind=first), BeyondEnd(behind=last)
 
 
 def _together(

@@ -42,27 +42,27 @@ TUBE_FEATURES = (
     "end_hidden",
     "end_on",
     "poor_fit",
+    "closed",
+    "flare",
+    "girth",
     *_MASK_FEATURES,
 )
 
 RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
-# Fruit that extend out of sight are measured much too short. Where mask and keypoints disagree, one
-# of them is wrong. For the others, the error distribution depends on the fitted uncertainty.
+# Fruit that extend out of sight are measured much too short. Where no flag tells that, fruit are the
+# more often incomplete the less background is seen beyond their ends.
 RAW_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("goes_on", (0.5,)),)
 
 TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
-    *RAW_EDGES,
-    ("ends_disagree", (0.5,)),
     ("end_hidden", (0.5,)),
-    ("log_sd", (float(np.log(0.01)), float(np.log(0.03)))),
+    ("hidden", (0.1,)),
+    ("closed", (0.5, 0.8)),
 )
 
-# A low confidence indicates an incomplete fruit whose hidden end was not noticed; the edges are
-# logits of 0.90 and 0.97.
 PERCEIVED_TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
     *RAW_EDGES,
-    ("certainty", (2.2, 3.4)),
+    ("closed", (0.7,)),
 )
 
 

@@ -16,6 +16,7 @@ from cucumbervision.about import installed_versions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.intervals import (
     PERCEIVED,
+    SCALE_SD,
     IntervalModel,
     IntervalModels,
     raw_features,
@@ -133,7 +134,8 @@ def with_intervals(
         if features is not None:
             scale = 1.0 if scale_known else reading["depth_scale"]
             length_m = reading["length_m"] * scale
-            found = book.interval(reading["method"], length_m, features, scale_known=scale_known)
+            more_sd = 0.0 if scale_known else SCALE_SD
+            found = book.interval(reading["method"], length_m, features, more_sd)
             ends[label] = found or (np.nan, np.nan)
     found = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)
     return readings.join(found)

@@ -46,7 +46,7 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
 
 def test_an_unknown_depth_scale_widens_the_interval_by_hand() -> None:
     model = IntervalModel("M6", 0.9, (), (np.log(0.01),), {"": Band(0.0, 1.5, 1.5, 100)})
-    low, high = model.interval(0.3, {}, scale_sd=0.01)
+    low, high = model.interval(0.3, {}, 0.01)
     half = np.hypot(1.5 * 0.01, 1.6449 * 0.01)
     assert low == pytest.approx(0.3 * np.exp(-half), rel=1e-4)
     assert high == pytest.approx(0.3 * np.exp(half), rel=1e-4)

@@ -199,8 +199,8 @@ def test_learnt_intervals_cover_other_fruit(scale_known: bool) -> None:
 def test_hidden_fruit_get_wider_intervals() -> None:
     book = fit_interval_models(drawn(1200, 1))
     seen = dict.fromkeys(TUBE_FEATURES, 0.0)
-    narrow = book.interval("M6", 0.2, seen, scale_known=True)
-    wide = book.interval("M6", 0.2, {**seen, "hidden": 0.5}, scale_known=True)
+    narrow = book.interval("M6", 0.2, seen)
+    wide = book.interval("M6", 0.2, {**seen, "hidden": 0.5})
     assert narrow is not None
     assert wide is not None
     assert wide[1] - wide[0] > 1.5 * (narrow[1] - narrow[0])

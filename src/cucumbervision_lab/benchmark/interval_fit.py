@@ -62,7 +62,7 @@ TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
 
 PERCEIVED_TUBE_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
     *RAW_EDGES,
-    ("closed", (0.7,)),
+    ("closed", (0.5, 0.8)),
 )
 
 

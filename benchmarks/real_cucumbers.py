@@ -307,9 +307,8 @@ def summary(compared: list[Compared], others: int) -> list[str]:
             held.append(length.low_m <= true <= length.high_m)
             widths.append(100 * (length.high_m - length.low_m) / length.value_m)
     cover, width, middle = 100 * np.mean(held), np.mean(widths), np.median(widths)
-    lines.append(
-        f"{len(held)} intervals: cover {cover:.0f} %, mean width {width:.1f} %, median {middle:.1f} %"
-    )
+    width_said = f"width {width:.1f} % (mean), {middle:.1f} % (median)"
+    lines.append(f"{len(held)} intervals: cover {cover:.0f} %, {width_said}")
     lines.append(narrowest(compared))
     said = ", ".join(f"{flag} {flags[flag]}" for flag in END_FLAGS)
     lines.append(f"both ends are in sight, and yet flagged: {said} of {len(compared)}")

@@ -118,6 +118,7 @@ class Model:
 
 _HERE = Path(__file__).parent
 _MANIFEST = "manifest.json"
+_CHECKPOINT = ".pt"  # of a segmenter that is named by its file
 
 IN_USE = "in-use.json"
 """In the folder of fetched models: the user's own networks."""
@@ -150,13 +151,17 @@ class Registry:
         return self.shipped + self.own
 
     def get(self, name: str) -> Model:
-        """Return a model by its name.
+        """Return a model by its name, or the segmenter of a checkpoint of SAM 2 by its path.
 
         Raises
         ------
         UnknownModelError
             If there is none.
+        ModelError
+            If the checkpoint is missing.
         """
+        if name.endswith(_CHECKPOINT):
+            return _checkpoint(Path(name))
         for model in self.models:
             if model.name == name:
                 return model
@@ -196,6 +201,8 @@ class Registry:
 
     def folder(self, name: str) -> Path:
         """Return the folder of a model's files; it may not exist yet."""
+        if name.endswith(_CHECKPOINT):
+            return Path(name).parent
         return self.embedded if self.get(name).embedded else self.user / name
 
     def state(self, name: str) -> str:
@@ -301,6 +308,22 @@ class Registry:
         files = self.resolve(name).values()
         out.mkdir(parents=True, exist_ok=True)
         return tuple(Path(shutil.copyfile(path, out / path.name)) for path in files)
+
+
+def _checkpoint(path: Path) -> Model:
+    if not path.is_file():
+        raise ModelError("no such file", source=path, remedy="name a checkpoint of SAM 2")
+    file = ModelFile("checkpoint", path.name, file_sha256(path), path.stat().st_size)
+    return Model(
+        str(path),
+        "prompted-mask",
+        "",
+        "SAM 2 (Ravi et al. 2024)",
+        "the user",
+        (file,),
+        embedded=True,
+        segmenter="cucumbervision.perception.sam2:Sam2",
+    )
 
 
 def load_registry(path: Path | None = None, user: Path | None = None) -> Registry:

@@ -156,7 +156,7 @@ class Sam:
     ) -> tuple[Instance, ...]:
         """Draw a mask for each, ignoring separate parts."""
         height, width = color_rgb.shape[:2]
-        boxes = [_clip(instance.box, height, width) for instance in instances]
+        boxes = [clip_box(instance.box, height, width) for instance in instances]
         seen = {i: box for i, box in enumerate(boxes) if box is not None}
         answers = self._answers(
             color_rgb, np.array(list(seen.values())).reshape(-1, 4), self.prompt
@@ -165,7 +165,7 @@ class Sam:
         return tuple(
             _with_mask(instance, given[i], seen[i], height, width)
             if i in given
-            else _without_mask(instance, "mask-empty")
+            else without_mask(instance, "mask-empty")
             for i, instance in enumerate(instances)
         )
 
@@ -260,7 +260,7 @@ def _mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
     return "" if box_iou(box_of_mask(mask), box) >= _MIN_BOX_IOU else "mask-off-box"
 
 
-def _clip(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
+def clip_box(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
     """Clip a box to the picture; None if it is outside."""
     limit = np.array([width, height, width, height]) - 0.5
     cut = np.clip(np.asarray(box, np.float64), -0.5, limit)
@@ -297,7 +297,12 @@ def _with_mask(
     if own is not None and own.any():
         agreement = mask_ious(logits > 0, mask_to_sam(own, logits.shape[1:]))
     best = int((sure + agreement).argmax())
-    mask = mask_from_logits(logits[best], height, width)
+    return accepted(instance, mask_from_logits(logits[best], height, width), box)
+
+
+def accepted(instance: Instance, mask: NDArray[np.bool_], box: NDArray[np.float64]) -> Instance:
+    """Return an instance with a drawn mask, unless it cannot be the fruit in its box."""
+    own = instance.detector_mask
     fault = _mask_fault(mask, box)
     if fault == "mask-off-box" and own is not None and own.any():
         in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE
@@ -305,7 +310,7 @@ def _with_mask(
     if not fault and not _agrees(mask, own):
         fault = "mask-off-detector"
     if fault:
-        return _without_mask(instance, fault)
+        return without_mask(instance, fault)
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
 
 
@@ -335,7 +340,7 @@ def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
     masks = [one.mask for one in drawn if one.mask is not None]
     if len(masks) < len(drawn):
         fault = next(one.mask_failure for one in drawn if one.mask is None)
-        return _without_mask(instance, fault)
+        return without_mask(instance, fault)
     mask = masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
 
@@ -349,9 +354,9 @@ def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
         if after is None or after is before:
             out.append(one)
         elif np.count_nonzero(after) < _MIN_MASK_PX:
-            out.append(_without_mask(one, "mask-small"))
+            out.append(without_mask(one, "mask-small"))
         elif not _agrees(after, one.detector_mask):
-            out.append(_without_mask(one, "mask-off-detector"))
+            out.append(without_mask(one, "mask-off-detector"))
         else:
             out.append(replace(one, mask=after))
     return tuple(out)
@@ -371,5 +376,6 @@ def _within(mask: NDArray[np.bool_], own: NDArray[np.bool_]) -> bool:
     return bool(inside and spans[0] >= _MIN_SPAN * spans[1])
 
 
-def _without_mask(instance: Instance, fault: str) -> Instance:
+def without_mask(instance: Instance, fault: str) -> Instance:
+    """Return an instance without a mask, and why."""
     return replace(instance, mask=None, mask_source=None, mask_failure=fault)

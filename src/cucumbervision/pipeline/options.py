@@ -47,8 +47,9 @@ class MeasureOptions:
         Whether the package's own pose network looks for the keypoints of M4 where the package's own
         detector finds the fruit.
     segmenter : str, optional
-        A segmenter's name, or the path of a checkpoint of SAM 2, which draws all masks, or 'none'. With None the default one draws what
-        has no mask and what the detector's mask fits badly (`measurement.m6.fits_well`).
+        A segmenter's name or the path of a checkpoint of SAM 2, which draws all masks, or 'none'.
+        With None the default one draws what has no mask and what the detector's mask fits badly
+        (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     methods : tuple of Method

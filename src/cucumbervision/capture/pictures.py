@@ -231,7 +231,7 @@ class _TooLargeError(ValueError):
 
 
 def _require_arrays(data: bytes) -> None:
-    """Refuse arrays whose heads promise more than a picture has: room is made by the head."""
+    """Reject arrays with implausible sizes in their header, because memory is allocated from it."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
         if len(members) > _MOST_ARRAYS:
@@ -269,7 +269,7 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
     fault = "is truncated or damaged" if truncated else "is no picture that can be read"
     remedy = "copy or export it again"
     if not truncated:
-        # OpenCV would tell of a broken file itself, in lines of its own.
+        # OpenCV would print its own messages for a broken file.
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

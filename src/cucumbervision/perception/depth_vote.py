@@ -1,8 +1,8 @@
-"""Depth's vote on a detection: whether it has the size and the surface of a cucumber.
+"""Rescore detections by depth: whether they have the size and surface of a cucumber.
 
-On a plant the detector is right far more often than its low confidences say, and what is wrong
-there mostly has another size, or is a leaf. A logistic regression of the detector's confidence and
-of what depth shows inside and around the mask gives the probability of a cucumber.
+On plants, the detector is right far more often than its low confidences indicate, and most false
+positives have another size or are leaves. A logistic regression on the detector's confidence and on
+depth features inside and around the mask gives the probability of a cucumber.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ FEATURES = (
     "far_share",
     "relief",
 )
-"""What the regression weighs, in the order of its weights. Wider, shorter and longer are logarithms
-of how far a size lies outside the usual one. A fruit that a leaf hides may look narrow."""
+"""Features in the order of the weights. Wider, shorter and longer are logarithms of how far a size
+exceeds the usual range. There is no 'narrower', because partly occluded fruit may look narrow."""
 
 AGAINST = FEATURES[2:]
-"""Features that count against a cucumber: their weights are not positive."""
+"""Features whose weights must not be positive."""
 
 CANDIDATE_CONFIDENCE = 0.02
-"""Least confidence of a detection that depth may lift over the threshold."""
+"""Minimum confidence of a detection that depth may raise above the threshold."""
 
 _SHIPPED = Path(__file__).with_name("depth_vote.json")
 _WIDEST_M, _SHORTEST_M, _LONGEST_M = 0.04, 0.10, 0.30  # usual sizes
@@ -59,7 +59,7 @@ _REPORTED_PROBABILITY = 0.6  # from which a detection is reported by default
 
 @dataclass(frozen=True)
 class DepthShape:
-    """Size and surface of what a mask covers, by depth.
+    """Size and surface of a masked object from depth.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class DepthVote:
     weights : tuple of float
         One weight for each of `FEATURES`.
     detections : int
-        How many detections it was learnt from.
+        Number of detections used for fitting.
     """
 
     weights: tuple[float, ...]
@@ -109,7 +109,7 @@ class DepthVote:
 def depth_shape(
     mask: NDArray[np.bool_], depth_m: NDArray[np.float32], focal_px: float
 ) -> DepthShape | None:
-    """Compute the size and the surface of what a mask covers.
+    """Compute the size and surface of a masked object.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def _relief(pixels: NDArray[np.intp], depth_m: NDArray[np.float32], half_width_m
 def with_depth_votes(
     found: Sequence[Instance], depth_m: NDArray[np.float32], focal_px: float
 ) -> tuple[Instance | None, ...]:
-    """Return detections with the confidence that depth gives them.
+    """Return detections with confidences rescored by depth.
 
     The probability p of a cucumber becomes a confidence on the detector's own scale, where the
     default threshold stands for p = 0.6: logit(confidence) = logit(p) - logit(0.6) + logit(0.2).
@@ -217,7 +217,7 @@ def with_depth_votes(
 
 
 def read_depth_vote(file: Path) -> DepthVote:
-    """Read a vote that `cucumbervision train depth-vote` wrote.
+    """Read a vote written by `cucumbervision train depth-vote`.
 
     Raises
     ------

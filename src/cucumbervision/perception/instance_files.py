@@ -426,7 +426,7 @@ def _read_yolo_file(path: Path, names: list[str]) -> LabelledImage:
 def _or_error(
     where: str, source: object, read: Callable[..., _T], *given: Any
 ) -> _T | InstancesError:
-    """Return what is read of one entry, or the error that says what is wrong with it."""
+    """Return the parsed entry, or its error."""
     try:
         return read(*given)
     except (TypeError, ValueError, KeyError, OverflowError) as error:

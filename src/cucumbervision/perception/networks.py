@@ -154,8 +154,8 @@ def with_pose_votes(
 ) -> tuple[Instance, ...]:
     """Return detections with the mean confidence of detector and pose network.
 
-    The pose network learnt from the same fruit but makes other mistakes: what only the detector
-    finds is seldom a fruit.
+    The pose network was trained on the same fruit but makes other mistakes: objects found only by
+    the detector are rarely fruit.
 
     Parameters
     ----------

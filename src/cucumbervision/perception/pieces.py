@@ -1,10 +1,10 @@
-"""Follow a fruit past the leaf or string that splits it.
+"""Join the parts of a fruit that is split by a leaf or string.
 
-From both ends of a detection's mask sections are laid across its axis, one after the other. A
-section continues the fruit where detections, weak ones too, cover it at the fruit's distance. What
-is nearer may hide up to 2.5 diameters. What is neither may be a string, which a depth camera does
-not see, up to 0.35 diameters. A gap that widens towards its sides lies between two round ends.
-Detections that the fruit runs through are parts of it.
+From both ends of a detection's mask, consecutive sections across its axis are examined. A section
+continues the fruit if detections, including weak ones, cover it at the fruit's distance. A nearer
+object may occlude up to 2.5 diameters. Anything else may be a string, which a depth camera does not
+detect, up to 0.35 diameters. A gap that widens towards its sides separates two round ends.
+Detections along the continued fruit are parts of it.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ _FEWEST = 30  # pixels and readings of a body
 def join_pieces_by_depth(
     found: Sequence[Instance], weak: Sequence[Instance], depth_m: NDArray[np.float32]
 ) -> tuple[Instance, ...]:
-    """Complete fruit of which something in front hides a part, and join the parts that were found.
+    """Complete partly occluded fruit, and join their detected parts.
 
     Parameters
     ----------
     found : sequence of Instance
-        With the detector's masks; those without stay as they are.
+        Instances with the detector's masks; those without are returned unchanged.
     weak : sequence of Instance
-        Detections below the threshold: they are no fruit of their own, but may continue one.
+        Detections below the threshold, which may continue a fruit.
     depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour; 0 where there is no reading.
+        Metres, aligned to colour; 0 for no reading.
 
     Returns
     -------
     tuple of Instance
-        Best first. A completed one has the common box and mask, the best confidence and no
+        Best first. A completed instance has the joint box and mask, the best confidence and no
         keypoints.
 
     Examples
@@ -99,7 +99,7 @@ def _area(one: Instance) -> int:
 
 
 def _shared(other: Instance, added: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return which share of a detection lies in what is added, and which of that in it."""
+    """Return the share of a detection inside the added pixels, and the reverse share."""
     if other.detector_mask is None:
         return 0.0, 0.0
     shared = int(np.count_nonzero(other.detector_mask & added))
@@ -168,7 +168,7 @@ class _Body:
         return cls(points, centre, axes, girth_px, np.pad(depth, (2 - len(depth), 0)))
 
     def end(self, side: int) -> tuple[float, Array, Array]:
-        """Return where one end lies on the axis, its place in the picture and its direction."""
+        """Return the position of one end on the axis and in the picture, and its direction."""
         along, across = side * self.points[:, 0], self.points[:, 1]
         last = float(along.max())
         near = along > last - _NEAR * self.girth_px
@@ -178,7 +178,7 @@ class _Body:
             slope, base = np.polyfit(along[whole], across[whole], 1)
         slope = float(np.clip(slope, -_STEEPEST, _STEEPEST))
         ahead = side * self.axes[0] + slope * self.axes[1]
-        # Begun inside, so that a round end is seen as one.
+        # Start inside the mask, so that a round end is recognised.
         start = last - _TORN * self.girth_px
         at = self.centre + side * start * self.axes[0] + (base + slope * start) * self.axes[1]
         return side * start, at, ahead / np.linalg.norm(ahead)
@@ -222,7 +222,7 @@ def _sections(
         covered = cover[pixels[:, 1], pixels[:, 0]]
         expected_m = float(np.polyval(body.depth, place))
         farther_m = _farther(depth_m[pixels[:, 1], pixels[:, 0]], expected_m)
-        # At a bend one side alone may be open.
+        # At a bend, only one side may be open.
         beside = max(covered[left].mean(), covered[right].mean())
         rounded_px += step * (covered[middle].mean() - beside)
         if covered.mean() >= _COVERED and abs(farther_m) <= _SAME_M:
@@ -240,7 +240,7 @@ def _sections(
             open_px += step
         if open_px > _OPEN * girth or hidden_px > _HIDDEN * girth:
             break
-    # The first half diameter is the mask's own.
+    # The first half diameter belongs to the mask.
     return np.array(edges[:last]) if seen_px >= (_SHORTEST + _TORN) * girth else None
 
 

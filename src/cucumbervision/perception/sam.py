@@ -52,8 +52,8 @@ _MIN_AGREEMENT = 0.6
 """Least IoU of a mask with the detector's own, if there is one."""
 
 _MIN_INSIDE, _MIN_SPAN = 0.9, 0.8
-"""A smaller mask agrees, too, if this share of it lies in the detector's, and its box is at least
-this share as long: before leaves of its own colour the detector draws a fruit too wide."""
+"""A smaller mask also agrees if this share of it is inside the detector's mask and its box is at
+least this share as long: the detector's masks are too wide before leaves of the same colour."""
 
 _LEAST_PART = 0.1
 """Least share of the detector's mask for a part to be segmented separately."""

@@ -40,7 +40,10 @@ def test_nan_infinity_and_negative_are_no_readings() -> None:
         (PLAUSIBLE, 0.001, "declared in millimetres.*100 % .*outside.*in metres 100 % lie inside"),
         ((PLAUSIBLE * 1000).astype(np.uint16), 1.0, "declared in metres.*in millimetres 100 %"),
         (PLAUSIBLE * 1000, None, "declared in metres.*in millimetres"),
-        (PLAUSIBLE, 0.0001, r"steps of 0.0001 m.*in metres.*depth unit 1 m"),
+        (PLAUSIBLE, 0.0001, r"steps of 0.1 mm.*in metres.*depth unit 1 m"),
+        # 0.7 m in steps of 0.1 mm, which in steps of 0.2 mm is 1.4 m.
+        (np.full((4, 4), 7000, np.uint16), None, r"in steps of 0.1 mm.*0.0001 m or 0.0002 m"),
+        (np.full((4, 4), 28000, np.uint16), 0.001, r"in steps of 0.1 mm.*unit 0.0001 m$"),
     ],
 )
 def test_the_wrong_unit_is_named(raw: Any, unit_m: float | None, words: str) -> None:

@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 
 _FEW, _MOST = 0.01, 0.5
 _FINEST_M, _COARSEST_M = 1e-7, 10.0
-_UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
+_UNIT_NAMES = {
+    1.0: "metres",
+    0.001: "millimetres",
+    0.0001: "steps of 0.1 mm",
+    0.0002: "steps of 0.2 mm",
+}
 
 
 def depth_to_metres(
@@ -121,17 +126,17 @@ def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:
     inside = _share_inside(raw, unit_m)
     if inside > _FEW:
         return
-    for other in _UNIT_NAMES:
-        share = _share_inside(raw, other)
-        if share > _MOST:
-            declared = _UNIT_NAMES.get(unit_m, f"steps of {unit_m:g} m")
-            raise DepthError(
-                f"depth is declared in {declared}, but {100 * (1 - inside):.0f} % of its readings "
-                f"then lie outside {DEPTH_MIN_M} to {DEPTH_MAX_M:.0f} m; in {_UNIT_NAMES[other]} "
-                f"{100 * share:.0f} % lie inside",
-                source=source,
-                remedy=f"declare the depth unit {other:g} m",
-            )
+    shares = {other: _share_inside(raw, other) for other in _UNIT_NAMES}
+    fitting = [other for other, share in shares.items() if share > _MOST]
+    if fitting:
+        declared = _UNIT_NAMES.get(unit_m, f"steps of {unit_m:g} m")
+        raise DepthError(
+            f"depth is declared in {declared}, but {100 * (1 - inside):.0f} % of its readings "
+            f"then lie outside {DEPTH_MIN_M} to {DEPTH_MAX_M:.0f} m; in {_UNIT_NAMES[fitting[0]]} "
+            f"{100 * shares[fitting[0]]:.0f} % lie inside",
+            source=source,
+            remedy="declare the depth unit " + " or ".join(f"{other:g} m" for other in fitting),
+        )
 
 
 def _share_inside(raw: NDArray[Any], unit_m: float) -> float:

@@ -260,7 +260,7 @@ def pose_table(readings: pd.DataFrame) -> Table:
     groups = {
         "true masks, keypoints": posed[near & ~perceived],
         "perceived": posed[near & perceived],
-        "perceived, stem in sight": posed[near & perceived & posed["cut_in_90"].notna()],
+        "perceived, both ends in sight": posed[near & perceived & posed["whole"].astype(bool)],
         "perceived, ends 90 % sure": posed[near & perceived & sure],
         "perceived, farther": posed[~near & perceived],
     }

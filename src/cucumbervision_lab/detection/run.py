@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
+from cucumbervision.measurement.pose import Part
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
@@ -315,8 +316,8 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `swapped` (the ends fit better the other way round), `stem_confidence`; where they are
-        right `stem_mm`, `stem_deg` and, for a fruit whose stem end is in sight, `cut_in_90`:
+        `swapped` (the ends fit better the other way round), `stem_confidence`, `whole` (both ends
+        are in sight); where they are right `stem_mm`, `stem_deg` and, for a fruit whose stem end is in sight, `cut_in_90`:
         whether the true place to cut lies within the ellipsoid of 90 %.
 
     Examples
@@ -334,6 +335,7 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     straight = np.linalg.norm(ends - [blossom, stem], axis=1).sum()
     swapped = bool(np.linalg.norm(ends - [stem, blossom], axis=1).sum() < straight)
     found: dict[str, Any] = {"swapped": swapped, "stem_confidence": pose.stem_confidence}
+    found["whole"] = not {Part.STEM, Part.BLOSSOM} & set(pose.covered)
     if swapped:
         return found
     out = (stem - axis_m[-2]) / np.linalg.norm(stem - axis_m[-2])

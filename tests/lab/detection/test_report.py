@@ -47,6 +47,7 @@ def test_errors_of_a_pose_that_is_off_by_known_amounts() -> None:
 def test_swapped_ends_have_no_distance_and_are_counted() -> None:
     swapped = pose_errors(pose((0.0, 0.1, 0.5), (0.0, -0.1, 0.5)), TRUE)
     assert swapped["swapped"]
+    assert swapped["whole"]
     assert "stem_mm" not in swapped
     right = pose_errors(pose((0.0, -0.103, 0.5), (0.0, 0.1, 0.5)), TRUE)
     rows = [

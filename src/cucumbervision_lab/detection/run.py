@@ -317,8 +317,8 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     -------
     dict
         `swapped` (the ends fit better the other way round), `stem_confidence`, `whole` (both ends
-        are in sight); where they are right `stem_mm`, `stem_deg` and, for a fruit whose stem end is in sight, `cut_in_90`:
-        whether the true place to cut lies within the ellipsoid of 90 %.
+        are in sight); where they are right `stem_mm`, `stem_deg` and, for a fruit whose stem end
+        is in sight, `cut_in_90`: whether the true place to cut lies within the ellipsoid of 90 %.
 
     Examples
     --------

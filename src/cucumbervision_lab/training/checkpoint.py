@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from cucumbervision.errors import MissingExtraError, TrainingError
 from cucumbervision.perception.runtime import import_onnxruntime
 
 _LAYERS = ("torch.nn.modules.", "ultralytics.nn.")
+_OPTIONS = "ultralytics.utils.IterableSimpleNamespace"  # holds the training options of a last.pt
 
 
 def require_layers(path: Path | str) -> list[Any]:
@@ -35,9 +37,9 @@ def require_layers(path: Path | str) -> list[Any]:
     try:
         for name in get_unsafe_globals_in_checkpoint(path):
             module, _, word = name.rpartition(".")
-            known = name.startswith(_LAYERS)
+            known = name.startswith(_LAYERS) or name == _OPTIONS
             layer = getattr(importlib.import_module(module), word) if known else None
-            if isinstance(layer, type) and issubclass(layer, Module):
+            if isinstance(layer, type) and issubclass(layer, (Module, SimpleNamespace)):
                 layers.append(layer)
             else:
                 other = name

@@ -33,7 +33,7 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.benchmark.page import STYLES
+from cucumbervision_lab.benchmark.report import STYLES
 from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
 

@@ -40,7 +40,7 @@ from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 from cucumbervision_lab.datasets.coco import picture_of, write_fragment
-from cucumbervision_lab.datasets.from_store import dataset_from_store
+from cucumbervision_lab.datasets.derive import dataset_from_store
 from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.synthesis.appearance import Assets, Style
 from cucumbervision_lab.synthesis.frame import FrameOptions, draw_frame

@@ -46,7 +46,7 @@ def benchmark(
 
     require_extra()  # before an hour of measuring
     if learn_intervals is not None:
-        from cucumbervision_lab.detection.learn_intervals import learn_intervals as learn
+        from cucumbervision_lab.detection.learn import learn_intervals as learn
 
         if learn_set is None:
             raise typer.BadParameter("--learn-intervals requires --learn-set, a set from 'synth'")

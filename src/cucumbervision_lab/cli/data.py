@@ -240,7 +240,7 @@ def from_store(
     from cucumbervision.cli.console import screen
     from cucumbervision.store.repository import open_store
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.datasets.from_store import dataset_from_store
+    from cucumbervision_lab.datasets.derive import dataset_from_store
 
     with open_store(store, images=images, create=False) as opened:
         made = dataset_from_store(opened, out, licence=licence, link=not copy)

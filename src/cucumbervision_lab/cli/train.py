@@ -320,7 +320,7 @@ def depth_vote(
     """Fit the depth vote on detections (for maintainers)."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.detection.learn_depth_vote import learn_depth_vote
+    from cucumbervision_lab.detection.learn import learn_depth_vote
 
     with ticking("detecting", len(open_dataset(data).pictures)) as tick:
         fit = learn_depth_vote(data, out, tick)

@@ -28,10 +28,9 @@ from cucumbervision_lab.synthesis.generate import generate, parse_options
 from cucumbervision_lab.training.export import export_trained
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.publish import write_card
-from cucumbervision_lab.training.recipe import Recipe, Source, read_recipe
+from cucumbervision_lab.training.recipe import Recipe, Source, build_sources, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, write_mixture
 from cucumbervision_lab.training.settings import TrainOptions
-from cucumbervision_lab.training.sources import build_sources
 from cucumbervision_lab.training.train import TrainCallbacks, train
 
 if TYPE_CHECKING:

@@ -23,9 +23,8 @@ from cucumbervision_lab.training.checkpoint import read_rows, write_rows
 from cucumbervision_lab.training.data import DATA_CARD, TASKS, data_card, write_data_file
 from cucumbervision_lab.training.export import export_yolo
 from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source
+from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source, build_sources
 from cucumbervision_lab.training.settings import TrainOptions
-from cucumbervision_lab.training.sources import build_sources
 from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainCallbacks, train
 
 PACKAGED = Path(__file__).with_name("recipe.toml")

@@ -18,10 +18,9 @@ from cucumbervision_lab.training.checkpoint import (
     strip_checkpoint,
     write_rows,
 )
-from cucumbervision_lab.training.cpu import choose_precision
 from cucumbervision_lab.training.data import TASKS, prepare_data
+from cucumbervision_lab.training.losses import choose_precision, has_keypoint_head
 from cucumbervision_lab.training.plan import RunState, extend_plan, parse_plan
-from cucumbervision_lab.training.points import has_keypoint_head
 from cucumbervision_lab.training.settings import (
     FIXED_OPTIONS,
     TrainOptions,

@@ -14,22 +14,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cucumbervision.perception.yolo import BY_PLACE
-from cucumbervision_lab.training.cpu import (
+from cucumbervision_lab.training.losses import (
+    add_ignored,
     assign_at_half_resolution,
+    assign_by_boxes_and_keypoints,
     channels_last,
     disable_bfloat16,
     enable_bfloat16,
     head_losses,
-)
-from cucumbervision_lab.training.ignored import add_ignored, ignore_regions, separate_ignored
-from cucumbervision_lab.training.plan import MixtureSampler, group_by_source
-from cucumbervision_lab.training.points import (
-    assign_by_boxes_and_keypoints,
+    ignore_regions,
     keypoint_sigma_at,
     learn_visibility,
     order_by_position,
+    separate_ignored,
     set_keypoint_sigma,
 )
+from cucumbervision_lab.training.plan import MixtureSampler, group_by_source
 from cucumbervision_lab.training.settings import one_to_many_at, rate_at
 
 if TYPE_CHECKING:

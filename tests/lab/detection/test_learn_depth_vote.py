@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from cucumbervision.cli.app import app
 from cucumbervision.perception.depth_vote import FEATURES, DepthShape, read_depth_vote
-from cucumbervision_lab.detection.learn_depth_vote import Candidate, fit_depth_vote
+from cucumbervision_lab.detection.learn import Candidate, fit_depth_vote
 
 
 def candidates(count: int, rng: np.random.Generator) -> list[Candidate]:

@@ -15,7 +15,14 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.checkpoint import read_rows
-from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
+from cucumbervision_lab.training.recipe import (
+    Recipe,
+    Schedule,
+    Source,
+    build_sources,
+    read_recipe,
+    with_axis_points,
+)
 from cucumbervision_lab.training.run_recipe import (
     PACKAGED,
     RecipeFolders,
@@ -23,7 +30,6 @@ from cucumbervision_lab.training.run_recipe import (
     write_mixture,
 )
 from cucumbervision_lab.training.settings import TrainOptions
-from cucumbervision_lab.training.sources import build_sources, with_axis_points
 from cucumbervision_lab.training.train import NETWORK
 
 SIDE = 360

@@ -1,9 +1,10 @@
-"""Fit the depth vote on synthetic scenes with the packaged detector."""
+"""Learn the intervals of lengths and the depth vote from what the networks see in drawn scenes."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,19 +22,134 @@ from cucumbervision.perception.depth_vote import (
     depth_shape,
 )
 from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.pipeline.finders import Finder, make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_lab.benchmark.cases import stress_cases
+from cucumbervision_lab.benchmark.interval_fit import write_interval_models
+from cucumbervision_lab.benchmark.measure_case import CaseOptions
+from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
+from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
+from cucumbervision_lab.detection.run import length_records
+from cucumbervision_lab.processes import each_done
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
+
+    from cucumbervision.measurement.intervals import IntervalModels
+    from cucumbervision_lab.benchmark.records import LengthRecord
+    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+
+    Report = Callable[[str, int, int], None]
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
     from cucumbervision_lab.detection.pictures import Frame
+
+
+# Case numbers not used by any benchmark.
+_LEARN_FIRST = 1_000_000
+
+
+def learn_intervals(
+    file: Path,
+    out: Path,
+    fruit: int,
+    drawn: Path,
+    workers: int = 1,
+    report: Report | None = None,
+) -> IntervalModels:
+    """Fit all interval models, on fruit that no benchmark uses.
+
+    Parameters
+    ----------
+    file : Path
+        Output file of the models.
+    out : Path
+        Folder of the measurement records, used to resume an interrupted run.
+    fruit : int
+        Number of stress-set fruit, measured with exact and with disturbed outlines, so that the
+        models can use the roughness of the outline.
+    drawn : Path
+        Set written by `synth` with depth, measured on true and on predicted masks.
+    workers : int
+        Number of processes.
+    report : callable, optional
+        See `run_benchmark`.
+    """
+    cases = stress_cases(fruit, first=_LEARN_FIRST)
+    tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
+    options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
+    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
+    records += set_records(drawn, "all", out / "pictures.jsonl", workers, report)
+    book = fit_interval_models(readings_frame(records))
+    write_interval_models(file, book)
+    return book
+
+
+def set_records(
+    folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
+) -> list[LengthRecord]:
+    """Measure the fruit of a synthetic set on true masks and on masks of the packaged networks.
+
+    Parameters
+    ----------
+    folder : Path
+        Set with depth.
+    split : str
+        Split to measure, or 'all'.
+    keep : Path
+        JSON lines file of finished records, which are not measured again. Delete it when the
+        networks or the methods change.
+    workers : int
+        Number of processes.
+    report : callable, optional
+        See `run_benchmark`.
+
+    Raises
+    ------
+    DataSetError
+        If the set cannot be read.
+    """
+    held = read_held_out(folder, split)
+    done = read_records([keep]) if keep.exists() else []
+    names = {_picture_of(record) for record in done}
+    missing = [picture for picture in held.pictures if picture.file not in names]
+    tell = None if report is None else (lambda n: report("pictures", n, len(held.pictures)))
+    if tell is not None and names:
+        tell(len(held.pictures) - len(missing))
+    keep.parent.mkdir(parents=True, exist_ok=True)
+    for found in ticked(each_done(partial(_measured, held.data), missing, workers), tell):
+        for record in found:
+            append_record(keep, record)
+        done += found
+    chosen = {picture.file for picture in held.pictures}
+    return [record for record in done if _picture_of(record) in chosen]
+
+
+def _picture_of(record: LengthRecord) -> str:
+    return record.case.partition("#")[0]
+
+
+@lru_cache
+def _finder() -> Finder:
+    return make_finder(MeasureOptions(instances="models"))
+
+
+def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
+    capture = capture_of(picture, data, read_color(data.path(picture)))
+    if capture is None:
+        return []
+    frame, found = frame_of(picture, data, None), _finder().find(capture).instances
+    matches, required = match_fruit(frame, [one.box for one in found])
+    perceived = {required[true]: found[seen] for true, seen in matches.pairs}
+    return length_records(frame, capture, perceived)
+
 
 _AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more are not negatives
 _RIDGE = 0.5  # strength of the prior on the weights

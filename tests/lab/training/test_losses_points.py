@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
-from cucumbervision_lab.training.points import (  # noqa: E402
+from cucumbervision_lab.training.losses import (  # noqa: E402
     assign_by_boxes_and_keypoints,
     has_keypoint_head,
     keypoint_sigma_at,

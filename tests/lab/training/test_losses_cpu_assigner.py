@@ -6,7 +6,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
-from cucumbervision_lab.training.cpu import assign_at_half_resolution  # noqa: E402
+from cucumbervision_lab.training.losses import assign_at_half_resolution  # noqa: E402
 
 pytestmark = pytest.mark.train
 

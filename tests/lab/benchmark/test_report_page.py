@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.about import source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.benchmark.page import HTML_NAME, JSON_NAME, Plot, Section, write_report
+from cucumbervision_lab.benchmark.report import HTML_NAME, JSON_NAME, Plot, Section, write_report
 
 if TYPE_CHECKING:
     from pathlib import Path

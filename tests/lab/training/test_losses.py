@@ -16,7 +16,7 @@ if importlib.util.find_spec("ultralytics") is None:
 from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.datasets.yolo import write_yolo
 from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.ignored import (
+from cucumbervision_lab.training.losses import (
     add_ignored,
     ignore_regions,
     read_ignored,

@@ -11,7 +11,7 @@ from cucumbervision_lab.benchmark.records import readings_frame
 
 pytest.importorskip("matplotlib")
 
-from cucumbervision_lab.benchmark import page
+from cucumbervision_lab.benchmark import report
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,19 +67,19 @@ def readings(make_record: MakeRecord) -> pd.DataFrame:
 
 
 def test_each_method_has_a_panel_of_its_own(readings: pd.DataFrame) -> None:
-    png = page.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
+    png = report.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     columns = {method: pixels(png, method)[:, 1] for method in COLOURS}
     assert columns["M1"].max() < columns["M5"].min()
     assert columns["M5"].max() < columns["M6"].min()
 
 
 def test_what_was_refused_stands_on_the_bottom_line(readings: pd.DataFrame) -> None:
-    png = page.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
+    png = report.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     m1, m6 = pixels(png, "M1"), pixels(png, "M6")
     assert np.ptp(m1[:, 0]) < 20  # one marker high
     assert m1[:, 0].min() > m6[:, 0].max()
 
 
 def test_every_drawn_method_has_its_own_look() -> None:
-    looks = [(colour, marker) for colour, marker, _ in page.STYLES.values()]
+    looks = [(colour, marker) for colour, marker, _ in report.STYLES.values()]
     assert len(set(looks)) == len(looks)

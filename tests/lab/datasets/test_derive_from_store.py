@@ -25,7 +25,7 @@ from cucumbervision.store.views import Verdict
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.datasets.checks import check_folder
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.from_store import (
+from cucumbervision_lab.datasets.derive import (
     ReviewCounts,
     dataset_from_store,
     split_of_position,

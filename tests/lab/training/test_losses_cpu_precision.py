@@ -9,7 +9,7 @@ if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
 from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.cpu import (
+from cucumbervision_lab.training.losses import (
     channels_last,
     choose_precision,
     cpu_has_bfloat16,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision_lab.synthesis.d435_colors import d435_colors
+from cucumbervision_lab.synthesis.colors import d435_colors
 
 
 def canopy() -> NDArray[np.uint8]:

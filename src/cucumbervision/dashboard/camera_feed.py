@@ -228,8 +228,11 @@ class CameraFeed:
                 raise picture_gone()
             reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
             before = [one for one in self._held if 0 < pressed_s - one.at_s <= reach_s]
-            # An odd burst has its middle frame where the moment is nearest to one.
-            near = bool(before) and pressed_s - before[-1].at_s < 0.5 / self._config.fps
+            # An odd burst has its middle frame where the moment is nearest to one. Of a press that
+            # comes late the frame after it is held, too, and may lie farther off than the one before.
+            after_s = [one.at_s - pressed_s for one in self._held if one.at_s >= pressed_s]
+            next_s = min(after_s, default=0.5 / self._config.fps)
+            near = bool(before) and pressed_s - before[-1].at_s < next_s
             wanted = burst // 2 + (burst % 2 if near else 0)
             frames = before[len(before) - min(wanted, len(before)) :]
             grabbed = CameraBurst(self, burst, pressed_s, reach_s, frames)

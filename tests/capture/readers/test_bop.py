@@ -61,7 +61,7 @@ def test_scene(tmp_path: Path) -> None:
 def test_depth_scale_is_in_millimetres(tmp_path: Path) -> None:
     make_scene(tmp_path / "s", images=(5,), scale=0.1)
     # 505 * 0.1 mm is too near for a reading; in millimetres it would be one.
-    assert "steps of 0.0001 m" in failures(tmp_path / "s")[5]
+    assert "declare the depth unit 0.001 m" in failures(tmp_path / "s")[5]
     make_scene(tmp_path / "t", images=(5,), scale=0.5)
     (ref,) = open_source(tmp_path / "t")
     capture = ref.load()

@@ -152,5 +152,5 @@ def test_the_command_shows_what_was_judged(store: Store, tmp_path: Path) -> None
     words = ["from-store", str(tmp_path / "house.db"), str(tmp_path / "set")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    assert "1 judged pictures were not kept" in result.output
+    assert "1 reviewed captures skipped: their pictures were not kept" in result.output
     assert len(read_coco(tmp_path / "set").pictures) == 1

@@ -128,6 +128,21 @@ def test_presses_of_a_gap_each_get_the_picture_of_their_moment(
     assert [one.pressed_s for one in waiting.captures()] == pytest.approx(pressed_s)
 
 
+def test_a_late_press_gets_the_frame_before_it_where_that_one_is_nearer(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CameraFeed, "_begin_watched", lambda feed: None)
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0))
+    capture, now = Replay(example_captures()).take(1, Stop()), time.time()
+    for ago_s in (4.0, 3.5, 3.0, 2.5):
+        feed._hold(capture, now - ago_s)
+    for after_s, nearest_s in ((0.2, 0.2), (0.3, 0.2), (0.05, 0.05)):
+        grabbed = feed.grab(1, now - 3.5 + after_s)
+        assert len(grabbed.frames) == 1
+        assert grabbed.nearest_s == pytest.approx(nearest_s, abs=1e-3)
+    feed.close()
+
+
 def test_a_press_whose_picture_is_gone_is_refused_and_told(
     recording: Path, store: Store, waiting: WaitingCaptures
 ) -> None:

@@ -227,12 +227,14 @@ class CameraFeed:
             if min([*ago_s, time.time() - pressed_s]) > FAR_S:
                 raise picture_gone()
             reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
-            before = [one for one in self._held if 0 < pressed_s - one.at_s <= reach_s]
+            earlier = [one for one in self._held if one.at_s < pressed_s]
             # An odd burst has its middle frame where the moment is nearest to one. Of a press that
-            # comes late the frame after it is held, too, and may lie farther off than the one before.
+            # comes late the next frame is held, too, and may lie farther off than the last.
             after_s = [one.at_s - pressed_s for one in self._held if one.at_s >= pressed_s]
             next_s = min(after_s, default=0.5 / self._config.fps)
-            near = bool(before) and pressed_s - before[-1].at_s < next_s
+            near = bool(earlier) and pressed_s - earlier[-1].at_s < next_s
+            before = [one for one in earlier if pressed_s - one.at_s <= reach_s]
+            before = before or (earlier[-1:] if near else [])
             wanted = burst // 2 + (burst % 2 if near else 0)
             frames = before[len(before) - min(wanted, len(before)) :]
             grabbed = CameraBurst(self, burst, pressed_s, reach_s, frames)

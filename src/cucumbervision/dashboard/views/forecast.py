@@ -58,14 +58,14 @@ def _days(found: Forecast) -> None:
     for day in found.days.tolist():
         line = {"Day": day_name(day)}
         for k in expected_classes(found):
-            least = "" if found.complete[day, k] else "at least "
+            more = "" if found.complete[day, k] else " or more"
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
             words = span_words(count)
-            line[class_name(found, k)] = words if words == "–" else f"{least}{words}"
+            line[class_name(found, k)] = words if words == "–" else f"{words}{more}"
         lines.append(line)
     page_elements.table(lines)
     st.caption(
-        "Growth comes from the crop profile until fruit are linked between days. 'At least': fruit "
+        "Growth comes from the crop profile until fruit are linked between days. 'Or more': fruit "
         "too small to be detected today are not counted."
     )
 

@@ -13,7 +13,7 @@ import pytest
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
 collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision/dashboard/*"]
 # The examples of these compute with torch.
-_WITH_TORCH = [f"src/cucumbervision_lab/training/{name}.py" for name in ("ends", "points")]
+_WITH_TORCH = [f"src/cucumbervision_lab/training/{name}.py" for name in ("ends", "losses")]
 if not find_spec("torch"):
     collect_ignore_glob += _WITH_TORCH
 # Files of which something was skipped here: `.ci/run` runs them again where nothing is missing.

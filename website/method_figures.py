@@ -33,7 +33,6 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.benchmark.report import STYLES
 from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
 
@@ -44,6 +43,11 @@ if TYPE_CHECKING:
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENE, FRUIT, BENT = "simulated-row-b", 1, 0
 MARGIN_PX = 30
+# Okabe and Ito's colour-blind-safe palette.
+COLOURS = {
+    **{"M1": "#E69F00", "M2": "#56B4E9", "M3": "#009E73"},
+    **{"M4": "#CC79A7", "M5": "#0072B2", "M6": "#D55E00"},
+}
 GREY, DARK, REFUSED = "#d4d4d4", "#222222", "#c0392b"
 SMALL = 9.0  # larger dots are single samples, with an edge
 SIDE_CM = 5.0  # room before and behind the fruit in the view from the side
@@ -159,7 +163,7 @@ def draw_method(example: Example, method: Method) -> Figure:
 
 
 def _draw_picture(axes: Axes, example: Example, method: Method, used: Used) -> None:
-    region, colour = example.region, STYLES[str(method)][0]
+    region, colour = example.region, COLOURS[str(method)]
     axes.imshow(example.color)
     dot = 26.0 if method in (Method.M1, Method.M4) else 1.5
     for points, tint, mark in ((used.refused_m, REFUSED, "x"), (used.points_m, colour, "o")):
@@ -200,7 +204,7 @@ def _side(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _draw_side(axes: Axes, example: Example, method: Method, used: Used) -> None:
-    colour, one = STYLES[str(method)][0], example.measured[method]
+    colour, one = COLOURS[str(method)], example.measured[method]
     centres, radii = _side(example.body.centres_m), 100 * example.body.radii_m
     for x, y, radius in zip(*centres, radii, strict=True):
         axes.add_patch(Circle((x, y), radius, color=GREY, lw=0))
@@ -268,7 +272,7 @@ def draw_lengths() -> Figure:
             ("centreline", body.centreline_m, body.axis_m),
             ("chord", body.chord_m, body.poles_m),
         ),
-        (STYLES["M6"][0], STYLES["M5"][0], DARK),
+        (COLOURS["M6"], COLOURS["M5"], DARK),
         strict=True,
     ):
         axes.plot(*((path - start) @ plane.T).T, color=style, lw=2, label=f"{name}: {_cm(length)}")

@@ -107,7 +107,7 @@ def test_pages_fit_a_phone_and_fetch_nothing_from_elsewhere(site: Path, address:
 
 
 def test_table_of_methods_is_what_they_read() -> None:
-    pytest.importorskip("matplotlib", reason="the extra report is not installed")
+    pytest.importorskip("matplotlib", reason="the extra docs is not installed")
     figures = load_script("method_figures")
     text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
     assert figures.reading_table(figures.load_example()) in text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from cucumbervision.capture.files import json_value
@@ -74,8 +74,6 @@ class Table:
         Rows, each with a cell for every column.
     comment : str
         Explanation of the table.
-    bold : frozenset of (int, int)
-        Row and column of bold cells.
 
     Raises
     ------
@@ -87,7 +85,6 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     comment: str = ""
-    bold: frozenset[tuple[int, int]] = field(default=frozenset())
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -103,7 +100,6 @@ class Table:
         heads: Iterable[str],
         rows: Iterable[Sequence[Any]],
         comment: str = "",
-        bold: frozenset[tuple[int, int]] = frozenset(),
     ) -> Table:
         """Create a table from headings in the format of `Column.of`.
 
@@ -114,7 +110,7 @@ class Table:
         [['1', '0.9'], ['5', '0.8']]
         """
         cells = tuple(tuple(map(_python, row)) for row in rows)
-        return cls(title, tuple(map(Column.of, heads)), cells, comment, bold)
+        return cls(title, tuple(map(Column.of, heads)), cells, comment)
 
     @classmethod
     def of_records(
@@ -123,7 +119,6 @@ class Table:
         columns: Mapping[str, str],
         records: Iterable[Mapping[str, Any]],
         comment: str = "",
-        bold: frozenset[tuple[int, int]] = frozenset(),
     ) -> Table:
         """Create a table from records; `columns` maps names to headings.
 
@@ -134,7 +129,7 @@ class Table:
         [['M1', '+1.2']]
         """
         rows = ([record[name] for name in columns] for record in records)
-        return cls.of(title, columns.values(), rows, comment, bold)
+        return cls.of(title, columns.values(), rows, comment)
 
     @property
     def numeric(self) -> list[bool]:

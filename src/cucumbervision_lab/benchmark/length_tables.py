@@ -118,11 +118,10 @@ _ACCURACY = {
     "bias_percent": "bias (%):+.2",
     "words": "what it is",
 }
-_LOWEST_IS_BEST = ("mae_cm", "rmse_cm", "mape_percent", "median_percent", "worst_percent")
 
 
 def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
-    """Return the accuracy of every method with the best values in bold.
+    """Return the accuracy of every method.
 
     Parameters
     ----------
@@ -146,16 +145,11 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
                 "words": DESCRIPTIONS.get(str(method), ""),
             }
         )
-    bold = frozenset(
-        (min(range(len(rows)), key=lambda k: float(rows[k][name])), list(_ACCURACY).index(name))
-        for name in _LOWEST_IS_BEST
-        if len(rows) > 1
-    )
     comment = (
         f"Errors against the true {truth}. A fruit that a method did not measure counts as 100 % "
         "error. Captures of one fruit resemble each other: use the interval by fruit."
     )
-    return Table.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment, bold)
+    return Table.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment)
 
 
 @dataclass(frozen=True, eq=False)

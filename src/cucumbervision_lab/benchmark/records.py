@@ -176,13 +176,12 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
 
 
 def require_extra() -> None:
-    """Check that the tools of tables and report are there.
+    """Check that pandas is installed.
 
     Raises
     ------
     MissingExtraError
-        If one of them is not installed.
+        If it is not.
     """
-    for name in ("pandas", "matplotlib", "jinja2"):
-        if find_spec(name) is None:
-            raise MissingExtraError(name, "benchmark")
+    if find_spec("pandas") is None:
+        raise MissingExtraError("pandas", "benchmark")

@@ -10,7 +10,7 @@ import typer
 
 def benchmark(
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for records and report; rerun to resume.")
+        Path, typer.Option("--out", "-o", help="Folder for records and results; rerun to resume.")
     ] = Path("benchmark"),
     quick: Annotated[
         bool,
@@ -30,21 +30,18 @@ def benchmark(
         typer.Option(help="Set from 'synth' with depth, for the intervals of network masks."),
     ] = None,
 ) -> None:
-    """Measure simulated fruit of known length by every method and write a report.
+    """Measure simulated fruit of known length by every method.
 
     Includes the paper's 48 captures and five validation fruit with exact, disturbed and perceived
     masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
-    from cucumbervision_lab.benchmark import run
     from cucumbervision_lab.benchmark.records import require_extra
-    from cucumbervision_lab.benchmark.report import (
-        glance_table,
-        paper_table,
-        write_benchmark_report,
-    )
-    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
     require_extra()  # before an hour of measuring
+    from cucumbervision_lab.benchmark import run
+    from cucumbervision_lab.benchmark.report import benchmark_tables, write_tables
+    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
+
     if learn_intervals is not None:
         from cucumbervision_lab.detection.learn import learn_intervals as learn
 
@@ -60,7 +57,6 @@ def benchmark(
     plan = run.BenchmarkOptions(quick, stress, workers)
     with part_bars() as report:
         readings = run.run_benchmark(plan, out, report)
-    beside = paper_table(readings)
-    show_tables([*([beside] if beside else ()), glance_table(readings)])
-    written = write_benchmark_report(readings, out, provenance=run.provenance(plan))
-    show(f"Report: {written}")
+    tables = benchmark_tables(readings)
+    show_tables(tables)
+    show(f"Results: {write_tables(out / 'benchmark.json', run.provenance(plan), tables)}")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +14,9 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, Table
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision.pipeline.fields import defused
-from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     comparable_readings,
@@ -27,6 +24,7 @@ from cucumbervision_lab.benchmark.length_tables import (
     group_table,
 )
 from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.report import write_tables, writing_report
 from cucumbervision_lab.detection.average_precision import (
     OKS_SIGMA,
     AveragePrecision,
@@ -366,14 +364,13 @@ def write_detection_report(
     CucumberVisionError
         If a file cannot be written.
     """
-    with _made(out):
-        values = _provenance(result) | {"tables": [table.as_json() for table in tables]}
-        write_json(out / "results.json", values)
+    written = write_tables(out / "results.json", _provenance(result), tables)
+    with writing_report(out):
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
         _write_rows(out / "detections.csv", summary.found, DetectionRow)
         _write_rows(out / "ends.csv", summary.ends, EndRow)
         _write_csv(out / "lengths.csv", summary.readings.reindex(columns=_LENGTH_COLUMNS))
-    return out / "results.json"
+    return written
 
 
 def write_photo_report(photos: PhotoResult, tables: Sequence[Table], out: Path) -> Path:
@@ -393,24 +390,11 @@ def write_photo_report(photos: PhotoResult, tables: Sequence[Table], out: Path) 
     CucumberVisionError
         If a file cannot be written.
     """
-    with _made(out):
-        values = {"confidence": photos.confidence, "tables": [one.as_json() for one in tables]}
-        write_json(out / "photos.json", values)
+    written = write_tables(out / "photos.json", {"confidence": photos.confidence}, tables)
+    with writing_report(out):
         _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
         _write_rows(out / "photo_detections.csv", photos.found, DetectionRow)
-    return out / "photos.json"
-
-
-@contextmanager
-def _made(out: Path) -> Iterator[None]:
-    """Create an output folder, and convert write errors in the block to CucumberVisionError."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-        ) from error
+    return written
 
 
 def _provenance(result: DetectionResult) -> dict[str, Any]:

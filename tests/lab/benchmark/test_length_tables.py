@@ -81,16 +81,6 @@ def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> N
     assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
 
 
-def test_the_best_is_bold(make_record: MakeRecord) -> None:
-    records = [make_record(lengths_m={"M1": 0.19, "M6": 0.199})]
-    table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
-    heads = [column.head for column in table.columns]
-    assert {table.rows[row][0] for row, _ in table.bold} == {"M6"}
-    assert {heads[column] for _, column in table.bold} == {
-        *("MAE (cm)", "RMSE (cm)", "MAPE (%)", "median error (%)", "worst error (%)")
-    }
-
-
 def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[Table]:
     scored = comparable_readings(readings_frame(records), truth)
     return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]

@@ -2,22 +2,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import pytest
+from tests.lab.benchmark.conftest import make_record
 
+from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.records import Masks, readings_frame
-
-pytest.importorskip("matplotlib")
-pytest.importorskip("jinja2")
-
-from tests.lab.benchmark.conftest import make_record
-
-from cucumbervision_lab.benchmark.report import write_benchmark_report
+from cucumbervision_lab.benchmark.report import benchmark_tables, write_tables
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,39 +52,50 @@ def records_of(make_record: MakeRecord) -> pd.DataFrame:
     return readings_frame([*records, *stress, *validation])
 
 
-@pytest.fixture
-def numbers(make_record: MakeRecord, tmp_path: Path) -> dict[str, Any]:
-    page = write_benchmark_report(records_of(make_record), tmp_path / "new")
-    assert page.stat().st_size > 30_000  # tables and plots
-    found: dict[str, Any] = json.loads((tmp_path / "new/benchmark.json").read_text("utf-8"))
-    return found
-
-
-def test_a_section_each_suite_and_kind_of_masks(numbers: dict[str, Any]) -> None:
-    assert [section["title"] for section in numbers["sections"]] == [
-        "Beside the paper",
+def test_tables_of_each_suite_and_kind_of_masks(make_record: MakeRecord) -> None:
+    tables = {table.title: table for table in benchmark_tables(records_of(make_record))}
+    assert list(tables)[:2] == [
+        "The paper's figures, on its own captures, beside this program's",
+        "At a glance",
+    ]
+    assert list(dict.fromkeys(title.split(": ")[0] for title in tables if ": " in title)) == [
         "The paper's protocol, exact outlines",
         "The five validation fruit, exact outlines",
         "The stress set, outlines disturbed by 1.5 px",
     ]
-    assert [row["measurements"] for row in numbers["glance"]["rows"]] == [12, 2, 12]
-    assert numbers["notes"][0].startswith("Every capture is simulated")
-
-
-def test_each_suite_has_its_own_tables(numbers: dict[str, Any]) -> None:
-    tables = {
-        (section["title"], table["title"]): table["rows"]
-        for section in numbers["sections"]
-        for table in section["tables"]
-    }
-    rows = tables["The paper's protocol, exact outlines", "Accuracy against the centreline"]
-    m5 = next(row for row in rows if row["method"] == "M5")
-    assert (m5["captures"], m5["fruit"]) == (12, 4)
+    assert [row[2] for row in tables["At a glance"].rows] == [12, 2, 12]
+    accuracy = tables["The paper's protocol, exact outlines: Accuracy against the centreline"]
+    m5 = next(row for row in accuracy.rows if row[0] == "M5")
+    assert m5[1:3] == (12, 4)  # captures, fruit
     stress = "The stress set, outlines disturbed by 1.5 px"
-    assert (stress, "By tilt (°), against the centreline") in tables
+    assert f"{stress}: By tilt (°), against the centreline" in tables
+    # Two captures are too few for groups.
+    assert not any(
+        title.startswith("The five validation fruit, exact outlines: By") for title in tables
+    )
 
 
-def test_nothing_to_report_is_refused(tmp_path: Path) -> None:
+def test_tables_are_written_with_unrounded_numbers(tmp_path: Path) -> None:
+    table = Table.of("Bursts", ["frames", "MAPE (%):.1"], [[5, 0.123], [1, float("nan")]])
+    path = write_tables(tmp_path / "new" / "benchmark.json", {"stress fruit": 3}, [table])
+    assert json.loads(path.read_text("utf-8")) == {
+        "stress fruit": 3,
+        "tables": [
+            {
+                "title": "Bursts",
+                "comment": "",
+                "rows": [{"frames": 5, "MAPE (%)": 0.123}, {"frames": 1, "MAPE (%)": None}],
+            }
+        ],
+    }
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CucumberVisionError, match="choose another --out"):
+        write_tables(tmp_path / "file" / "benchmark.json", {}, [])
+
+
+def test_nothing_to_report_is_refused() -> None:
     with pytest.raises(CucumberVisionError, match="nothing to report"):
-        write_benchmark_report(pd.DataFrame(), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+        benchmark_tables(pd.DataFrame())

@@ -13,8 +13,8 @@ from cucumbervision.errors import MissingExtraError
 def test_a_tool_that_is_missing_is_named_before_anything_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "pandas", None)
     result = CliRunner().invoke(app, ["benchmark", "--quick", "--out", str(tmp_path / "out")])
     assert isinstance(result.exception, MissingExtraError)
-    assert "matplotlib is not installed; pip install" in str(result.exception)
+    assert "pandas is not installed; pip install" in str(result.exception)
     assert not (tmp_path / "out").exists()

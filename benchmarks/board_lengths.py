@@ -120,22 +120,6 @@ def all_fruit(folder: Path, focal_share: float) -> pd.DataFrame:
     return pd.DataFrame(rows).dropna()
 
 
-def convention(fruit: pd.DataFrame) -> float:
-    """Return where the tape lies between chord (0) and thread (1), whatever the scale.
-
-    By least absolute deviations of log(tape / chord) on log(thread / chord), each against its
-    median over the picture, so that a picture's scale has no say.
-    """
-    logs = np.log(fruit[["tape", "chord", "thread"]])
-    parts = pd.DataFrame({"y": logs["tape"] - logs["chord"], "x": logs["thread"] - logs["chord"]})
-    parts -= parts.groupby(fruit["picture"]).transform("median")
-    x, y, weight = parts["x"].to_numpy(), parts["y"].to_numpy(), np.ones(len(parts))
-    for _ in range(20):
-        share = float((weight * x * y).sum() / (weight * x * x).sum())
-        weight = 1 / np.maximum(np.abs(y - share * x), 0.005)
-    return share
-
-
 def resampled(fruit: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     """Draw whole pictures again."""
     groups = [group for _, group in fruit.groupby("picture")]
@@ -144,7 +128,7 @@ def resampled(fruit: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Print the errors by kind of length, and which kind the tape is."""
+    """Print the errors by kind of length."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--focal", type=float, default=0.72)
@@ -185,12 +169,6 @@ def main() -> None:
         medians = [100 * np.log(one[kind] / one["tape"]).median() for one in samples]
         low, high = np.quantile(medians, [0.025, 0.975])
         print(f"{kind} against the tape by the rulers' scale: 95 % [{low:+.1f}, {high:+.1f}] %")
-    low, high = np.quantile([convention(one) for one in samples], [0.025, 0.975])
-    logs = np.log(fruit[list(KINDS)]).sub(np.log(fruit["chord"]), axis=0).sum()
-    print(
-        f"the tape lies at {convention(fruit):.2f} between chord (0) and thread (1), "
-        f"95 % [{low:.2f}, {high:.2f}]; the centreline at {logs['centreline'] / logs['thread']:.2f}"
-    )
 
 
 if __name__ == "__main__":

@@ -25,11 +25,11 @@ from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import Flag
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.overlay import draw_overlay
 from cucumbervision_lab.detection.outcomes import match_boxes
 
 if TYPE_CHECKING:
@@ -137,46 +137,29 @@ def summary(judged: list[Judged]) -> list[str]:
     return lines
 
 
-def draw_sheet(pictures: list[NDArray[np.uint8]], out: Path) -> None:
-    """Write all overlays on one sheet, three in a row."""
-    small = [cv2.resize(one, (640, 640 * one.shape[0] // one.shape[1])) for one in pictures]
-    small += [np.zeros_like(small[0])] * (-len(small) % 3)
-    rows = [np.hstack(small[k : k + 3]) for k in range(0, len(small), 3)]
-    cv2.imwrite(str(out), np.vstack(rows)[..., ::-1])
-
-
 def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--confidence", type=float, help="as `measure --confidence`")
-    parser.add_argument("--sheet", type=Path, help="PNG of all overlays")
+    parser.add_argument("--confidence", type=float, default=DEFAULT_CONFIDENCE)
     given = parser.parse_args()
-    options = MeasureOptions(instances="models")
-    if given.confidence is not None:
-        options = MeasureOptions(instances="models", confidence=given.confidence)
-    measurer = Measurer(options)
+    measurer = Measurer(MeasureOptions(instances="models", confidence=given.confidence))
     marks = {one["name"]: one for one in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=given.folder / "intrinsics.json")
-    judged, pictures, with_stickers = [], [], []
+    judged, with_stickers = [], []
     for capture in read_captures([given.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
         own = marks[capture.name.removesuffix("_color")]
         with_stickers.append(judge(measurer.measure(capture), own))
         plain = replace(capture, color=without_sticker(capture.color, own))
-        result = measurer.measure(plain)
-        judged.append(judge(result, own))
-        if given.sheet is not None:
-            pictures.append(draw_overlay(result.capture, result.fruit))
+        judged.append(judge(measurer.measure(plain), own))
     console = Console(width=120, highlight=False)
     console.print(fruit_table(judged))
     for title, ones in (("stickers painted over", judged), ("as captured", with_stickers)):
         console.print(f"\n{title}:")
         for line in summary(ones):
             console.print(line, soft_wrap=True)
-    if given.sheet is not None:
-        draw_sheet(pictures, given.sheet)
 
 
 if __name__ == "__main__":

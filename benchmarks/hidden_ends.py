@@ -1,26 +1,22 @@
 """Fruit with one end hidden by a leaf: M6's estimate of the whole length, and its interval.
 
-    python benchmarks/hidden_ends.py --fruit 110 [--keep FILE]
+    python benchmarks/hidden_ends.py --fruit 110
 
 Fruit of the stress set's kind (0.3 to 1.2 m, tilted up to 45 degrees, outlines exact and
-disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it. The
-second table learns how girth goes with length on some of the fruit and compares it with the
-others: one half against the other, and two kinds of fruit against the third.
+disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it.
 """
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from resuming import rows_of
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
-from cucumbervision.measurement.hidden_end import GirthRelation, covered_reach, hidden_length
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.benchmark.cases import simulate, stress_cases
 from cucumbervision_lab.benchmark.measure_case import (
@@ -28,7 +24,6 @@ from cucumbervision_lab.benchmark.measure_case import (
     disturb_mask,
     draw_disturbance,
 )
-from cucumbervision_lab.synthesis.bodies import variety_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,12 +70,6 @@ def measured(number: int) -> list[dict[str, Any]]:
             row = {"kind": kind, "share": share, "true": taken.truth.centreline_m}
             row |= {"seen": fit.traits.lengths.centreline_m, "flagged": not all(fit.ends_seen)}
             whole = fit.whole
-            row |= {"number": number, "kind of fruit": variety_of(case.length_m)}
-            row["girth"] = fit.traits.diameter_max_m
-            row["reach"] = np.nan
-            if sum(fit.ends_seen) == 1:
-                end = -1 if fit.ends_seen[0] else 0
-                row["reach"] = covered_reach(depth, camera, fit.traits.axis_m, end) or np.nan
             row["median"] = np.nan if whole is None else whole.median_m
             row["low"] = np.nan if whole is None else whole.low_m
             row["high"] = np.nan if whole is None else whole.high_m
@@ -88,46 +77,12 @@ def measured(number: int) -> list[dict[str, Any]]:
     return rows
 
 
-def learnt(rows: pd.DataFrame) -> GirthRelation:
-    """Learn length by girth, with as much room as the package's own relation has."""
-    girth, length = np.log(rows["girth"]), np.log(rows["true"])
-    slope, log_length = np.polyfit(girth, length, 1)
-    spread = 1.25 * float((length - log_length - slope * girth).std(ddof=2))
-    return GirthRelation(float(log_length), float(slope), spread)
-
-
-def learnt_table(estimated: pd.DataFrame) -> Table:
-    """Return what relations hold that were learnt on other fruit."""
-    even = estimated["number"] % 2 == 0
-    splits = [("odd numbers, learnt on even", even), ("even numbers, learnt on odd", ~even)]
-    kinds = sorted(estimated["kind of fruit"].unique())
-    splits += [
-        (f"{kind}, learnt on other kinds", estimated["kind of fruit"] != kind) for kind in kinds
-    ]
-    table = Table(title="Length by girth, learnt on other fruit")
-    for head in ("fruit", "readings", "spread", "median off %", "error %", "covers %", "width %"):
-        table.add_column(head, justify="right")
-    for name, of in splits:
-        relation, others = learnt(estimated[of]), estimated[~of]
-        columns = others[["seen", "girth", "reach"]].to_numpy(float).tolist()
-        found = [hidden_length(seen, girth, reach, relation) for seen, girth, reach in columns]
-        low, median, high = np.array([(x.low_m, x.median_m, x.high_m) for x in found]).T
-        off = 100 * (median / others["true"] - 1)
-        covers = 100 * ((low <= others["true"]) & (others["true"] <= high)).mean()
-        width = 100 * ((high - low) / median).mean()
-        cells = (off.median(), off.abs().mean(), covers, width)
-        spread = f"{relation.spread:.2f}"
-        table.add_row(name, str(len(others)), spread, *(f"{x:.1f}" for x in cells))
-    return table
-
-
 def main() -> None:
     """Print error and coverage by group."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fruit", type=int, default=110)
-    parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
-    options = parser.parse_args()
-    rows = rows_of(options.fruit, measured, options.keep)
+    fruit = track(range(parser.parse_args().fruit), "fruit")
+    rows = pd.DataFrame([row for number in fruit for row in measured(number)])
     estimated = rows[rows["median"].notna()]
     groups = {
         "all": estimated["true"] > 0,
@@ -159,9 +114,7 @@ def main() -> None:
         seen = 100 * (some["seen"] / some["true"] - 1).median()
         cells = (seen, off.median(), off.abs().mean(), covers, width)
         table.add_row(name, str(len(some)), *(f"{x:.1f}" for x in cells))
-    console = Console(width=100, highlight=False)
-    console.print(table)
-    console.print(learnt_table(estimated))
+    Console(width=100, highlight=False).print(table)
 
 
 if __name__ == "__main__":

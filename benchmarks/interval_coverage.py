@@ -1,6 +1,6 @@
 """Coverage and width of the shipped intervals on fruit that they were not learnt from.
 
-    python benchmarks/interval_coverage.py SET [--split test] [--fruit 200] [--keep FOLDER]
+    python benchmarks/interval_coverage.py SET [--split test] [--fruit 200]
 
 SET is a folder by `cucumbervision synth` with depth, of another seed than the set of learning:
 its fruit are measured on their true masks ('given') and as the shipped networks find and draw
@@ -85,10 +85,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--split", default="test")
     parser.add_argument("--fruit", type=int, default=200, help="of the stress set")
-    parser.add_argument("--keep", type=Path, help="folder of what was measured: a run resumes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        readings = read(options.folder, options.split, options.fruit, options.keep or Path(folder))
+        readings = read(options.folder, options.split, options.fruit, Path(folder))
     heads = ("readings", "not given", "covered %", "median width %")
     console = Console(width=120, highlight=False)
     lengths, others = ("M6", "M6 thread", "M6 chord"), ("M1", "M2", "M3", "M4", "M5")

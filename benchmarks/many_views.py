@@ -1,6 +1,6 @@
 """Errors of one, two and three views together: drawn fruit, each seen from three stops of a row.
 
-    python benchmarks/many_views.py --fruit 60 [--from 140] [--perceived] [--keep FILE]
+    python benchmarks/many_views.py --fruit 60 [--perceived]
 
 A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), six in ten behind
 leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from resuming import rows_of
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -161,15 +160,11 @@ def main() -> None:
     """Print the errors by number of views."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fruit", type=int, default=60)
-    parser.add_argument("--from", type=int, default=0, dest="first", help="number of the first")
     parser.add_argument("--perceived", action="store_true")
-    parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
     options = parser.parse_args()
     finder = make_finder(MeasureOptions(instances="models")) if options.perceived else None
     find = None if finder is None else lambda capture: finder.find(capture).instances
-    first = options.first
-    rows = rows_of(options.fruit, lambda k: [measured(first + k, find)], options.keep)
-    found = rows.to_dict("records")
+    found = [measured(k, find) for k in track(range(options.fruit), "fruit")]
     views = np.bincount([len(row["alone"]) for row in found], minlength=4)
     print("views of a fruit that were measured:", dict(enumerate(views.tolist())))
     kept = [row for row in map(errors_of, found) if row]

@@ -1,6 +1,6 @@
 """Real cucumbers before a real D435: every method against lengths read off a ruler and a grid.
 
-    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--calibration FILE] [--out PNG]
+    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--calibration FILE]
 
 FOLDER holds `beside_ruler/`, `on_grid/` and `intrinsics.json`. 26 colour pictures show 28 marked
 fruit; `real_cucumbers.json` holds what was marked in them, twice, without depth and before anything
@@ -333,39 +333,12 @@ def summary(compared: list[Compared], others: int) -> list[str]:
     return lines
 
 
-def draw(compared: list[Compared], out: Path) -> None:
-    """Write a plot of the reported length's error, with interval and the truth's own error."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
-    for place, colour in zip(PLACES, ("tab:blue", "tab:orange"), strict=True):
-        label: str | None = place.replace("_", " ")
-        for at, one in enumerate(compared):
-            read, true = one.read_cm(None), one.truth.cm("centreline")
-            if one.truth.place != place or read is None or one.fruit is None:
-                continue
-            axes.plot(at, 100 * (read / true - 1), "o", color=colour, label=label)
-            label = None
-            length = one.fruit.length
-            if length is not None and length.low_m is not None and length.high_m is not None:
-                ends = [100 * (100 * end / true - 1) for end in (length.low_m, length.high_m)]
-                axes.plot([at, at], ends, color=colour, lw=1)
-            wide = one.truth.error_percent
-            axes.bar(at, 2 * wide, 0.8, -wide, color="0.85", zorder=0)
-    axes.axhline(0, color="0.4", lw=0.8)
-    axes.set_xlabel("fruit, in the order of the captures")
-    axes.set_ylabel("error of the reported centreline, % of the marked one")
-    axes.legend(title="line: 90 % interval; grey: the truth's standard error")
-    figure.savefig(out, dpi=120)
-
-
 def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--segmenter", help="as `measure --segmenter`")
     parser.add_argument("--calibration", type=Path, help="as `measure --calibration`")
-    parser.add_argument("--out", type=Path, help="PNG of the errors")
     given = parser.parse_args()
     compared, others = compare(given.folder, given.segmenter, given.calibration)
     console = Console(width=170, highlight=False)
@@ -373,8 +346,6 @@ def main() -> None:
     console.print(methods_table(compared))
     for line in summary(compared, others):
         console.print(line, soft_wrap=True)
-    if given.out is not None:
-        draw(compared, given.out)
 
 
 if __name__ == "__main__":

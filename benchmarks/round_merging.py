@@ -11,7 +11,6 @@ deviations, one to one. Intervals are 95 %, from resampling rows.
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -189,13 +188,6 @@ def main() -> None:
         of_links = ("precision", "recall", "sure: precision", "sure: recall", "mean p - precision")
         for k, head in enumerate(of_links):
             print(f"  {head:24}{interval(table[:, k])}")
-    large = simulate_row(SimulatedRow(fruit=1400, per_m=7), 0)
-    start = time.perf_counter(), time.process_time()
-    merge_row(large.stops, large.views)
-    print(
-        f"\n{len(large.stops)} stops, {len(large.views)} views: "
-        f"{time.perf_counter() - start[0]:.1f} s, {time.process_time() - start[1]:.1f} s of a core"
-    )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
 """Speed as ratios that are measured side by side; only ratios mean anything on a shared machine.
 
-    python benchmarks/speed.py [PART ...] [--quick] [--out FOLDER]
+    python benchmarks/speed.py [PART ...] [--quick]
     PYTHONPATH=. python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
-Parts: pipeline, processor, start, stream, kernels, workers, dashboard. Each prints a table; with
---out it is kept as FOLDER/PART.json. The exit code is 1 if an aim or a limit is missed.
+Parts: pipeline, processor, start, kernels, workers, dashboard. Each prints a table. The exit code
+is 1 if an aim or a limit is missed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # what is compared with the package too
 
 import argparse
-import json
 import re
 import shutil
 import socket
@@ -25,7 +24,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -51,12 +50,10 @@ from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measur
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
-from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
 
-HERE = Path(__file__).parent
 MODELS = MeasureOptions(instances="models")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
@@ -205,7 +202,6 @@ def processor(quick: bool) -> list[Figure]:
 
 _START = """
 import sys, time
-sys.path.insert(0, sys.argv[1])
 from cucumbervision.cli import app
 from cucumbervision.pipeline import run
 take = run._Run._take
@@ -214,7 +210,7 @@ def first(self, *given):
     print('first', time.time(), flush=True)
     return done
 run._Run._take = first
-sys.argv = ['cucumbervision', *sys.argv[2:]]
+sys.argv = ['cucumbervision', *sys.argv[1:]]
 app.main()
 """
 
@@ -223,7 +219,7 @@ def started(*words: str) -> float:
     """Return the seconds from the process's start to the first journalled capture."""
     with tempfile.TemporaryDirectory() as tmp:
         one = str(example_captures() / "simulated-row-b")
-        command = [sys.executable, "-c", _START, str(HERE), "measure", one, "--out", tmp, *words]
+        command = [sys.executable, "-c", _START, "measure", one, "--out", tmp, *words]
         begun = time.time()
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = re.search(r"first ([\d.]+)", done.stdout)
@@ -244,25 +240,6 @@ def start(quick: bool) -> list[Figure]:
         for name, words in ways.items():
             taken[name].append(started(*words))
     return [Figure(name, median(all_s), "s", "<= 3") for name, all_s in taken.items()]
-
-
-def stream(quick: bool) -> list[Figure]:
-    """Time `stream --fast`: a frame, beside its networks."""
-    clock, frames = NetworkClock(), 10 if quick else 120
-    captures = [ref.load() for ref in open_source(example_captures())]
-    fruit = FruitStream.fast(MODELS)
-    taken_s, network_s = [], []
-    for k in range(frames + 3):
-        clock.start()
-        began = time.perf_counter()
-        fruit.take(captures[k % len(captures)], at_s=k / 15)
-        taken_s.append(time.perf_counter() - began)
-        network_s.append(clock.clock_s)
-    frame_s, within_s = median(taken_s[3:]), median(network_s[3:])
-    return [
-        Figure("stream --fast, a frame", 1e3 * frame_s, "ms"),
-        Figure("the same, times its networks", frame_s / within_s, "x"),
-    ]
 
 
 def draw_region() -> Region:
@@ -494,8 +471,7 @@ def dashboard(quick: bool) -> list[Figure]:
 
 
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
-    part.__name__: part
-    for part in (pipeline, processor, start, stream, kernels, workers, dashboard)
+    part.__name__: part for part in (pipeline, processor, start, kernels, workers, dashboard)
 }
 
 
@@ -553,9 +529,8 @@ def machine() -> str:
     return f"{len(os.sched_getaffinity(0))} cores, {names[0]}; load {load:.1f}"
 
 
-def as_table(lines: list[dict[str, Any]]) -> str:
+def as_table(rows: list[Figure]) -> str:
     """Return figures as a Markdown table."""
-    rows = [Figure(**line) for line in lines]
     body = [f"| {r.what} | {r.value:.3g} {r.unit} | {r.verdict} |" for r in rows]
     return "\n".join(["| what | figure | aim |", "|---|--:|---|", *body])
 
@@ -565,7 +540,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--quick", action="store_true", help="a few rounds of each")
-    parser.add_argument("--out", type=Path, help="folder that keeps the figures")
     parser.add_argument("--check", action="store_true", help="compare quick ratios with limits")
     arguments = parser.parse_args()
     if arguments.check:
@@ -577,14 +551,7 @@ def main() -> None:
         loaded, when = machine(), time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
         figures = PARTS[name](arguments.quick)
         missed |= not all(one.kept for one in figures)
-        lines = [asdict(one) for one in figures]
-        print(f"{name} ({when}; {loaded})\n{as_table(lines)}\n", flush=True)
-        if arguments.out:
-            arguments.out.mkdir(parents=True, exist_ok=True)
-            form = "quick" if arguments.quick else "full"
-            kept = {"form": form, "when": when, "machine": loaded, "figures": lines}
-            text = json.dumps(kept, indent=1) + "\n"
-            (arguments.out / f"{name}.json").write_text(text, encoding="utf-8")
+        print(f"{name} ({when}; {loaded})\n{as_table(figures)}\n", flush=True)
     sys.exit(missed)
 
 

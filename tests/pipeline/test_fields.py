@@ -88,8 +88,11 @@ def test_a_tube_gives_the_length_that_was_asked(
 
 def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: Instance) -> None:
     fruit = measure_fruit(capture, instance)
-    traits, length = fruit.traits, fruit.length
+    traits, length, pose = fruit.traits, fruit.length, fruit.pose
     assert traits is not None
+    assert pose is not None
+    assert pose.cut_m is not None
+    assert pose.cut_covariance_m2 is not None
     assert length is not None
     assert length.low_m is not None
     seen = NumberedFruit(capture, 1, fruit)
@@ -104,17 +107,24 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
         "mask_source": "sam",
         "simulated": False,
         "raw_length_cm": None,
+        "cut_y_m": round(pose.cut_m[1], 4),
+        "cut_xz_mm2": round(1e6 * pose.cut_covariance_m2[0, 2], 2),
+        "cut_zz_mm2": round(1e6 * pose.cut_covariance_m2[2, 2], 2),
     }
     assert {name: field(name).of(seen) for name in by_hand} == by_hand
     assert field("volume_ml").stored(seen) == round(traits.volume_m3, 9)
     assert field("length_cm").stored(seen) == round(length.value_m, 9)
+    assert field("cut_zz_mm2").stored(seen) == round(pose.cut_covariance_m2[2, 2], 9)
     # Enumerations are plain texts in tables and in the store.
     assert type(field("mask_source").of(seen)) is type(field("reason").stored(seen)) is str
 
 
 def test_the_store_names_fields_by_their_si_units() -> None:
-    names = [field(n).si_name for n in ("length_cm", "volume_ml", "inner_arc_mm", "tilt_deg")]
-    assert names == ["length_m", "volume_m3", "inner_arc_m", "tilt_deg"]
+    names = [
+        field(n).si_name
+        for n in ("length_cm", "volume_ml", "inner_arc_mm", "tilt_deg", "cut_xz_mm2")
+    ]
+    assert names == ["length_m", "volume_m3", "inner_arc_m", "tilt_deg", "cut_xz_m2"]
     assert field("inner_arc_mm_per_10cm").si_name == "inner_arc_mm_per_10cm"
 
 

@@ -22,7 +22,13 @@ CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
 
 
 # Of a unit of the tables: the SI unit, how many of it that is, and the digits that are written.
-_UNITS = {"cm": ("m", 100.0, 3), "mm": ("m", 1e3, 2), "ml": ("m3", 1e6, 1), "g": ("kg", 1e3, 1)}
+_UNITS = {
+    "cm": ("m", 100.0, 3),
+    "mm": ("m", 1e3, 2),
+    "mm2": ("m2", 1e6, 2),
+    "ml": ("m3", 1e6, 1),
+    "g": ("kg", 1e3, 1),
+}
 _PLAIN: tuple[str, float, int | None] = ("", 1.0, None)
 _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 _STORED_DIGITS = 9

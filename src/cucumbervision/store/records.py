@@ -242,6 +242,15 @@ class DetectionRecord:
     blossom_y_m: float | None = None
     blossom_z_m: float | None = None
     stem_confidence: float | None = None
+    cut_x_m: float | None = None
+    cut_y_m: float | None = None
+    cut_z_m: float | None = None
+    cut_xx_m2: float | None = None
+    cut_xy_m2: float | None = None
+    cut_xz_m2: float | None = None
+    cut_yy_m2: float | None = None
+    cut_yz_m2: float | None = None
+    cut_zz_m2: float | None = None
     centre_x_m: float | None = None
     centre_y_m: float | None = None
     centre_z_m: float | None = None

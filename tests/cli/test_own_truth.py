@@ -5,6 +5,7 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -48,15 +49,20 @@ def test_evaluate_prints_a_table_and_writes_files(run: Run, folder: Path, tmp_pa
     assert m5["low_percent"] < m5["metrics"]["mape_percent"] < m5["high_percent"]
 
 
+def rows_of(out: Path) -> list[dict[str, Any]]:
+    report = json.loads((out / "measurements.json").read_text())
+    return [fruit for capture in report["captures"] for fruit in capture["fruit"]]
+
+
 def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -> None:
     site = tmp_path / "house-3.json"
     done = run("calibrate", folder / "run", folder / "truth.csv", "--out", site)
     assert done.returncode == 0, done.stderr
     assert "scale+offset needs 10 fruit, there are 8" in done.stdout
     assert "90 % needs 9 fruit, there are 8" in done.stdout
-    arguments = ("--methods", "m3,m5", "--calibration", site, "--json")
-    done = run("measure", example_captures(), "--out", tmp_path / "out", *arguments)
-    rows = json.loads(done.stdout)
+    arguments = ("--methods", "m3,m5", "--calibration", site)
+    run("measure", example_captures(), "--out", tmp_path / "out", *arguments)
+    rows = rows_of(tmp_path / "out")
     scale = next(
         e["scale"] for e in json.loads(site.read_text())["corrections"] if e["method"] == "M5"
     )
@@ -66,9 +72,9 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
         assert (row["raw_length_cm"], row["raw_length_kind"]) == (row["m5_cm"], "surface-arc")
         assert row["length_kind"] == "centreline"
         assert row["interval_basis"] is None
-    mixed = run("measure", example_captures(), "--out", tmp_path / "m1", "--methods", "m1",
-                "--calibration", site, "--json")  # fmt: skip
-    for row in json.loads(mixed.stdout):
+    run("measure", example_captures(), "--out", tmp_path / "m1", "--methods", "m1",
+        "--calibration", site)  # fmt: skip
+    for row in rows_of(tmp_path / "m1"):
         # Drawn fruit are slanted, and M1's own interval then says nothing.
         assert set(row["flags"].split()) - {"interval-too-wide"} == {"calibration-not-covered"}
 

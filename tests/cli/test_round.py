@@ -35,7 +35,7 @@ def house(tmp_path: Path) -> list[str]:
     return store
 
 
-def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
+def test_a_round_from_captures_to_its_fruit(house: list[str]) -> None:
     rows = [str(example_captures() / f"simulated-row-{name}") for name in "ab"]
     where = ("--row", "4", "--side", "left", "--position", "2", "--spacing", "3")
     said = run("add", *rows, *where, "--instances", "dataset", *house)
@@ -51,7 +51,6 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
         key = store.rounds()[0].key
         store.pick([store.detections(key)[0].key])
     assert "picked" in run("show", *house)
-    assert "to pick" in run("pick-list", *house)
 
 
 def test_a_pair_without_intrinsics_gets_them_by_the_option(
@@ -109,7 +108,7 @@ def test_faults_are_named(house: list[str]) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["list", "show", "merge", "check", "pick-list", "add x", "link monday", "remeasure"],
+    ["list", "show", "merge", "check", "add x", "link monday", "remeasure"],
 )
 def test_a_store_that_is_not_there_is_not_made(tmp_path: Path, command: str) -> None:
     store = tmp_path / "houses" / "hause.db"

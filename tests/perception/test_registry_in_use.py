@@ -16,7 +16,6 @@ from cucumbervision.perception.registry import (
     JUDGEMENT,
     file_sha256,
     load_registry,
-    undo_use,
     use_network,
     use_shipped,
 )
@@ -58,22 +57,17 @@ def test_a_better_network_takes_the_place_of_the_shipped_one_and_gives_it_back(
     assert loader.detectors().labels == ("cucumber",)
     assert next((one["name"], one["sha256"]) for one in loader.models) == (model.name, SHA256)
     assert load_registry().resolve(model.name)["network"].is_relative_to(folder)
-    back = undo_use()
-    assert back is not None
-    assert back.name == in_use() == "cucumber-seg"
-    with pytest.raises(ModelError, match="the package's own network is in use"):
-        undo_use()
+    use_shipped()
+    assert in_use() == "cucumber-seg"
 
 
-def test_back_leads_to_the_one_before_and_shipped_to_the_package(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_the_newest_is_used_and_shipped_leads_to_the_package(folder: Path, tmp_path: Path) -> None:
     first = use_network(make_run(tmp_path, "first"))
     second = use_network(make_run(tmp_path, "second"))
-    again = use_network(tmp_path / "first")  # no second place in the row
-    assert in_use() == again.name == first.name
-    undo_use()
     assert in_use() == second.name
+    again = use_network(tmp_path / "first")
+    assert in_use() == again.name == first.name
+    assert len(load_registry().own) == 2  # no second place in the list
     use_shipped()
     assert in_use() == "cucumber-seg"
     assert json.loads((folder / IN_USE).read_text()) == {"models": []}
@@ -124,9 +118,8 @@ def test_the_command_switches_and_lists(folder: Path, tmp_path: Path) -> None:
     run, runner = make_run(tmp_path), CliRunner()
     assert f"In use now: house-seg-{SHA256[:8]}" in runner.invoke(app, ["use", str(run)]).output
     assert "in use" in runner.invoke(app, ["list"]).output
-    assert "In use now: cucumber-seg" in runner.invoke(app, ["use", "--back"]).output
-    assert "In use now: cucumber-seg" in runner.invoke(app, ["use", "--shipped"]).output
-    for words in (["use"], ["use", str(run), "--back"]):
+    assert "In use now: the package's own" in runner.invoke(app, ["use", "--shipped"]).output
+    for words in (["use"], ["use", str(run), "--shipped"]):
         assert isinstance(runner.invoke(app, words).exception, ModelError)
 
 

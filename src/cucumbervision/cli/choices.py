@@ -216,7 +216,6 @@ ListenOn = Annotated[
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port.")]
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")]
 StoreName = Annotated[
     str,
     typer.Option(

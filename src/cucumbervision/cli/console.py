@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 from contextlib import contextmanager
@@ -104,7 +103,6 @@ def measure_and_show(
     batch: BatchOptions,
     *,
     quiet: bool = False,
-    as_json: bool = False,
     profile: str = "long-cucumber",
     by_method: bool = False,
 ) -> int:
@@ -121,9 +119,7 @@ def measure_and_show(
     for note in result.notes:  # whole in measurements.json
         short = shorten(note, _LONGEST_NOTE, placeholder=" …")
         errors.print(short, markup=False, soft_wrap=True)
-    if as_json:
-        Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
-    elif not quiet:
+    if not quiet:
         console = screen()
         console.print(
             _results_table(result, options.length, load_profile(profile), by_method=by_method)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.capture.urls import as_path
-from cucumbervision.cli.choices import AsJson, Quiet, loop_options, measure_options, takes
+from cucumbervision.cli.choices import Quiet, loop_options, measure_options, takes
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.batch import LoopOptions
@@ -45,7 +45,6 @@ def measure(
         bool, typer.Option("--parquet", help="Write the rows as Parquet, too, in parts (parquet/).")
     ] = False,
     quiet: Quiet = False,
-    as_json: AsJson = False,
     *,
     methods: str,
     profile: str,
@@ -67,7 +66,6 @@ def measure(
         options,
         batch,
         quiet=quiet,
-        as_json=as_json,
         profile=profile,
         by_method=bool(methods),
     )

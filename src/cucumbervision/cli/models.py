@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from cucumbervision.perception.registry import Model
 
 app = typer.Typer(
     name="models",
@@ -65,15 +62,9 @@ def use(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Even if it was not judged, or is not better.")
     ] = False,
-    back: Annotated[
-        bool, typer.Option("--back", help="Take the last one back; the one before is used again.")
-    ] = False,
     shipped: Annotated[
-        bool, typer.Option("--shipped", help="Use the package's own network again.")
+        bool, typer.Option("--shipped", help="Use the package's own networks again.")
     ] = False,
-    task: Annotated[
-        str, typer.Option("--task", help="Of --back and --shipped: segment or pose.")
-    ] = "segment",
 ) -> None:
     """Use a network of your own for measure, detect, rounds and dashboard, if it is better.
 
@@ -82,18 +73,17 @@ def use(
     from rich.console import Console
 
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.registry import undo_use, use_network, use_shipped
+    from cucumbervision.perception.registry import use_network, use_shipped
 
-    if (given is not None) + back + shipped != 1:
-        raise ModelError(
-            "one network is to be named", remedy="give RUN_OR_ONNX, --back or --shipped"
-        )
-    if given is not None:
-        model: Model | None = use_network(given, anyway=anyway)
+    if (given is None) != shipped:
+        raise ModelError("name one network", remedy="give RUN_OR_ONNX or --shipped")
+    if given is None:
+        use_shipped()
+        said = "the package's own networks"
     else:
-        model = undo_use(task) if back else use_shipped(task)
-    name = "no network" if model is None else f"{model.name} ({model.task})"
-    Console(highlight=False).print(f"In use now: {name}", soft_wrap=True, markup=False)
+        model = use_network(given, anyway=anyway)
+        said = f"{model.name} ({model.task})"
+    Console(highlight=False).print(f"In use now: {said}", soft_wrap=True, markup=False)
 
 
 @app.command()

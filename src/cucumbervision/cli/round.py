@@ -387,43 +387,6 @@ def check(
     raise typer.Exit(0 if found.sound else 1)
 
 
-@app.command("pick-list")
-def pick_list(
-    store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None
-) -> None:
-    """Print today's ready fruit in walking order."""
-    import time
-
-    from cucumbervision.agronomy import picking
-    from cucumbervision.agronomy.profiles import load_profile
-    from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision.rounds.forecasting import forecast_today
-    from cucumbervision.rounds.from_store import read_round
-    from cucumbervision.rounds.fruit_table import fruit_table
-
-    with opened_round(store, round_) as (opened, one):
-        crop = load_profile(profile or one.record.profile or "long-cucumber")
-        content = read_round(opened, one.key)
-        found = forecast_today(opened, one, crop, time.time(), content, days=0)
-        picks = picking.pick_list(found)
-    numbers = {line.view.key: str(line.number) for line in fruit_table(content)}
-    right = ("at, m", "length, cm", "ready")
-    table = columns_table(f"{len(picks)} to pick", ("no.", "row", "side"), *right)
-    table.add_column("class")
-    for pick in picks:
-        fruit = pick.fruit
-        table.add_row(
-            numbers.get(fruit.fruit_id, ""),
-            fruit.row,
-            fruit.side,
-            f"{fruit.position_m:.2f}",
-            f"{100 * fruit.length_m:.1f}",
-            f"{100 * pick.ready:.0f} %",
-            pick.name,
-        )
-    screen().print(table)
-
-
 def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
     round_: Annotated[

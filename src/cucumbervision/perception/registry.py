@@ -456,34 +456,9 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
     return model
 
 
-def undo_use(task: str = "segment", registry: Registry | None = None) -> Model | None:
-    """Remove the user's newest network, and return the one in use for its task now.
-
-    Raises
-    ------
-    ModelError
-        If none is in use.
-    """
-    registry = registry or load_registry()
-    newest = registry.default(task)
-    if newest not in registry.own:
-        raise ModelError(
-            f"the package's own network is in use for {task}",
-            remedy="there is nothing to take back",
-        )
-    return _keep(registry, task, tuple(one for one in registry.own if one != newest))
-
-
-def use_shipped(task: str = "segment", registry: Registry | None = None) -> Model | None:
-    """Remove all of the user's networks for a task, and return the package's own."""
-    registry = registry or load_registry()
-    return _keep(registry, task, tuple(one for one in registry.own if one.task != task))
-
-
-def _keep(registry: Registry, task: str, own: tuple[Model, ...]) -> Model | None:
-    changed = replace(registry, own=own)
-    _write(changed)
-    return changed.default(task)
+def use_shipped(registry: Registry | None = None) -> None:
+    """Use the package's own networks again, for every task."""
+    _write(replace(registry or load_registry(), own=()))
 
 
 def _write(registry: Registry) -> None:

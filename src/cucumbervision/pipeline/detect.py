@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -33,7 +32,7 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.overlay import draw_detections
-from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
+from cucumbervision.pipeline.tables import FAILURE_COLUMNS, write_csv, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -248,19 +247,15 @@ def detect_inputs(
     result = DetectResult(skipped=skipped, models=measurer.load().models, out=out)
     with wrap_os_errors("cannot be written", out):
         (out / "overlays").mkdir(parents=True, exist_ok=True)
-        table = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
     worker = PictureWorker(measurer, out / "overlays")
-    with table:
-        try:
-            for done, (_, outcome) in enumerate(measure_all(items, worker), start=1):
-                result.pictures.extend([] if outcome.value is None else [outcome.value])
-                result.failures.extend(outcome.failures)
-                with suppress(OSError):  # a full disk: the failures are still shown at the end
-                    table.write(*map(vars, outcome.failures))
-                if report is not None:
-                    report(done, len(items))
-        finally:
-            _write(result, options, started)
+    try:
+        for done, (_, outcome) in enumerate(measure_all(items, worker), start=1):
+            result.pictures.extend([] if outcome.value is None else [outcome.value])
+            result.failures.extend(outcome.failures)
+            if report is not None:
+                report(done, len(items))
+    finally:
+        _write(result, options, started)
     return result
 
 
@@ -291,7 +286,9 @@ def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> 
         "annotations": [],
         "categories": _coco_categories(labels),
     }
-    write_json(result.out / "images.json", pictures)
+    with wrap_os_errors("cannot be written", result.out):
+        write_json(result.out / "images.json", pictures)
+        write_csv(result.out / "failures.csv", FAILURE_COLUMNS, map(vars, result.failures))
     # One entry a line.
     text = ",\n".join(lines)
     write_bytes(result.out / "results.json", (f"[\n{text}\n]\n" if lines else "[]\n").encode())

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import platform
-from contextlib import suppress
 from itertools import islice
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -46,80 +44,36 @@ _A4 = 9
 _MEANING = ("column", "unit", "what it says")
 
 
-class CsvSink:
-    """A CSV file that grows by whole rows.
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a table as CSV; texts are defused, None leaves a cell empty.
 
     Parameters
     ----------
     path : Path
-        Written anew; UTF-8 with a byte order mark, which Excel needs to read accents.
+        The file: UTF-8 with a byte order mark, which Excel needs to read accents.
     columns : sequence of str
         The head.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
-    >>> with CsvSink(path, ["name", "length_cm"]) as sink:
-    ...     sink.write({"name": "=1+1", "length_cm": 12.5})
-    >>> path.read_text(encoding="utf-8-sig").split()
-    ['name,length_cm', "'=1+1,12.5"]
-    """
-
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        # Unbuffered: what a full disk refuses must not come back with the next row.
-        self._file = path.open("wb", buffering=0)
-        self._columns = list(columns)
-        self._size = 0
-        self._append(b"\xef\xbb\xbf" + _csv_lines([self._columns]))
-
-    def write(self, *rows: Mapping[str, Any]) -> None:
-        """Append rows, all or none; texts are defused, None leaves the cell empty.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written.
-        """
-        self._append(_csv_lines([[cell_value(row[c]) for c in self._columns] for row in rows]))
-
-    def _append(self, data: bytes) -> None:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) or 0 :]
-        except OSError:
-            with suppress(OSError):
-                self._file.truncate(self._size)
-                self._file.seek(self._size)
-            raise
-        self._size += len(data)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-
-def _csv_lines(lines: Sequence[Sequence[Any]]) -> bytes:
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows(lines)
-    # A file's name may hold bytes that are no text.
-    return text.getvalue().encode(errors="backslashreplace")
-
-
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a table as CSV.
+    rows : iterable of mapping
+        Each is written before the next is asked for.
 
     Raises
     ------
     OSError
         If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
+    >>> write_csv(path, ["name", "length_cm"], [{"name": "=1+1", "length_cm": 12.5}])
+    >>> path.read_text(encoding="utf-8-sig").split()
+    ['name,length_cm', "'=1+1,12.5"]
     """
-    with CsvSink(path, columns) as sink:
-        for row in rows:
-            sink.write(row)
+    # A file's name may hold bytes that are no text.
+    with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([cell_value(row[name]) for name in columns] for row in rows)
 
 
 def cell_value(value: Cell) -> str | int | float | None:

@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--mutants", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    mutmut("cucumbervision.geometry.pixels.*")
+    mutmut("cucumbervision.geometry.pixels.x_depth_across__mutmut_1")  # makes all, runs one
     names = sorted(outcomes())
     chosen = random.Random(options.seed).sample(names, min(options.mutants, len(names)))
     mutmut(*chosen)

@@ -70,7 +70,7 @@ class FileError(CucumberVisionError):
 
 
 class DiskFullError(FileError):
-    """There is no room on the disk: what comes next cannot be written either, so batches stop."""
+    """The disk is full; batches stop, since later captures cannot be written either."""
 
 
 class OutOfMemoryError(CucumberVisionError):
@@ -142,7 +142,7 @@ class StoreConflictError(StoreError):
 
 
 class StoredImageError(StoreError):
-    """A stored picture is missing, or its content is not what its name says."""
+    """A stored picture is missing, or its content does not match its name."""
 
 
 class ProfileError(CucumberVisionError):
@@ -251,7 +251,7 @@ def wrap_reader_errors(
     kind: type[CucumberVisionError] = CucumberVisionError,
     remedy: str = "correct or export it again",
 ) -> Iterator[None]:
-    """Raise a named error for whatever a damaged file makes its reader raise.
+    """Convert any exception that a reader raises for a damaged file to a named error.
 
     Named errors pass as they are; the original error stays their cause.
 
@@ -289,7 +289,7 @@ def _fault_of(error: Exception) -> str:
     if isinstance(error, RecursionError):
         return "is nested too deeply"
     if isinstance(error, UnicodeError):
-        return "is no text that can be read"
+        return "is not readable text"
     if isinstance(error, KeyError):
         return f"has no {text[:_LONGEST_FAULT]}"
     if len(text) > _LONGEST_FAULT:
@@ -297,7 +297,7 @@ def _fault_of(error: Exception) -> str:
     return f"is damaged or of another form ({text or type(error).__name__})"
 
 
-_LONGEST_FAULT = 200  # of what a library says
+_LONGEST_FAULT = 200  # of a library's message
 
 _FULL = frozenset((errno.ENOSPC, errno.EDQUOT))
 _FILE_REMEDIES = {

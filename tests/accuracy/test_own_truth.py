@@ -126,7 +126,7 @@ def test_a_bad_measurement_is_not_taken_for_another_unit(tmp_path: Path, factor:
     [
         ("c,1,20,thread", r"line 3: capture 'c' is not among the measurements of run.json \(a, b"),
         ("a,9,20,thread", "line 3: capture 'a' has 1 measured fruit, no number 9"),
-        ("b,1,210,thread", "line 3: 210 cm is no cucumber's length"),
+        ("b,1,210,thread", "line 3: 210 cm is not a plausible length"),
     ],
 )
 def test_truth_that_fits_no_measurement_is_refused(tmp_path: Path, line: str, text: str) -> None:
@@ -176,12 +176,12 @@ def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: 
     ("name", "content", "text"),
     [
         ("measurements.json", "{}", "holds no measurements"),
-        ("measurements.json", "{", "is no JSON"),
+        ("measurements.json", "{", "is not JSON"),
         (
             "measurements.json",
             '{"captures": [{"name": "a", "intrinsics": {}, "fruit": '
             '[{"capture": "a", "fruit": 1, "mask_source": ["sam"]}]}]}',
-            "mask_source is no word",
+            "mask_source is not text",
         ),
         ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
         ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),

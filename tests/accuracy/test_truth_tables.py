@@ -45,7 +45,7 @@ def test_a_guarded_text_loses_its_apostrophe(tmp_path: Path) -> None:
         (b"\xef\xbb\xbf\r\n", "the file is empty"),
         (b"a,A\n1,2\n", "line 1: column 'a' is there twice"),
         (b"a,b\n1,2\n1,2,5\n", "line 3 has 3 cells, the head 2"),
-        (b"\xff\xfe\x00", "is no text"),
+        (b"\xff\xfe\x00", "is not text"),
     ],
 )
 def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, text: str) -> None:

@@ -60,7 +60,7 @@ def test_the_camera_is_told_by_serial_and_intrinsics() -> None:
     ("change", "text"),
     [
         ({"version": 2}, "is of version 2, this software reads version 1; calibrate again"),
-        ({"format": "other"}, "is no calibration file"),
+        ({"format": "other"}, "is not a calibration file"),
         ({"depth_scale": {"value": -1}}, "'depth_scale.value'"),
         ({"surprise": 1}, "'surprise': extra inputs"),
     ],
@@ -82,7 +82,7 @@ def test_half_of_a_pair_is_no_text_in_any_encoding(
     text = json.dumps(given, ensure_ascii=escaped)
     path = tmp_path / "site.json"
     path.write_bytes(text.encode(encoding, errors="surrogatepass"))
-    with pytest.raises(CalibrationError, match="is no JSON text"):
+    with pytest.raises(CalibrationError, match="is not JSON text"):
         read_site_calibration(path)
 
 
@@ -90,7 +90,7 @@ def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="the file is missing; make it with"):
         read_site_calibration(tmp_path / "none.json")
     (tmp_path / "a.json").write_text("{")
-    with pytest.raises(CalibrationError, match="is no JSON"):
+    with pytest.raises(CalibrationError, match="is not JSON"):
         read_site_calibration(tmp_path / "a.json")
     with pytest.raises(CalibrationError, match="cannot be written"):
         write_site_calibration(tmp_path / "a.json" / "b.json", SITE)

@@ -108,7 +108,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "camera matrix is not"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [10**400] * 9}, "camera matrix is not"),
         (OURS | {"fx": 10**400}, "'fx': input should be a valid number"),
-        (OURS | {"width": 10**400}, "is no picture"),
+        (OURS | {"width": 10**400}, "is not a picture"),
         *(
             (OURS | wrong, "no camera of 1280x720 pixels has")
             for wrong in (
@@ -120,15 +120,15 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         ),
         (
             OURS | {"depth_to_color": {"rotation": [1] * 9, "translation_m": [0, 0, 0]}},
-            "is no rotation",
+            "is not a rotation",
         ),
         (
             OURS | {"depth_to_color": {"rotation": [[1, 0]], "translation_m": [0, 0, 0]}},
-            "is no rotation",
+            "is not a rotation",
         ),
         (
             OURS | {"depth_to_color": {"rotation": [[1, 0], [0]], "translation_m": [0, 0, 0]}},
-            "is no rotation",
+            "is not a rotation",
         ),
         ([1, 2], "holds no intrinsics"),
     ],
@@ -141,7 +141,7 @@ def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("{", "is no JSON .line 1, column 2"), ("", "is empty"), ('{"fx": NaN', "is no JSON")],
+    [("{", "is not JSON .line 1, column 2"), ("", "is empty"), ('{"fx": NaN', "is not JSON")],
 )
 def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=rf"k\.json: .*{words}"):
@@ -156,7 +156,7 @@ def test_missing_file(tmp_path: Path) -> None:
 def test_what_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "k.json"
     path.write_bytes(b"\x80\x81\x82\x83\x84")
-    with pytest.raises(CaptureError, match=r"k\.json: is no JSON text"):
+    with pytest.raises(CaptureError, match=r"k\.json: is not JSON text"):
         read_camera_file(path)
 
 

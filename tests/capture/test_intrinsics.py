@@ -78,10 +78,10 @@ def test_rays_keep_single_precision() -> None:
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [
-        ((1280, 720, 0.0, 600.0, 640.0, 360.0), "are no camera"),
-        ((1280, 720, 600.0, -600.0, 640.0, 360.0), "are no camera"),
-        ((1280, 720, float("nan"), 600.0, 640.0, 360.0), "are no camera"),
-        ((1280, 0, 600.0, 600.0, 640.0, 360.0), "1280x0 is no picture"),
+        ((1280, 720, 0.0, 600.0, 640.0, 360.0), "do not describe a camera"),
+        ((1280, 720, 600.0, -600.0, 640.0, 360.0), "do not describe a camera"),
+        ((1280, 720, float("nan"), 600.0, 640.0, 360.0), "do not describe a camera"),
+        ((1280, 0, 600.0, 600.0, 640.0, 360.0), "1280x0 is not a picture"),
     ],
 )
 def test_senseless_numbers(

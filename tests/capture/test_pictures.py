@@ -102,7 +102,7 @@ def test_missing_files_and_folders(reader: object, tmp_path: Path) -> None:
 
 
 def test_depth_of_another_kind(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"'\.jpg' is no depth picture"):
+    with pytest.raises(CaptureError, match=r"'\.jpg' is not a depth picture"):
         read_depth(tmp_path / "a.jpg")
 
 

@@ -23,7 +23,7 @@ def test_what_holds_no_captures(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(CaptureError, match=r"holds no captures .* but 1 \.txt; give a"):
         open_source(tmp_path)
-    with pytest.raises(CaptureError, match=r"notes\.txt: '\.txt' files are no captures"):
+    with pytest.raises(CaptureError, match=r"notes\.txt: '\.txt' files are not captures"):
         open_source(str(tmp_path / "notes.txt"))
 
 

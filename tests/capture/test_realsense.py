@@ -143,7 +143,7 @@ def test_depth_intrinsics_for_a_recording_are_refused(recording: Path, tmp_path:
 def test_what_is_no_recording_is_refused(tmp_path: Path, ending: str, content: bytes) -> None:
     path = tmp_path / f"bad{ending}"
     path.write_bytes(content)
-    with pytest.raises(CaptureError, match=f"bad{ending}: is no recording"):
+    with pytest.raises(CaptureError, match=f"bad{ending}: is not a recording"):
         open_source(path)
 
 
@@ -151,7 +151,7 @@ def test_truncated_recording_is_refused(recording: Path, tmp_path: Path) -> None
     path = tmp_path / "half.db3"
     data = recording.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(CaptureError, match=r"half\.db3: is no recording"):
+    with pytest.raises(CaptureError, match=r"half\.db3: is not a recording"):
         list(open_source(path))
 
 
@@ -272,7 +272,7 @@ def test_a_live_stream_that_dries_up(recording: Path) -> None:
 
 
 def test_playback_of_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"none\.db3: is no recording"):
+    with pytest.raises(CaptureError, match=r"none\.db3: is not a recording"):
         RealSenseCamera(CameraConfig(playback=tmp_path / "none.db3")).__enter__()
 
 

@@ -29,7 +29,7 @@ def test_detect_shows_a_summary_and_writes_its_files(
              for line in done.stdout.splitlines() if line.startswith("│")}  # fmt: skip
     assert (table["pictures"], table["fruit"], table["mean score"]) == ("1", "1", "0.75")
     assert table["no pictures, skipped"] == "1"
-    assert "b.png: is no picture" in done.stderr
+    assert "b.png: is not a readable picture" in done.stderr
     assert {p.name for p in out.iterdir()} == {
         "results.json",
         "images.json",

@@ -275,7 +275,7 @@ def test_yolo_boxes_beyond_the_edge_are_cut_and_bad_lines_named(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "content", "fault"),
     [
-        ("a.json", "{", "is no JSON"),
+        ("a.json", "{", "is not JSON"),
         ("a.json", "{}", "no annotations"),
         ("a.json", '[{"bbox": [0, 0, 1, 1]}]', "names no picture"),
         ("a.csv", "1,2", "unknown kind"),

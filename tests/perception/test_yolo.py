@@ -208,7 +208,7 @@ def test_confidence_is_the_users() -> None:
     [
         (network(np.zeros((1, 1000))), "its outputs are output0 1x1000"),
         (network(np.zeros((1, 6, 5)), props={"task": "obb"}), "its task is 'obb'"),
-        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is no detect head"),
+        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is not a detect head"),
         (network(np.zeros((1, 5, 84)), shape=(4, 3, 64, 64)), "it takes 4 pictures at once"),
         (network(np.zeros((1, 5, 84)), shape=(1, 1, 64, 64)), "its inputs are images 1x1x64x64"),
         (network(np.zeros((1, 5, 84)), props={"names": "__import__('os')"}), "its 'names' is"),

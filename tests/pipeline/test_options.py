@@ -41,15 +41,18 @@ def test_names_are_taken_for_what_they_name() -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"length": "chrod"}, "length: 'chrod' is no length; give thread or centreline or chord"),
-        ({"selector": "bset"}, "selector: 'bset' is no selector; give best or paper"),
-        ({"methods": ""}, "methods: '' is no methods; give M1 or M2"),
-        ({"methods": "m1;m2"}, "methods: 'M1;M2' is no methods"),
-        ({"methods": ("m9",)}, "methods: 'M9' is no methods; give M1 or M2"),
-        ({"confidence": 25}, "confidence: 25 is no confidence; give a number from 0 to 1"),
-        ({"confidence": float("nan")}, "nan is no confidence"),
-        ({"prompt": "boxes"}, "'boxes' is no prompt; give box or"),
-        ({"runtime": "gpu"}, "'gpu' is no runtime; give auto or"),
+        (
+            {"length": "chrod"},
+            "length: 'chrod' is not a valid value; give thread or centreline or chord",
+        ),
+        ({"selector": "bset"}, "selector: 'bset' is not a valid value; give best or paper"),
+        ({"methods": ""}, "methods: '' is not a valid value; give M1 or M2"),
+        ({"methods": "m1;m2"}, "methods: 'M1;M2' is not a valid value"),
+        ({"methods": ("m9",)}, "methods: 'M9' is not a valid value; give M1 or M2"),
+        ({"confidence": 25}, "confidence: 25 is not a valid value; give a number from 0 to 1"),
+        ({"confidence": float("nan")}, "nan is not a valid value"),
+        ({"prompt": "boxes"}, "'boxes' is not a valid value; give box or"),
+        ({"runtime": "gpu"}, "'gpu' is not a valid value; give auto or"),
     ],
 )
 def test_what_is_no_choice_is_refused_at_once(given: dict[str, Any], text: str) -> None:

@@ -132,5 +132,5 @@ def test_a_recording_on_a_store_is_refused(bucket: str) -> None:
 
 
 def test_an_unknown_protocol_is_refused() -> None:
-    with pytest.raises(CucumberVisionError, match="nowhere://a: is no place"):
+    with pytest.raises(CucumberVisionError, match="nowhere://a: is not a supported location"):
         as_path("nowhere://a")

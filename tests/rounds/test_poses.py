@@ -27,7 +27,7 @@ def test_csv_and_json_say_the_same(tmp_path: Path) -> None:
         ("capture,position_m\na,nan\n", "line 1"),
         ("capture,position_m,positon_sd_m\na,1,2\n", "positon_sd_m"),
         ("capture,position_m\na,1\na,2\n", "two lines for capture 'a'"),
-        ("capture,position_m,height_m\na,1,1.2\nb,2,\n", "only some lines say height_m"),
+        ("capture,position_m,height_m\na,1,1.2\nb,2,\n", "only some lines give height_m"),
         ("capture,position_m,position_sd_m\na,1,0\n", "position_sd_m"),
     ],
 )
@@ -44,7 +44,7 @@ def test_unreadable_files(tmp_path: Path) -> None:
         read_poses(tmp_path / "none.csv")
     broken = tmp_path / "broken.json"
     broken.write_text("[{")
-    with pytest.raises(RoundError, match="is no JSON"):
+    with pytest.raises(RoundError, match="is not JSON"):
         read_poses(broken)
 
 

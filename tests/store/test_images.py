@@ -89,7 +89,7 @@ def test_a_damaged_picture_is_noticed_and_put_again_beside_it(
     path = images.path(ref)
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
-    with pytest.raises(StoredImageError, match="its content is not what its name says; copy"):
+    with pytest.raises(StoredImageError, match="its content does not match its name; copy"):
         images.read_color(ref)
     images.put_color(color)
     np.testing.assert_array_equal(images.read_color(ref), color)
@@ -104,7 +104,7 @@ def test_a_missing_picture_is_named(images: ImageStore) -> None:
 
 def test_what_is_no_picture_is_said(images: ImageStore) -> None:
     ref = images.put(b"no picture", ".png", 1, 1)
-    with pytest.raises(StoredImageError, match="is no picture that can be read"):
+    with pytest.raises(StoredImageError, match="is not a readable picture"):
         images.read_color(ref)
     with pytest.raises(StoreError, match=r"'\.gif' pictures are not stored"):
         images.put(b"x", ".gif", 1, 1)

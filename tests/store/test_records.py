@@ -28,7 +28,7 @@ def test_new_keys_differ_and_made_keys_do_not() -> None:
 
 @pytest.mark.parametrize("key", ["", "stop-1", None, 7])
 def test_what_is_no_uuid_is_refused_by_name(key: str) -> None:
-    with pytest.raises(StoreError, match=r"stop key .* is no UUID; take one"):
+    with pytest.raises(StoreError, match=r"stop key .* is not a UUID; take one"):
         checked_key(key, "stop")
 
 

@@ -171,11 +171,11 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
 def _word(row: Mapping[str, Any], name: str) -> str:
     found = row.get(name) or ""
     if not isinstance(found, str):
-        raise ValueError(f"{name} is no word")
+        raise ValueError(f"{name} is not text")
     return found
 
 
 def _metres(length_cm: float | None) -> float | None:
     if length_cm is not None and not 0 < length_cm < _LONGEST_CM:
-        raise ValueError(f"{length_cm:g} cm is no length")
+        raise ValueError(f"{length_cm:g} cm is not a valid length")
     return None if length_cm is None else length_cm / 100

@@ -214,7 +214,7 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
         for length_m in one.lengths_m:
             if not _SHORTEST_M <= length_m <= _LONGEST_M:
                 raise TruthError(
-                    f"line {one.line}: {100 * length_m:g} cm is no cucumber's length",
+                    f"line {one.line}: {100 * length_m:g} cm is not a plausible length",
                     source=path,
                     remedy="give centimetres, between 1 and 100",
                 )

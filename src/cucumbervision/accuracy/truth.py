@@ -291,7 +291,7 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
     kind = cells["kind"].lower()
     if kind not in kinds:
         raise TruthError(
-            f"line {line.number}: '{cells['kind']}' is no kind of length",
+            f"line {line.number}: '{cells['kind']}' is not a kind of length",
             source=path,
             remedy=f"write {', '.join(kinds)}",
         )
@@ -314,7 +314,7 @@ def _fruit(line: Line, path: Path) -> int | None:
     value = parse_number(text)
     if value is None or value < 1 or value != int(value):
         raise TruthError(
-            f"line {line.number}: '{text}' is no number of a fruit",
+            f"line {line.number}: '{text}' is not the number of a fruit",
             source=path,
             remedy=f"give its number in the overlay, or '{MISSED}' if the run did not find it",
         )
@@ -325,7 +325,7 @@ def _length_m(line: Line, name: str, path: Path) -> float:
     value = parse_number(line.cells[name])
     if value is None or value <= 0:
         raise TruthError(
-            f"line {line.number}: {name} '{line.cells[name]}' is no positive number",
+            f"line {line.number}: {name} '{line.cells[name]}' is not a positive number",
             source=path,
             remedy="give centimetres, such as 23.5 or 23,5",
         )

@@ -209,7 +209,7 @@ def read_site_calibration(path: Path) -> SiteCalibration:
     again = "make it with `cucumbervision calibrate`"
     data = read_json(path, CalibrationError, again)
     if not isinstance(data, dict) or data.get("format") != _FORMAT:
-        raise CalibrationError("is no calibration file", source=path, remedy=again)
+        raise CalibrationError("is not a calibration file", source=path, remedy=again)
     if data.get("version") != 1:
         raise CalibrationError(
             f"is of version {data.get('version')}, this software reads version 1",

@@ -210,7 +210,7 @@ def _extrinsics(model: _ExtrinsicsModel, path: Path) -> Extrinsics:
     )
     if not proper:
         raise IntrinsicsError(
-            "'depth_to_color.rotation' is no rotation",
+            "'depth_to_color.rotation' is not a rotation",
             source=path,
             remedy="give the SDK's nine numbers (column by column) or a matrix of three rows",
         )

@@ -128,9 +128,9 @@ def read_json(
             json.dumps(value, ensure_ascii=False).encode()
         return value
     except json.JSONDecodeError as wrong:
-        fault = f"is no JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
+        fault = f"is not JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
     except UnicodeError:
-        fault = "is no JSON text"
+        fault = "is not JSON text"
     except RecursionError:
         fault = "is nested too deeply"
     except ValueError:
@@ -163,7 +163,7 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
     for code in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
         with suppress(UnicodeDecodeError):
             return data.decode(code).replace("\r\n", "\n").replace("\r", "\n")
-    raise error("is no text", source=path, remedy="save it as UTF-8")
+    raise error("is not text", source=path, remedy="save it as UTF-8")
 
 
 def json_value(value: Any) -> Any:

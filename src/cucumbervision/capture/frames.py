@@ -279,7 +279,7 @@ def fuse_burst(
         text = ", ".join(sorted(f"{s[1]}x{s[0]}" for s in sizes))
         raise CaptureError(
             f"a burst of {len(colors)} colour and {len(depths_m)} depth pictures"
-            f"{' of sizes ' + text if text else ''} is no burst",
+            f"{' of sizes ' + text if text else ''} is not a burst",
             remedy="give as many depth as colour pictures, all of one size",
         )
     if len(colors) == 1:

@@ -81,12 +81,12 @@ class Intrinsics:
         if not np.isfinite(numbers).all() or min(self.fx_px, self.fy_px) <= 0:
             raise IntrinsicsError(
                 f"focal length {self.fx_px}, {self.fy_px} px and centre {self.cx_px}, "
-                f"{self.cy_px} px are no camera",
+                f"{self.cy_px} px do not describe a camera",
                 remedy="give fx, fy, cx, cy in pixels, all finite, the focal lengths positive",
             )
         if min(self.width, self.height) <= 0 or max(self.width, self.height) >= 2**31:
             raise IntrinsicsError(
-                f"size {self.width}x{self.height} is no picture",
+                f"size {self.width}x{self.height} is not a picture size",
                 remedy="give the width and height in pixels that the calibration is for",
             )
         focal, longest = (self.fx_px, self.fy_px), max(self.width, self.height)

@@ -98,7 +98,7 @@ def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype == np.uint16:
         return cast("NDArray[np.uint8]", cv2.convertScaleAbs(image, alpha=1 / 257))
     raise CaptureError(
-        f"its levels are {image.dtype}, of which nobody knows the white",
+        f"its levels are {image.dtype}, whose range is unknown",
         source=path,
         remedy="save it with 8 or 16 bits a colour",
     )
@@ -164,7 +164,7 @@ def read_depth(path: Path) -> NDArray[Any]:
         return _read_table(path)
     if suffix not in DEPTH_SUFFIXES:
         raise CaptureError(
-            f"'{suffix}' is no depth picture",
+            f"'{suffix}' is not a depth picture",
             source=path,
             remedy="give a 16-bit PNG, a TIFF, a PGM, .csv, .npy or .npz",
         )
@@ -266,7 +266,7 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
         data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
     )
     image = None
-    fault = "is truncated or damaged" if truncated else "is no picture that can be read"
+    fault = "is truncated or damaged" if truncated else "is not a readable picture"
     remedy = "copy or export it again"
     if not truncated:
         # OpenCV would print its own messages for a broken file.
@@ -274,7 +274,7 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
         try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error as error:
-            if "CV_IO_MAX_IMAGE" in str(error):  # told by the head, before there is room made
+            if "CV_IO_MAX_IMAGE" in str(error):  # from the header, before memory is allocated
                 fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
                 remedy = "give a smaller picture"
         cv2.utils.logging.setLogLevel(level)

@@ -320,7 +320,7 @@ class AlignedStream:
         if not self._recorded:
             return camera_fault(error, self._source)
         return CaptureError(
-            f"is no recording that can be played ({str(error).rpartition('Reason: ')[2]})",
+            f"is not a recording that can be played ({str(error).rpartition('Reason: ')[2]})",
             source=self._source,
             remedy="copy it again, or record it with RealSense Viewer",
         )

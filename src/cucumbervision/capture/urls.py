@@ -68,7 +68,7 @@ def as_path(place: Path | str) -> Path:
         raise MissingExtraError(error.name or str(error), "remote") from None
     except ValueError as error:
         raise CucumberVisionError(
-            f"is no place that files can be at ({error})",
+            f"is not a supported location ({error})",
             source=place,
             remedy="name a folder, or s3://…, gs://… or https://…",
         ) from None

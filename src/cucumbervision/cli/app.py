@@ -1,4 +1,4 @@
-"""The command `cucumbervision`: its sub-commands, and how errors and exit codes come out.
+"""The command `cucumbervision`: its sub-commands, error messages and exit codes.
 
 Exit codes are in `cli.choices.EXIT_CODES`.
 """
@@ -70,13 +70,15 @@ def _options(
 def main() -> None:
     """Run the command line; the console script's entry point."""
     for output in (sys.stdout, sys.stderr):
-        if isinstance(output, TextIOWrapper):  # a console that is not UTF-8 shows question marks
+        if isinstance(output, TextIOWrapper):  # print question marks on a console that is not UTF-8
             output.reconfigure(errors="replace")
     logging.basicConfig(level=logging.WARNING, format="cucumbervision: %(message)s")
     try:
         app()
     except KeyboardInterrupt:
-        sys.stderr.write("cucumbervision: interrupted; what was measured is in the output folder\n")
+        sys.stderr.write(
+            "cucumbervision: interrupted; finished captures are in the output folder\n"
+        )
         sys.exit(130)
     except Exception as error:
         named = named_error(error)

@@ -1,4 +1,4 @@
-"""Options that several commands share, and exit codes. Nothing slow is imported for them."""
+"""Options that several commands share, and exit codes. Avoids slow imports."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ EXIT_CODES = (
     "something failed (see failures.csv), the rest was done; 2 nothing could be done; 70 a defect "
     "of the software was met, the rest was done; 130 interrupted."
 )
-"""What commands that work through many captures exit with; shown by their --help."""
+"""Exit codes of commands that process many captures; shown by --help."""
 
 PromptChoice: TypeAlias = Literal["box+point", "box", "point"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
 Confidence = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
+    float, typer.Option(min=0.0, max=1.0, help="Minimum confidence of a detection.")
 ]
 InputSize = Annotated[
     str,
     typer.Option(
-        help="Long side of what the networks see, pixels: a multiple of 32, or several joined by "
-        "commas, whose finds are merged. Without it each network's own.",
+        help="Long side of the networks' input, pixels: a multiple of 32, or several separated by "
+        "commas, whose detections are merged. Default: each network's own.",
         metavar="PX[,PX]",
     ),
 ]
-Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
+Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
 Instances = Annotated[
     str,
     typer.Option(
@@ -60,12 +60,15 @@ Fast = Annotated[
     bool,
     typer.Option(
         "--fast",
-        help="Let networks compute in half precision where the processor can: quicker, but "
-        "outlines and lengths may differ a little from machine to machine.",
+        help="Use half precision if the processor supports it: faster, but outlines and lengths "
+        "may differ slightly between machines.",
     ),
 ]
 Burst = Annotated[
-    int, typer.Option(min=1, max=99, help="Frames of a recording or camera fused to one capture.")
+    int,
+    typer.Option(
+        min=1, max=99, help="Number of frames of a recording or camera fused to one capture."
+    ),
 ]
 
 
@@ -78,24 +81,26 @@ def measure_options(
     methods: Annotated[
         str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")
     ] = "",
-    selector: Annotated[Selector, typer.Option(help="How one method is chosen.")] = Selector.BEST,
+    selector: Annotated[
+        Selector, typer.Option(help="Rule that selects one method.")
+    ] = Selector.BEST,
     length: Annotated[
-        LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
+        LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
     ] = LengthDefinition.CENTRELINE,
     segmenter: SegmenterName = None,
     confidence: Confidence = DEFAULT_CONFIDENCE,
     intrinsics: Annotated[
-        Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
+        Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
     ] = None,
     depth: Annotated[
-        Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
+        Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
     ] = None,
     depth_unit: Annotated[
-        float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
+        float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
     ] = None,
     burst: Burst = 5,
     calibration: Annotated[
-        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
+        Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
     ] = None,
     profile: Annotated[
         str, typer.Option(help="Crop profile; lengths outside its range are rejected.")
@@ -104,7 +109,7 @@ def measure_options(
     runtime: Runtime = "auto",
     fast: Fast = False,
 ) -> MeasureOptions:
-    """Return what these options of a command ask for."""
+    """Return the measuring options of a command."""
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.perception.input_sizes import parse_input_sizes
@@ -131,22 +136,22 @@ def loop_options(
         bool,
         typer.Option(
             "--guard",
-            help="Play recordings from untrusted senders in a separate, limited process.",
+            help="Read recordings from untrusted sources in a separate process with limits.",
         ),
     ] = False,
     workers: Annotated[
         int,
-        typer.Option(min=0, help="Processes that measure; by default 1, or with Ray one a CPU."),
+        typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU."),
     ] = 0,
     ray: Annotated[
         str,
         typer.Option(
-            help="Measure on a Ray cluster: its address, or local for one on this machine.",
+            help="Address of a Ray cluster, or local to start one on this machine.",
             metavar="ADDRESS",
         ),
     ] = "",
 ) -> LoopOptions:
-    """Return where these options of a command have captures measured."""
+    """Return the loop options of a command."""
     from cucumbervision.capture.readers import open_source
     from cucumbervision.intake.recordings import open_guarded
     from cucumbervision.pipeline.batch import LoopOptions, choose_engine
@@ -203,19 +208,19 @@ def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
 
 
 Serial = Annotated[
-    str | None, typer.Option(help="The camera's serial number; the first one found without it.")
+    str | None, typer.Option(help="Serial number of the camera; default: the first one found.")
 ]
-Fps = Annotated[int, typer.Option(min=1, max=90, help="The camera's frames a second.")]
+Fps = Annotated[int, typer.Option(min=1, max=90, help="Frame rate of the camera.")]
 Retries = Annotated[
-    int, typer.Option(min=0, help="How often a camera that is gone is opened again.")
+    int, typer.Option(min=0, help="Number of attempts to reconnect to a disconnected camera.")
 ]
 
 ListenOn = Annotated[
-    str, typer.Option("--address", help="Address to listen on; this machine only by default.")
+    str, typer.Option("--address", help="Address to listen on; default: this machine only.")
 ]
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port.")]
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 StoreName = Annotated[
     str,
     typer.Option(
@@ -223,11 +228,11 @@ StoreName = Annotated[
     ),
 ]
 Images = Annotated[
-    Path | None, typer.Option(help="Folder of the pictures; needed with PostgreSQL.")
+    Path | None, typer.Option(help="Folder of the pictures; required with PostgreSQL.")
 ]
 RoundName = Annotated[
-    str, typer.Option("--round", "-r", help="Name, key or start of a key; the newest without.")
+    str, typer.Option("--round", "-r", help="Name, key or start of a key; default: the newest.")
 ]
 Profile = Annotated[
-    str | None, typer.Option(help="Crop profile for classes; by default the round's own.")
+    str | None, typer.Option(help="Crop profile for classes; default: the round's own.")
 ]

@@ -1,4 +1,4 @@
-"""What commands look like on screen: a progress bar, tables of results, and the failures."""
+"""Terminal output of commands: progress bars, tables of results, failures."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ _SIMULATED = "some of these captures are simulated"
 def screen(width: int = _WIDTH) -> Console:
     """Return the console for results.
 
-    A file or a pipe has no width of its own; 80 columns would cut the tables.
+    A file or pipe has no width, and the default of 80 columns would cut the tables.
     """
     return Console(highlight=False, width=None if Console().is_terminal else width)
 
 
 def columns_table(title: str | None, left: Sequence[str], *right: str) -> Table:
-    """Return an empty table with columns that stand left, then some that stand right."""
+    """Return an empty table with left-aligned columns, then right-aligned ones."""
     table = Table(*left, title=title, title_justify="left")
     for head in right:
         table.add_column(head, justify="right")
@@ -79,13 +79,15 @@ def print_table(console: Console, figures: table.Table) -> None:
 
 @contextmanager
 def stopping_gently() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual."""
+    """Yield a function that returns whether Ctrl-C was pressed; a second one interrupts."""
     pressed = False
 
     def press(*_: object) -> None:
         nonlocal pressed
         pressed = True
-        sys.stderr.write("\nending after what is being measured; Ctrl-C again ends at once\n")
+        sys.stderr.write(
+            "\nstopping after the current captures; press Ctrl-C again to stop immediately\n"
+        )
         signal.signal(signal.SIGINT, before)
 
     before = signal.getsignal(signal.SIGINT)
@@ -154,9 +156,9 @@ def detect_and_show(
 
 
 def progress_bar(console: Console) -> Progress:
-    """Return the bar of a long command: share, speed, count, time gone and left.
+    """Return the progress bar of a long command.
 
-    It is shown on terminals only, and goes when it is done.
+    It is shown on terminals only, and removed at the end.
     """
     return Progress(
         TextColumn("{task.description}"),
@@ -175,7 +177,7 @@ def progress_bar(console: Console) -> Progress:
 def _results_table(
     result: RunResult, length: LengthDefinition, profile: CropProfile, *, by_method: bool
 ) -> Table:
-    """Lay out the rows for 80 columns; with `by_method` M1 to M6 get a column each."""
+    """Return the results as a table of 80 columns; `by_method` adds a column for each method."""
     rows: list[Mapping[str, Any]] = list(islice(result.each_row(), _MOST_ROWS))
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
     shown = ran if by_method else []
@@ -227,7 +229,7 @@ def _number(value: float | None) -> str:
 
 
 def _closing_line(result: RunResult) -> str:
-    """Return how much was measured, by whose masks, and whether drawn captures are among it."""
+    """Return a summary line: fruit measured, sources of masks, and simulated captures."""
     summary = result.summary
     line = f"{summary.measured} of {summary.fruit} fruit measured in {summary.captures} captures"
     if result.before:
@@ -250,7 +252,7 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
 
 
 def summary_table(result: DetectResult) -> Table:
-    """Lay out how many pictures, how many fruit, how sure, and by which networks."""
+    """Return a table with the numbers of pictures and fruit, the mean score and the networks."""
     scores = [entry["score"] for one in result.pictures for entry in one.entries]
     empty = sum(not one.entries for one in result.pictures)
     table = Table(show_header=False)

@@ -1,4 +1,4 @@
-"""`cucumbervision stream`, `record` and `cameras`: what runs until it is stopped."""
+"""`cucumbervision stream`, `record` and `cameras`: commands that run until they are stopped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def print_stream(
     """Print a stream's frames as JSON lines and return the exit code.
 
     Failures and a summary go to the standard error. The stream ends with its source, after `most`
-    frames, on Ctrl-C, and when nobody reads the lines any more.
+    frames, on Ctrl-C, and when its output is closed.
     """
     from rich.console import Console
     from rich.markup import escape
@@ -74,15 +74,15 @@ def print_stream(
 
 
 def enter_keys(*, quiet: bool = False) -> Iterator[None]:
-    """Yield at each line of the standard input: an Enter, or whatever a program sends."""
+    """Yield at each line of the standard input, from the keyboard or a program."""
     if not quiet and sys.stdin.isatty():
-        sys.stderr.write("Enter takes a capture, Ctrl-D ends\n")
+        sys.stderr.write("Press Enter for a capture, Ctrl-D to stop\n")
     for _ in sys.stdin:
         yield None
 
 
 def clock(every_s: float) -> Iterator[None]:
-    """Yield now, and then every so many seconds; what took longer is not made up for."""
+    """Yield now and then at fixed intervals; delays are not caught up."""
     due_s = time.monotonic()
     while True:
         time.sleep(max(due_s - time.monotonic(), 0.0))
@@ -93,7 +93,7 @@ def clock(every_s: float) -> Iterator[None]:
 def print_recording(
     recorded: Iterator[Recorded | CucumberVisionError], *, quiet: bool = False
 ) -> int:
-    """Print a line a capture that is written, and return the exit code."""
+    """Print a line for each written capture, and return the exit code."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -137,19 +137,17 @@ FastWay = Annotated[
     bool,
     typer.Option(
         "--fast",
-        help="For speed: the detector's masks at 640 pixels, no SAM, no keypoints, half "
-        "precision where the processor can, and one fruit measured a frame.",
+        help="Faster: the detector's masks at 640 pixels, no SAM, no keypoints, half "
+        "precision if the processor supports it, and one fruit measured per frame.",
     ),
 ]
-Follow = Annotated[
-    bool, typer.Option("--follow", help="Wait for what comes into a folder, from now on.")
-]
+Follow = Annotated[bool, typer.Option("--follow", help="Wait for new captures in a folder.")]
 EveryFrame = Annotated[
     bool,
     typer.Option("--every", help="Drop no frame of a recording or followed folder."),
 ]
 Frames = Annotated[
-    int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
+    int | None, typer.Option(min=1, help="Stop after this number of frames.", show_default=False)
 ]
 
 
@@ -167,11 +165,10 @@ def stream(
     *,
     options: MeasureOptions,
 ) -> None:
-    """Measure frames as they come, the newest first, and know each fruit again.
+    """Measure the newest frames of a camera or recording, and track each fruit.
 
-    Every frame is one line of JSON on the standard output: when it was taken, how late the line
-    is, how many frames were dropped, and its fruit with numbers that stay and lengths from all
-    frames.
+    Each frame is one line of JSON on the standard output: time, delay, number of dropped frames,
+    and its fruit with permanent numbers and lengths from all frames.
     """
     from cucumbervision.capture.realsense import CameraConfig
     from cucumbervision.pipeline.measurer import Measurer
@@ -194,31 +191,37 @@ def stream(
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 
-Out = Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")]
+Out = Annotated[
+    Path,
+    typer.Argument(metavar="OUT", help="Output folder; each capture gets a folder of its own."),
+]
 FilledFolder = Annotated[
     Path | None,
     typer.Option(
         "--from",
-        help="A folder that another program fills, in the camera's place.",
+        help="Folder that another program writes captures to, instead of a camera.",
         show_default=False,
     ),
 ]
 Every = Annotated[
     float | None,
-    typer.Option(min=0.0, help="Seconds from one capture to the next; else Enter takes one."),
+    typer.Option(min=0.0, help="Seconds between captures; without it, press Enter for each."),
 ]
-Count = Annotated[int | None, typer.Option(min=1, help="End after so many.", show_default=False)]
+Count = Annotated[
+    int | None, typer.Option(min=1, help="Stop after this number of captures.", show_default=False)
+]
 RowName = Annotated[str | None, typer.Option(help="Row in the house.")]
 Side = Annotated[str | None, typer.Option(help="Side of the row: left or right.")]
 Position = Annotated[float | None, typer.Option(help="Metres along the row of the first capture.")]
 Step = Annotated[float, typer.Option(help="Metres from one capture to the next.")]
-CapturesName = Annotated[str, typer.Option(help="What the captures are called.")]
+CapturesName = Annotated[str, typer.Option(help="Prefix of the captures' names.")]
 DepthPreset = Annotated[
-    Preset | None, typer.Option(help="The depth camera's preset; its own without.")
+    Preset | None,
+    typer.Option(help="Preset of the depth camera; default: the camera's current one."),
 ]
 Exposure = Annotated[
     float | None,
-    typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
+    typer.Option(min=1, help="Colour exposure in microseconds; default: automatic."),
 ]
 
 
@@ -239,9 +242,9 @@ def record(
     retries: Retries = 3,
     quiet: Quiet = False,
 ) -> None:
-    """Write captures of a live camera: one at each Enter, or every so many seconds.
+    """Save captures of a live camera: one for each Enter, or at fixed intervals.
 
-    What is written is read by `cucumbervision measure` and every other command.
+    Every command reads the saved captures.
     """
     from itertools import islice
 
@@ -268,7 +271,7 @@ def record(
 
 
 def cameras() -> None:
-    """List the RealSense cameras that are plugged in, with their serial numbers."""
+    """List the connected RealSense cameras with their serial numbers."""
     from cucumbervision.capture.realsense_device import list_cameras
     from cucumbervision.cli.console import columns_table, screen
 

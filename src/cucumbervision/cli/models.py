@@ -1,4 +1,4 @@
-"""`cucumbervision models`: what networks there are, and fetching, checking and copying them."""
+"""`cucumbervision models`: list, verify, select and export networks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def list_models() -> None:
 @app.command()
 def verify(
     name: Annotated[
-        str | None, typer.Argument(help="One network; all that are on this machine without it.")
+        str | None, typer.Argument(help="Name of a network; default: all on this machine.")
     ] = None,
 ) -> None:
     """Hash the files and compare with the registry."""
@@ -60,7 +60,8 @@ def use(
         typer.Argument(help="A `train house` run, or a YOLO .onnx.", metavar="RUN_OR_ONNX"),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Even if it was not judged, or is not better.")
+        bool,
+        typer.Option("--anyway", help="Use it even if it was not evaluated, or is not better."),
     ] = False,
     shipped: Annotated[
         bool, typer.Option("--shipped", help="Use the package's own networks again.")
@@ -68,7 +69,7 @@ def use(
 ) -> None:
     """Use a network of your own for measure, detect, rounds and dashboard, if it is better.
 
-    A dashboard that is running takes it when it is started again.
+    A running dashboard must be restarted.
     """
     from rich.console import Console
 

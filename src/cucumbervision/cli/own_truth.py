@@ -28,7 +28,7 @@ def calibrate(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
     name: Annotated[
-        str | None, typer.Option(help="What rows call it; the file's name without it.")
+        str | None, typer.Option(help="Name in the rows; default: the name of the file.")
     ] = None,
     grid: Annotated[
         float | None,
@@ -57,7 +57,7 @@ def calibrate(
         site = calibrate_camera(captures, grid / 1000, name or out.stem)
     elif truth is None:
         raise CalibrationError(
-            "there is nothing to calibrate with",
+            "nothing to calibrate with",
             source="calibrate",
             remedy="give a CSV of hand-measured lengths, or captures of a grid and --grid in mm",
         )

@@ -1,4 +1,4 @@
-"""`cucumbervision round` and `export`: begin, fill, merge, link, list, check and export rounds."""
+"""`cucumbervision round` and `export`: create, fill, merge, link, list, check and export rounds."""
 
 from __future__ import annotations
 
@@ -64,13 +64,13 @@ def chosen_profile(given: str | None, one: RoundView) -> CropProfile | None:
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="What to call the round.")] = "",
+    name: Annotated[str, typer.Argument(help="Name of the round.")] = "",
     store: StoreName = "house.db",
     house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
     images: Images = None,
 ) -> None:
-    """Begin a round and print its key."""
+    """Create a round and print its key."""
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.store.records import Round
     from cucumbervision.store.repository import open_store
@@ -86,23 +86,24 @@ def new(
 @takes("options", measure_options, {"profile"})
 @takes("loop", loop_options)
 def add(
-    captures: Annotated[list[Path], typer.Argument(help="Whatever `measure` reads.")],
+    captures: Annotated[list[Path], typer.Argument(help="Inputs as for `measure`.")],
     store: StoreName = "house.db",
     round_: RoundName = "",
     row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
     position: Annotated[
-        float | None, typer.Option(help="Of the first capture along the row, metres.")
+        float | None, typer.Option(help="Position of the first capture along the row, metres.")
     ] = None,
     spacing: Annotated[
-        float, typer.Option(help="From one capture to the next, metres; negative backwards.")
+        float,
+        typer.Option(help="Distance between captures, metres; negative for walking backwards."),
     ] = 0.4,
     position_sd: Annotated[
-        float, typer.Option(min=0.001, max=5.0, help="How sure positions are, metres.")
+        float, typer.Option(min=0.001, max=5.0, help="Standard deviation of positions, metres.")
     ] = 0.03,
     higher_to: Annotated[
         str | None,
-        typer.Option(help="right or left: where in the picture positions get higher."),
+        typer.Option(help="right or left: direction of increasing positions in the picture."),
     ] = None,
     poses: Annotated[
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
@@ -114,8 +115,8 @@ def add(
 ) -> None:
     """Measure captures and save each as a stop.
 
-    One that is there already is measured again only if its intrinsics, the calibration or the
-    options have changed.
+    An existing stop is measured again only if its intrinsics, the calibration or the options have
+    changed.
     """
     from rich.console import Console
 
@@ -153,7 +154,7 @@ def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
 
 
 def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
-    """Print what became of captures, and return the exit code."""
+    """Print the outcome of the captures, and return the exit code."""
     from cucumbervision.cli.console import screen, show_failures
     from cucumbervision.pipeline.measurer import exit_code
 
@@ -164,9 +165,9 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
     fruit = sum(one.fruit for one in new)
     screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
     if again:
-        screen().print(f"{again} were measured again, since what they depend on has changed.")
+        screen().print(f"{again} were measured again, because their inputs have changed.")
     if deleted := sum(one.deleted for one in done):
-        screen().print(f"{deleted} of these were deleted: undo that to have them back.")
+        screen().print(f"{deleted} of these were deleted: undo the deletion to restore them.")
     show_failures(failures)
     return 130 if interrupted else exit_code(len(done) - len(failures), failures)
 
@@ -184,7 +185,7 @@ def remeasure(
 ) -> None:
     """Measure a round again from the captures that the store keeps, and merge it.
 
-    Stops stay where they are. Fruit that are found again keep what was decided of them by hand.
+    Stops keep their positions. Fruit that are found again keep the decisions made by hand.
     """
     from rich.console import Console
 
@@ -212,9 +213,9 @@ def merge(
     round_: RoundName = "",
     images: Images = None,
 ) -> None:
-    """Find which fruit were seen from several stops, and measure them by all views at once.
+    """Merge views of the same fruit from several stops, and measure it from all views together.
 
-    Decisions made by hand are kept, and no fruit is measured twice.
+    Manual decisions are kept, and joint measurements are reused.
     """
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.merge_and_link import merge_round
@@ -234,17 +235,17 @@ def merge(
     for row in rows:
         if row.unplaced:
             console.print(
-                f"row {row.row}: {row.unplaced} fruit without position or depth stand alone"
+                f"row {row.row}: {row.unplaced} fruit without position or depth are not merged"
             )
         for side in row.mirrored:
             console.print(
-                f"row {row.row}, side {side}: positions seem to get higher the other way; "
+                f"row {row.row}, side {side}: positions seem to be reversed; "
                 "add its captures to a new round with --higher-to"
             )
 
 
 def settle_round(store: Store, key: str) -> None:
-    """Merge a round anew, measure it by all views, and link it; print what could not be done."""
+    """Merge a round again, measure its joint lengths and link it; print failures."""
     from cucumbervision.cli.console import screen
     from cucumbervision.rounds.from_store import find_round
     from cucumbervision.rounds.merge_and_link import settle
@@ -255,7 +256,7 @@ def settle_round(store: Store, key: str) -> None:
 
 
 def measure_all_views(store: Store, key: str) -> None:
-    """Measure fruit that several stops show by all of these views, and show progress."""
+    """Measure fruit from all their views together, and show progress."""
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, show_failures
@@ -270,11 +271,11 @@ def measure_all_views(store: Store, key: str) -> None:
 
 @app.command()
 def link(
-    earlier: Annotated[str, typer.Argument(help="The earlier round: name or key.")],
+    earlier: Annotated[str, typer.Argument(help="Name or key of the earlier round.")],
     store: StoreName = "house.db",
     round_: RoundName = "",
 ) -> None:
-    """Find the fruit of an earlier round again, though they grew and were moved."""
+    """Link fruit to those of an earlier round, which may have grown and moved."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.from_store import find_round
     from cucumbervision.rounds.merge_and_link import link_rounds
@@ -342,7 +343,7 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 
 @app.command("list")
 def list_(store: StoreName = "house.db") -> None:
-    """List the rounds, the newest first."""
+    """List the rounds, newest first."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.store.repository import open_store
 
@@ -362,11 +363,11 @@ def list_(store: StoreName = "house.db") -> None:
 def check(
     store: StoreName = "house.db",
     remove: Annotated[
-        bool, typer.Option("--remove", help="Remove pictures that no stop names.")
+        bool, typer.Option("--remove", help="Remove pictures that no stop refers to.")
     ] = False,
     images: Images = None,
 ) -> None:
-    """Check a store: its file, and that every picture is there and whole. Exits 1 if not."""
+    """Verify a store: its file, all hashes and all pictures. Exits with 1 if something is wrong."""
     from cucumbervision.cli.console import screen
     from cucumbervision.store.check import check_store
     from cucumbervision.store.repository import open_store
@@ -391,17 +392,17 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
     round_: Annotated[
         str,
-        typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; the newest without."),
+        typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; default: the newest."),
     ] = "",
     store: StoreName = "house.db",
     images: Images = None,
     formats: Annotated[
         list[ExportFormat] | None,
-        typer.Option("--format", "-f", help="Repeat for several; csv, xlsx, json without."),
+        typer.Option("--format", "-f", help="Repeat for several; default: csv, xlsx, json."),
     ] = None,
     profile: Profile = None,
 ) -> None:
-    """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""
+    """Export a round: summary, fruit, stops, forecast, pick list, provenance."""
     from cucumbervision.exports.build import round_tables
     from cucumbervision.exports.writers import write_exports
 

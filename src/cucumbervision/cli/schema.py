@@ -1,4 +1,4 @@
-"""`cucumbervision schema`: the JSON Schema of what streams print and the service replies."""
+"""`cucumbervision schema`: JSON Schemas of the stream's output and the service's replies."""
 
 from __future__ import annotations
 

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 def dashboard(
     store: Annotated[
         str | None,
-        typer.Option(help="SQLite file or postgresql:// URL; your own file by default."),
+        typer.Option(help="SQLite file or postgresql:// URL; default: a file in your user folder."),
     ] = None,
     replay: Annotated[
         Path | None,
-        typer.Option(help="Folder or recording to show where no camera is.", show_default=False),
+        typer.Option(help="Folder or recording to show instead of a camera.", show_default=False),
     ] = None,
     images: Annotated[
         Path | None,
-        typer.Option(help="Folder of the pictures; PostgreSQL needs one.", show_default=False),
+        typer.Option(help="Folder of the pictures; required with PostgreSQL.", show_default=False),
     ] = None,
     port: Port = 8501,
     address: ListenOn = "127.0.0.1",
@@ -35,13 +35,13 @@ def dashboard(
         bool,
         typer.Option(
             "--login",
-            help="Require the token on this machine too: behind a proxy that others reach.",
+            help="Require the token on this machine too, for use behind a proxy.",
         ),
     ] = False,
 ) -> None:
-    """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'.
+    """Capture, review and forecast rounds in a browser. Needs the extra 'dashboard'.
 
-    Other machines need the token in the link that is printed, or a login by OpenID Connect.
+    Other machines need the token in the printed link, or a login by OpenID Connect.
     """
     from cucumbervision.dashboard.server import default_store, serve
 
@@ -62,18 +62,16 @@ def serve(
     address: ListenOn = "127.0.0.1",
     port: Port = 8600,
     most_mb: Annotated[
-        int, typer.Option("--max-mb", min=1, help="Largest request, megabytes.")
+        int, typer.Option("--max-mb", min=1, help="Maximum size of a request, megabytes.")
     ] = 200,
-    waiting: Annotated[
-        int, typer.Option(min=0, help="Requests that may wait for the one that is measured.")
-    ] = 8,
+    waiting: Annotated[int, typer.Option(min=0, help="Maximum number of waiting requests.")] = 8,
     *,
     options: MeasureOptions,
 ) -> None:
     """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'.
 
-    Requests must carry the token in the environment's CUCUMBERVISION_TOKEN, where there is one;
-    addresses that other machines reach need it.
+    If the environment variable CUCUMBERVISION_TOKEN is set, requests must contain this token. It is
+    required for addresses that other machines can reach.
     """
     import os
 

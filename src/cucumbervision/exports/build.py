@@ -1,4 +1,4 @@
-"""Build the tables of a round from the store: their columns, and what fills them."""
+"""Build the tables of a round from the store: their columns and cells."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
         summary = book.sheet("Summary", (20, 26, 6, 66), high=1)
         summary.set_portrait()
         facts = tables["summary"]
-        book.lines(summary, [[tables.title], ("what", "value", "unit", "what it says")])
+        book.lines(summary, [[tables.title], ("what", "value", "unit", "meaning")])
         for line, one in enumerate(facts.columns, 2):
             said = (one.title.split(" [")[0], facts.rows[0][one.name], one.unit, one.says)
             for at, cell in enumerate(said):
@@ -149,7 +149,7 @@ def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
             for name, table in tables.tables.items()
             for one in table.columns
         )
-        head = ("table", "column", "unit", "what it says")
+        head = ("table", "column", "unit", "meaning")
         book.lines(book.sheet("Columns", (18, 18, 18, 70)), (head, *meaning))
     return [path]
 

@@ -1,4 +1,4 @@
-"""The principal axis of a point cloud, and what lies along it."""
+"""The principal axis of a point cloud, and positions along it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pixels hold: medians of valid readings, a mask's outline, the depth across it."""
+"""Pixel operations: medians of valid readings, a mask's outline, the depth across it."""
 
 from __future__ import annotations
 

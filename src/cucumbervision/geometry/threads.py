@@ -1,4 +1,4 @@
-"""One thread for our own matrices, whoever calls.
+"""Limit BLAS to one thread for this package's matrices.
 
 They are small: with threads of its own, BLAS spends several times the processor time on them.
 """

@@ -1,4 +1,4 @@
-"""What was seen of one fruit, and its equations against a body: gaps, errors, derivatives.
+"""Observations of one fruit, and their equations for a body: residuals, errors, derivatives.
 
 The unknowns, in this order: the body's control points row by row, its control radii, the slips
 of the outline, the waves of depth noise.

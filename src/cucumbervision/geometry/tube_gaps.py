@@ -1,4 +1,4 @@
-"""How far readings are from a union of balls along a smooth curve.
+"""Distances of readings from a union of balls along a smooth curve.
 
 A depth point should lie on the body, min over s of |P - C(s)| - r(s) = 0, and a ray through the
 outline should just touch it, min over s of dist(ray, C(s)) - r(s) = 0, which is exact in

@@ -1,4 +1,4 @@
-"""What is believed of a fruit's shape, and of what errs beside it, before looking."""
+"""Priors of a fruit's shape and of the measurement errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WIDTH_TAIL = 1.0
 _ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
 # Colour and depth are registered to about a pixel; masks are drawn too wide or too narrow. More
 # room for the latter would win on masks 3 px too wide, but a real sensor's depth does not know a
-# body's roundness well enough: on rigid bodies seen anew the length then wanders.
+# body's roundness well enough: the length of rigid bodies then varies between captures.
 _SLIP_SD_PX = (1.0, 1.0, 0.1)
 
 

@@ -60,7 +60,7 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
     Traceback (most recent call last):
     ...
     cucumbervision.errors.UploadError: a.zip: a member's name leads out of the zip ('.bashrc');
-    pack the captures' folder anew
+    pack the captures' folder again
     """
     plain = name.replace("\\", "/")
     parts = plain.split("/")
@@ -69,7 +69,7 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
         raise UploadError(
             f"a member's name leads out of the zip ({clean_name(name)!r})",
             source=archive,
-            remedy="pack the captures' folder anew",
+            remedy="pack the captures' folder again",
         )
     if len(parts) > _DEEPEST:
         raise UploadError(
@@ -221,7 +221,7 @@ def unpack(
                 yield str(name), own
     except FileExistsError:
         raise UploadError(
-            "has two members of one name", source=source, remedy="pack the folder anew"
+            "has two members of one name", source=source, remedy="pack the folder again"
         ) from None
     except _ZIP_FAULTS:
         raise _damaged(source) from None
@@ -258,7 +258,7 @@ def _check_sizes(size: int, packed: int, shown: str, source: str, limits: Limits
         raise UploadError(
             f"its member {shown!r} unpacks to more than {limits.ratio:g} times its size",
             source=source,
-            remedy="pack the files anew; pictures never shrink that much",
+            remedy="pack the files again; pictures never shrink that much",
         )
 
 

@@ -1,4 +1,4 @@
-"""From a region of the depth picture to a point cloud, the methods' common ground."""
+"""Convert a region of the depth picture to a point cloud, for all methods."""
 
 from __future__ import annotations
 

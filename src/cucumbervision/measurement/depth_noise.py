@@ -1,4 +1,4 @@
-"""How a D4xx's depth errs: short ripples, and waves that move a whole small fruit."""
+"""Model of D4xx depth noise: short ripples, and waves that shift a whole small fruit."""
 
 from __future__ import annotations
 

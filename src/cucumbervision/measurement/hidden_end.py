@@ -1,7 +1,7 @@
-"""How long a fruit is whose end nothing shows: a distribution, cut by what would be seen.
+"""Length of a fruit with a hidden end: a distribution, truncated by what would be visible.
 
-Three things say where a covered end may be: it lies beyond what is seen; not so far that it would
-come out on the other side of what covers it; and a fruit's girth goes with its length.
+Three facts constrain a hidden end: it lies beyond the visible part, it does not emerge on the other
+side of the occluder, and girth is correlated with length.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class BeyondEnd:
 def with_hidden_end(
     measured: Measurement, depth_m: NDArray[np.float32], intrinsics: Intrinsics
 ) -> Measurement:
-    """Return an M6 measurement with the whole length's distribution, where it can be told.
+    """Return an M6 measurement with the distribution of the whole length, if it can be estimated.
 
     That is where one end is hidden, and by something in the picture: of both ends, or of what
     the picture's edge cuts off, nothing honest is known but the lower bound.

@@ -172,7 +172,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
     """
     fit, tube = measurement.fit, measurement.tube
     if fit is None or tube is None:
-        raise ValueError("there is no tube to tell features of")
+        raise ValueError("there is no tube for features")
     distance = float(np.median(fit.traits.axis_m[:, 2]))
     tilt, widest = fit.traits.tilt_deg, fit.traits.diameter_max_m
     return {
@@ -252,7 +252,7 @@ def mask_features(
 
 WIDEST = 4.0  # an interval from half to twice a length says nothing
 
-SCALE_SD = 0.01  # of a D4xx that nobody calibrated: the data sheet allows 2 % at 2 m
+SCALE_SD = 0.01  # of an uncalibrated D4xx: the data sheet allows 2 % at 2 m
 REAL_SD = 0.010  # what real fruit err that drawn ones do not: `benchmarks/real_cucumbers.py`
 
 _SHIPPED = Path(__file__).with_name("interval_models.json")
@@ -308,8 +308,8 @@ def read_interval_models(path: Path) -> IntervalModels:
     ModelError
         If the file is none.
     """
-    content = read_json(path, ModelError, "install the package anew")
-    with wrap_reader_errors(path, ModelError, "install the package anew"):
+    content = read_json(path, ModelError, "reinstall the package")
+    with wrap_reader_errors(path, ModelError, "reinstall the package"):
         models = TypeAdapter(list[IntervalModel]).validate_python(content["models"])
         by_method = {model.method: model for model in models}
         return IntervalModels(float(content["level"]), by_method, int(content["fruit"]))

@@ -1,4 +1,4 @@
-"""M5, the paper's medial arc spline, as the paper has it."""
+"""M5, the medial arc spline of the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""M6, the swept tube: our own method."""
+"""M6, the swept tube: this project's own method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a fruit is in space, for what grasps and cuts it: its ends, its axis, the place to cut."""
+"""Pose of a fruit for grasping and cutting: its ends, its axis, the place to cut."""
 
 from __future__ import annotations
 

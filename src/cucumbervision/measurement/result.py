@@ -1,4 +1,4 @@
-"""What is known of one fruit: each method's measurement, the chosen length with its interval."""
+"""Result of one fruit: each method's measurement, and the chosen length with its interval."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measure a fruit by every method, choose one measurement and say why."""
+"""Measure a fruit by every method, and choose one measurement with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fitted tube says of its fruit: lengths, bend, diameters, volume, and how sure it is."""
+"""Traits of a fitted tube: lengths, bend, diameters, volume."""
 
 from __future__ import annotations
 

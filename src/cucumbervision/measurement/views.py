@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
 _ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
 
-# Of the view alone: what several views say of these is found anew.
+# Flags of a single view, which are determined again from several views.
 _BY_VIEW = LOWER_BOUND | {
     *(Flag.END_ON, Flag.PART_HIDDEN, Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE)
 }

@@ -136,7 +136,7 @@ def _coco_record(
     item: Mapping[str, Any], where: str, names: Mapping[Any, str], annotated: bool
 ) -> LabelledInstance:
     if item.get("iscrowd"):
-        raise ValueError("a crowd region is no single fruit")
+        raise ValueError("a crowd region is not a single fruit")
     box = None
     if item.get("bbox"):
         x, y, w, h = _finite(item["bbox"])

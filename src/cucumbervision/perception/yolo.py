@@ -119,7 +119,7 @@ class YoloLayout:
         if raw:
             return classes
         raise ModelError(
-            f"the output {channels}x{last} is no {self.task} head of {len(self.names)} classes "
+            f"the output {channels}x{last} is not a {self.task} head of {len(self.names)} classes "
             f"({6 + self.extra} columns or {4 + classes + self.extra} rows)",
             source=self.source,
             remedy=_REMEDY,

@@ -1,8 +1,8 @@
-"""The one loop over captures: each is read, searched and measured, and its outcome comes in order.
+"""The loop over captures: each is read, searched and measured, and outcomes are yielded in order.
 
-Whoever measures is a source of captures, a `Worker` that says what is made of each, and a loop over
-the outcomes of `measure_all`. Failures are values: none ends the loop but one of the networks or
-the calibration, without which nothing can be measured at all.
+Every caller combines a source of captures, a `Worker` that converts each result, and a loop over
+the outcomes of `measure_all`. Failures are values: only a failure to load the networks or the
+calibration ends the loop.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Worker(ABC, Generic[T]):
         return self.measure(self.detect(self.read(item)))
 
     def read(self, item: Item) -> Outcome[T] | ReadCapture:
-        """Read a capture; what goes wrong is in the outcome."""
+        """Read a capture; errors are returned in the outcome."""
         if isinstance(item, Failure):
             return Outcome(failures=(item,))
         failures: list[Failure] = []
@@ -101,7 +101,7 @@ class Worker(ABC, Generic[T]):
         return Outcome(failures=tuple(failures))
 
     def detect(self, read: Outcome[T] | ReadCapture) -> Outcome[T] | SearchedCapture:
-        """Find the fruit of what was read; whatever goes wrong in the capture stays in it.
+        """Detect the fruit of a capture; errors are returned in the outcome.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Worker(ABC, Generic[T]):
             return SearchedCapture(read, CaptureResult.failed(read.capture, error))
 
     def measure(self, seen: Outcome[T] | SearchedCapture) -> Outcome[T]:
-        """Measure the fruit that were found, and make of them what is wanted."""
+        """Measure the detected fruit, and convert the result."""
         if isinstance(seen, Outcome):
             return seen
         result = seen.detected
@@ -130,7 +130,7 @@ class Worker(ABC, Generic[T]):
 
     @abstractmethod
     def make(self, result: CaptureResult, content: str) -> Outcome[T]:
-        """Return what is wanted of a measured capture; its `error` says if it could not be."""
+        """Convert the result of a capture; `result.error` is set if it could not be measured."""
 
 
 class ResultWorker(Worker[CaptureResult]):
@@ -150,7 +150,7 @@ Engine: TypeAlias = Callable[
 def in_turn(
     items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
-    """Do one item after the other, and ask for none before the one before is dealt with."""
+    """Process one item after the other, and request the next only when the previous one is done."""
     for item in items:
         yield Outcome() if _is_dropped(item, stop) else worker(item)
 
@@ -171,7 +171,7 @@ def in_process(
         item, reading = waiting.popleft()
         read = Outcome() if _is_dropped(item, stop) else reading.result()
         found.append(measurers.submit(worker.measure, worker.detect(read)))
-        # The first outcome comes at once: somebody waits for it.
+        # The first outcome is yielded immediately, for a caller that waits for it.
         while len(found) > begun:
             begun = True
             yield found.popleft().result()
@@ -248,7 +248,7 @@ class Processes:
 
 
 class _Pool:
-    """Processes with a worker each, made anew when one of them was killed."""
+    """Processes with a worker each, restarted if one of them was killed."""
 
     def __init__(self, workers: int, worker: Worker[Any]) -> None:
         self._workers, self._worker = workers, worker
@@ -297,7 +297,7 @@ def _outcome_of_killed(item: Item) -> Outcome[Any]:
 
 
 def portable(item: Item) -> Item:
-    """Return an item as another process can do it, or why it cannot."""
+    """Return an item that another process can handle, or the failure."""
     if isinstance(item, Failure):
         return item
     failures: list[Failure] = []
@@ -321,7 +321,7 @@ def _do(item: Item) -> Outcome[Any]:
 
 
 def _end_with_parent() -> None:
-    """End this process when the command has been killed: nobody would fetch its results."""
+    """End this process if the command was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -346,13 +346,13 @@ def choose_engine(workers: int = 0, ray: str = "") -> Engine:
 
 
 def never() -> bool:
-    """Return False: nobody asks the loop to stop."""
+    """Return False: never stop the loop."""
     return False
 
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """How the loop goes about it; none of it changes a result.
+    """Options of the loop, which do not change results.
 
     Parameters
     ----------

@@ -48,8 +48,8 @@ def find_pictures(
 ) -> tuple[list[Item], int]:
     """List the pictures of files and of folders, with those below.
 
-    A file that is named is a picture whatever it is called; in folders the ending decides, and
-    hidden files are passed over.
+    A named file counts as a picture with any extension; in folders the extension decides, and
+    hidden files are skipped.
 
     Parameters
     ----------
@@ -164,13 +164,13 @@ class PictureWorker(Worker[DetectedPicture]):
         return Outcome(picture, tuple(failures))
 
     def make(self, result: CaptureResult, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
-        """Return why a picture could not be looked at."""
+        """Return why a picture could not be processed."""
         return Outcome(failures=result.failures)
 
 
 @dataclass(frozen=True, eq=False)
 class DetectResult:
-    """What one run gave.
+    """Result of a run.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def detect_inputs(
     out : Path
         Made where it is missing; pictures in it are left out.
     options : MeasureOptions, optional
-        The run's choices; those of measuring do not matter.
+        Options of the run; those for measuring are ignored.
     report : callable, optional
         Called with the number of pictures done and their total; for progress bars.
     registry : Registry, optional
@@ -312,8 +312,8 @@ def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
 def coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
     """Return one fruit's box, score, mask and keypoints as COCO's results have them.
 
-    COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1; `keypoints`
-    says whether a pose network looked: every entry then has them.
+    COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
+    `keypoints` every entry has keypoints, because a pose network ran.
     """
     x1, y1, x2, y2 = (float(edge) for edge in one.box)
     box = [x1 + 0.5, y1 + 0.5, x2 - x1, y2 - y1]

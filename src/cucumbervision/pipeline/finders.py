@@ -1,4 +1,4 @@
-"""Where the fruit of a capture come from: the data set, a file, or networks."""
+"""Sources of a capture's instances: the data set, a file, or networks."""
 
 from __future__ import annotations
 

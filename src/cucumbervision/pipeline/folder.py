@@ -1,8 +1,8 @@
-"""An output folder: files that appear whole or not at all, and a journal of what is done.
+"""An output folder with atomic files, and the journal of finished captures.
 
 The journal is a folder `journal/` of segments, each written by one run. A line is a checksum, the
-place of the capture and the record as JSON; the last whole line of a place is its record. What a
-killed program left half written is no line, and costs nothing but that capture's time.
+place of the capture and the record as JSON; the last whole line of a place is its record. A partial
+line of a killed program is ignored; its capture is measured again.
 """
 
 from __future__ import annotations

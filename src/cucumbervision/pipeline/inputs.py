@@ -1,4 +1,4 @@
-"""What the inputs of a run hold: every capture once, in order, each under a name of its own."""
+"""List the captures of a run's inputs: each once, in order, with a unique name."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def list_captures(
     inputs : iterable of Path
         Folders and files that `open_source` knows.
     reading : ReadOptions
-        What is said of them.
+        Reading options.
     opener : callable
         Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
 

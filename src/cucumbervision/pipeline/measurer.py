@@ -1,4 +1,4 @@
-"""The one way from a capture to its fruit: calibrate, find, measure; with a boundary around it."""
+"""Measure a capture: calibrate, detect, measure; errors are converted to failures."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Failure:
 
 
 class Boundary:
-    """Turns whatever is raised inside into a failure, so that the next capture can go on.
+    """Converts any exception in the block to a failure, so that the next capture can be measured.
 
     KeyboardInterrupt and SystemExit are no `Exception` and pass.
 
@@ -370,7 +370,7 @@ class Measurer:
         return accepted_fruit(fruit, options.accepted_m)
 
     def attempt(self, capture: Capture) -> CaptureResult:
-        """Measure a capture; whatever goes wrong is in the result."""
+        """Measure a capture; errors are returned in the result."""
         try:
             return self.measure(capture)
         except Exception as error:

@@ -1,4 +1,4 @@
-"""What a user asks of one run, as one value that goes into the provenance."""
+"""The options of a run, which are part of the provenance."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ class MeasureOptions:
         Networks in float32: the same lengths on every machine. Half precision is faster where
         the processor has it, and moves outlines by a pixel or so.
     reading : ReadOptions
-        What is said of the sources.
+        Reading options.
     calibration : Path, optional
         A site's calibration file, applied to depth and rows.
     accepted_m : tuple of float
-        Shortest and longest fruit that can be, metres, as the crop's profile says; by default a
+        Shortest and longest fruit that can be, metres, from the crop profile; by default a
         long cucumber's. What lies outside gets no length.
     cut_beyond_m : float
-        How far beyond its stem end a fruit is cut, metres, as the crop's profile says.
+        Distance of the cut beyond the stem end, metres, from the crop profile.
     """
 
     instances: str = "auto"
@@ -149,5 +149,5 @@ def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
 
 def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisionError:
     return CucumberVisionError(
-        f"{value!r} is no {name}", source=name, remedy=f"give {' or '.join(allowed)}"
+        f"{value!r} is not a valid value", source=name, remedy=f"give {' or '.join(allowed)}"
     )

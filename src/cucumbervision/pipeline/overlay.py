@@ -1,4 +1,4 @@
-"""Draw onto a picture what was measured or detected; nothing here is ever measured again."""
+"""Draw measured or detected fruit onto a picture."""
 
 from __future__ import annotations
 

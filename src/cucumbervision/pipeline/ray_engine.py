@@ -1,4 +1,4 @@
-"""The work of many captures on a cluster, by Ray Data; needs the extra 'cluster'."""
+"""Measure many captures on a cluster by Ray Data; needs the extra 'cluster'."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ Report: TypeAlias = Callable[[Step], None]
 
 @dataclass(frozen=True)
 class BatchOptions(LoopOptions):
-    """How a run goes about it; none of it changes a row.
+    """Options of a run that do not change rows.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class BatchOptions(LoopOptions):
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What one run gave.
+    """Result of a run.
 
     Parameters
     ----------
@@ -105,13 +105,13 @@ class RunResult:
     before : int
         How many captures an earlier run had measured.
     notes : list of str
-        What else to know: inputs that were named twice, records that were damaged.
+        Notes: inputs that were given twice, damaged records.
     interrupted : bool
         Whether it ended before all was measured.
     out : Path
         Where the files are.
     records : callable
-        Begins anew with the captures' records, in order.
+        Returns a new iterator of the captures' records, in order.
     """
 
     failures: list[Failure]
@@ -138,7 +138,7 @@ class RunResult:
 
     @property
     def exit_code(self) -> int:
-        """What the command's exit code is: 130 if interrupted, else as `measurer.exit_code`."""
+        """Exit code of the command: 130 if interrupted, otherwise as `measurer.exit_code`."""
         return 130 if self.interrupted else exit_code(self.captures, self.failures)
 
 
@@ -152,9 +152,9 @@ def measure_inputs(
     """Measure every capture of every input into a folder.
 
     `out` gets `measurements.csv`, `measurements.xlsx`, `measurements.json`, `overlays/` with one
-    annotated PNG a capture, `failures.csv`, and `journal/`. Whatever goes wrong in one capture is
-    noted and the others go on. What the journal has already, of the same content and by the same
-    options and networks, is not measured again.
+    annotated PNG a capture, `failures.csv`, and `journal/`. An error in one capture is
+    recorded and the others are measured. Captures that the journal has with the same content,
+    options and networks are not measured again.
 
     Parameters
     ----------
@@ -164,11 +164,11 @@ def measure_inputs(
         Folder or URL; made where it is missing. Its tables hold the captures of this run's
         inputs, measured now or before.
     options : MeasureOptions
-        The run's choices.
+        Options of the run.
     report : callable, optional
         Called after each capture; for progress bars.
     batch : BatchOptions, optional
-        How to go about it.
+        Options of the loop.
 
     Returns
     -------
@@ -208,7 +208,7 @@ class Task(Listed):
 
 
 class FolderWorker(Worker[JournalRecord]):
-    """Measures what has changed, draws it into an output folder, and says what to journal.
+    """Measures captures that changed, draws them into a folder, and returns journal records.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""What a capture's rows depend on besides its own files, as hashes of the stages it went through.
+"""Hashes of everything that a capture's rows depend on besides its own files, by stage.
 
-The table of fields is part of each: rows that lack a column of today are measured again.
+The table of fields is part of each, so that captures are measured again after a new column.
 
-A change of options or networks then touches the captures that they had a part in, and no others:
-a data set's own masks are not measured again because there is a new detector.
+A change of options or networks affects only captures that depend on them: a data set's own masks
+are not measured again after a change of the detector.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run comes to: counted as it goes, shown on screen, in the workbook and in the JSON."""
+"""Summary of a run, accumulated by capture, for the screen, the workbook and the JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _USUAL_CM = (5.0, 50.0)
 
 @dataclass
 class Summary:
-    """Counts and lengths of a run; eight bytes a fruit, whatever its rows take.
+    """Counts and lengths of a run; uses eight bytes per fruit.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Summary:
         self.models += [model for model in models if model not in self.models]
 
     def doubts(self) -> list[str]:
-        """Return what would explain lengths that are all impossible; nothing where some are not.
+        """Return likely explanations if all lengths are impossible; otherwise nothing.
 
         Examples
         --------
@@ -104,7 +104,7 @@ class Summary:
         Parameters
         ----------
         failures : int
-            How much could not be read, measured or written.
+            Number of captures that could not be read, measured or written.
         provenance : mapping
             As `tables.provenance_of` returns it.
         """

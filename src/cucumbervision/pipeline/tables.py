@@ -1,4 +1,4 @@
-"""Tables as files: CSV, Excel, Parquet and JSON, a row at a time; and the files of a run."""
+"""Write tables as CSV, Excel, Parquet and JSON row by row, and the files of a run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PARQUET = "parquet"
 _PART_ROWS = 100_000
 _FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
 _A4 = 9
-_MEANING = ("column", "unit", "what it says")
+_MEANING = ("column", "unit", "meaning")
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -95,10 +95,10 @@ def write_json(path: Path, report: Mapping[str, Any]) -> None:
 
 
 class Workbook:
-    """An Excel file as a context manager; what is written stays in no memory.
+    """An Excel file as a context manager, written with constant memory.
 
-    Texts are texts, whatever they start with: never formulas or links. Sheets print on A4, as wide
-    as the paper, their heads on every page.
+    Text is never converted to formulas or links. Sheets print on A4 in the full width, with their
+    heads on every page.
 
     Parameters
     ----------
@@ -114,8 +114,8 @@ class Workbook:
     def __init__(self, path: Path) -> None:
         import xlsxwriter
 
-        path.touch()  # what cannot be written is known before the rows are
-        # Its sheets are files until it is closed; they go with the folder, whatever happens.
+        path.touch()  # fails before the rows are computed
+        # Its sheets are temporary files until it is closed; the folder is always removed.
         self._sheets = TemporaryDirectory(prefix="cucumbervision-")
         safe = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
         how = {**safe, "constant_memory": True, "tmpdir": self._sheets.name}
@@ -194,13 +194,13 @@ class Workbook:
     def write(
         self, sheet: Any, line: int, at: int, cell: Cell, column: Column | None = None
     ) -> None:
-        """Write one cell as what it is."""
+        """Write one cell by its type."""
         if isinstance(cell, bool):
             sheet.write_boolean(line, at, cell)
         elif isinstance(cell, int | float):
             sheet.write_number(line, at, cell, column and self._numbers.get(column.unit))
         elif column is not None and column.name == "picture" and cell is not None:
-            # Its letters, digits, dots and dashes are safe in a link, whatever a round is called.
+            # Safe in a link: the name has only letters, digits, dots and dashes.
             sheet.write_url(line, at, f"external:{cell}", self._link, "picture")
         elif cell not in (None, ""):
             sheet.write_string(line, at, str(cell_value(cell)))
@@ -363,14 +363,14 @@ def write_reports(
     *,
     parquet: bool = False,
 ) -> list[Failure]:
-    """Write the tables of a run; one that cannot be written leaves what was there before.
+    """Write the tables of a run; a failed table keeps its previous version.
 
     Parameters
     ----------
     out : OutputFolder
         Where to.
     records : callable
-        Begins anew with the run's captures, in order.
+        Returns a new iterator of the run's captures, in order.
     summary : Summary
         Of the same captures.
     failures : sequence of Failure
@@ -446,7 +446,7 @@ def _json_items(values: Iterable[Mapping[str, Any]]) -> Iterator[str]:
 def _write_parts(
     out: OutputFolder, rows: Iterator[dict[str, Cell]], provenance: Mapping[str, Any]
 ) -> None:
-    """Write `parquet/part-00000.parquet` and so on, and take away what an earlier run had more."""
+    """Write `parquet/part-00000.parquet` and so on, and remove further parts of an earlier run."""
     names = set[str]()
     # Without any fruit there is one part, which tells the columns.
     while (part := list(islice(rows, _PART_ROWS))) or not names:

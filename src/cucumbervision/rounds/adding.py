@@ -1,4 +1,4 @@
-"""Captures into a round: measured, placed along the row, saved one stop each."""
+"""Add captures to a round: measure each, place it along the row, and save it as a stop."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _TURNED = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 @dataclass(frozen=True)
 class Place:
-    """Where captures were taken, unless their own files or a pose file say so.
+    """Where captures were taken, unless their own files or a pose file give it.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ class Place:
         How sure positions are.
     sign : int, optional
         1 where positions get higher to the right in the picture, else -1; by default as
-        `poses.sign_of_side` says of the side.
+        `poses.sign_of_side` returns for the side.
     poses : mapping of str to PoseLine
-        By the capture's name; what they say comes first.
+        Poses by the capture's name; they take precedence.
     """
 
     row: str | None = None
@@ -101,7 +101,7 @@ class Added:
     new : bool
         Whether it was saved now.
     deleted : bool
-        Whether it was there already and somebody deleted it: undo that to have it back.
+        Whether it was already there and was deleted; undo the deletion to restore it.
     again : bool
         Whether it was there already, and measured again: from other intrinsics, with another
         calibration or other options.
@@ -134,7 +134,7 @@ class RoundCapture(Listed):
     place : Placed, optional
         Where a new one was taken.
     there : bool, optional
-        Whether the round has it: None where it does not, True where somebody deleted it.
+        Whether the round has it: None if not, True if it was deleted.
     same : bool
         Whether it would be measured as it was.
     keep : bool
@@ -228,7 +228,7 @@ def add_captures(
     report : callable, optional
         Called after each capture; for progress bars.
     loop : LoopOptions, optional
-        How to go about it.
+        Options of the loop.
 
     Returns
     -------
@@ -340,7 +340,7 @@ class Placed:
     Parameters
     ----------
     capture : Capture
-        Its `stop` says where it was taken.
+        Its `stop` gives the place.
     position_sd_m : float, optional
         How sure the position is; None without one.
     pose : ndarray of float64, shape (4, 4)
@@ -360,7 +360,7 @@ class Placed:
         capture : Capture
             The frame.
         number : int
-            How many came before it, for its position and step where nothing else says them.
+            Number of earlier captures, for its position and step if nothing else gives them.
         place : Place, optional
             Where it was taken.
 
@@ -394,7 +394,7 @@ class Placed:
 
     @property
     def spot_and_camera(self) -> tuple[Stop, CameraAt]:
-        """Where it was taken and by what, as its stop will say."""
+        """Place and source of the capture, as its stop will contain them."""
         camera = CameraModel.of(self.capture.intrinsics).model_dump(mode="json")
         return self.capture.stop, CameraAt(self.pose.ravel().tolist(), {}, camera)
 

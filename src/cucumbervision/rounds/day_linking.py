@@ -1,8 +1,8 @@
-"""The same fruit on a later day, though it has grown and its row was lowered and re-hung.
+"""Find the same fruit on a later day, after growth and after lowering and re-hanging the row.
 
-How far the plants were moved is unknown and may differ along the row: it is sought on a grid,
-stretch by stretch, then estimated together with the links, each stretch near its neighbours.
-No link is an answer like any other, and each link has a probability.
+The shift of the plants is unknown and may vary along the row: it is searched on a grid for each
+stretch, then estimated together with the links, with neighbouring stretches alike. A fruit may
+remain without a link, and each link has a probability.
 """
 
 from __future__ import annotations

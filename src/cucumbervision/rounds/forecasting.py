@@ -1,4 +1,4 @@
-"""What a round means for picking: its forecast, how old it is, and what of it is ready today."""
+"""The forecast of a round, its age, and the fruit that are ready today."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> D
     Parameters
     ----------
     rows : sequence of RowReport
-        The round's rows; those that were not merged say nothing, and without any the priors of
+        The round's rows; unmerged rows are ignored, and without any the priors of
         the count stand.
     table : sequence of RoundFruit
         The round's fruit: those without a length are as good as missed.
@@ -350,7 +350,7 @@ def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
 
 
 def age_words(days: int) -> str:
-    """Return an age as people say it.
+    """Return an age as text.
 
     Examples
     --------
@@ -377,7 +377,7 @@ def forecast_today(
 ) -> Forecast:
     """Forecast a round from today on, for all pages, files and commands.
 
-    Of a round that is too old to say anything of today, day 0 is the day of its walk.
+    For a round that is too old for a forecast of today, day 0 is the day of its walk.
 
     Parameters
     ----------
@@ -415,7 +415,7 @@ def read_today(
     now_s: float,
     content: RoundContent | None = None,
 ) -> Today:
-    """Return what a round says of today.
+    """Return today's figures of a round.
 
     Parameters
     ----------

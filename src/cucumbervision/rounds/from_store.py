@@ -1,4 +1,4 @@
-"""Rows out of the store as arrays, and what was found of them back into it."""
+"""Read rows from the store as arrays, and write results back."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import CameraAt, DetectionView, RoundView, StopView
 
 _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
-_REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
+_REACH = (0.687, 0.384)  # a D435's colour camera, where a stop has no camera
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
 _DIAMETER_SD = 0.05
 _MOST_VIEWS = 5  # of one fruit, the best: each further one costs more than it tells
@@ -55,7 +55,7 @@ class StoredRow:
     unplaced : int
         Detections that cannot be merged: no position, or no depth.
     accepted : ndarray of bool
-        Views that a person said to show a fruit.
+        Views that a person accepted as fruit.
     false : FalseShare
         Prior of the share of false detections, from the house's verdicts.
     """
@@ -88,7 +88,7 @@ class RoundContent:
     false : FalseShare
         Prior of the share of false detections, from the house's verdicts.
     joint : mapping of str to JointRecord
-        What all views of a fruit together say, by the keys of `joint_groups`.
+        Joint measurements of the fruit, by the keys of `joint_groups`.
     """
 
     key: str

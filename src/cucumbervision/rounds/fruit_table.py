@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, RoundView
 
 
-# What a tube in all views says of a fruit; the rest of its line is the best view's.
+# Fields from a joint tube fit; all others are those of the best view.
 _OF_ALL_VIEWS = (
     *("reason", "fallback", "flags", "length", "raw_length"),
     *("centreline_m", "thread_m", "chord_m", "inner_arc_m"),
@@ -118,7 +118,7 @@ def fruit_table(content: RoundContent) -> list[RoundFruit]:
 
 
 def _joint(content: RoundContent) -> dict[str, JointRecord]:
-    """Return what one tube says of fruit that several stops show whole, by the best views' keys."""
+    """Return joint measurements of fruit that several stops show whole, by the best views' keys."""
     found = {}
     for key, views in joint_groups(content).items():
         one = content.joint.get(key)
@@ -300,6 +300,6 @@ def nearest(
 
 
 def least_sure_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:
-    """Return the fruit that one view alone shows and nobody has judged, the least sure first."""
+    """Return unjudged fruit with a single view, the least certain first."""
     once = [view for view in fruit if view.views == 1 and view.verdict is None]
     return sorted(once, key=lambda view: (view.record.score, view.key))

@@ -1,9 +1,8 @@
-"""Fruit seen from several stops, measured by all of these views at once.
+"""Measure fruit that several stops show from all these views together.
 
-One tube is fitted to the depth and the outlines that the store keeps of them. It is done once for
-each set of views and kept; a set that changes (a view more, a mask corrected, a stop moved) is
-measured anew. Where nothing sure comes of it, the fruit has the pooled length of its
-views (`row_fruit.pooled_length`).
+One tube is fitted to the stored depth and outlines. The result is kept for each set of views; a set
+that changes (another view, a corrected mask, a moved stop) is measured again. Without a reliable
+joint fit, the fruit has the pooled length of its views (`row_fruit.pooled_length`).
 """
 
 from __future__ import annotations
@@ -159,7 +158,7 @@ class _Source:
         self._read_capture = lru_cache(_STOPS_KEPT)(self._capture)
 
     def measured(self, key: str, views: Sequence[DetectionView]) -> JointRecord:
-        """Return what some views say together, or why nothing."""
+        """Return the joint measurement of some views, or why there is none."""
         first = views[0].key
         try:
             stored = [self._stored(view) for view in views]

@@ -1,4 +1,4 @@
-"""Which views of a row are one fruit: assignment and stop positions found in turn."""
+"""Find which views of a row show the same fruit, alternating assignment and stop positions."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def merge_row(
     """Merge the views of one row into fruit.
 
     First pairs come from shifts that are tried between each two stops (`vote_pairs`). Then the
-    stops are estimated from all pairs, each capture's views are assigned anew to the fruit of the
+    stops are estimated from all pairs, each capture's views are assigned again to the fruit of the
     others, and so on in turn.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Merge the rows of a stored round and link its fruit to other days; what a new stop asks for."""
+"""Merge the rows of a stored round, and link its fruit to those of other days."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class RowReport:
     stop_sd_m : float, optional
         How well the stops are known now, on average, metres.
     mirrored : tuple of str
-        Sides where positions seem to count the other way: they should be added anew.
+        Sides where positions seem to be reversed; their captures should be added again.
     unplaced : int
         Detections that could not take part: without a position or without depth.
     """
@@ -97,7 +97,7 @@ class RowLinks:
 
 
 def merge_round(store: Store, round_key: str) -> list[RowReport]:
-    """Merge all rows of a round anew and save the links and where the stops were.
+    """Merge all rows of a round again, and save the links and the fitted stop positions.
 
     Corrections by hand are kept.
 
@@ -241,7 +241,7 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
             link_rounds(store, round_key, one.key, profile)
             if before is not None:  # they were neighbours while this round was not there
                 store.save_growth(before.key, one.key, ())
-    except (RoundError, StoreError) as error:  # somebody may delete a round or fruit meanwhile
+    except (RoundError, StoreError) as error:  # a round or fruit may be deleted meanwhile
         return str(error)
     return ""
 

@@ -1,4 +1,4 @@
-"""Where the camera was at each capture, and from that where a fruit is in the row's coordinates."""
+"""Camera poses of captures, and the positions of fruit in the row's coordinates."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
         poses[pose.capture] = pose
     if len({pose.height_m is None for pose in poses.values()}) > 1:
         raise RoundError(
-            "only some lines say height_m", source=path, remedy="give it in all lines or in none"
+            "only some lines give height_m", source=path, remedy="give it in all lines or in none"
         )
     return poses
 

@@ -1,4 +1,4 @@
-"""Stops measured again: where what they were measured from has changed, or all of a round."""
+"""Measure stops again: those whose inputs have changed, or all of a round."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def measure_round_again(
     report : callable, optional
         Given how many stops are done, and of how many.
     loop : LoopOptions, optional
-        How to go about it.
+        Options of the loop.
 
     Returns
     -------
@@ -126,8 +126,8 @@ def measure_stop_again(
     """Save a stop as it was measured again, and return how many fruit it shows; logged.
 
     Its place stays as it is. A fruit that is found again keeps its key, and with it verdict, pick
-    and links. One of which somebody said something is measured with its old mask where it is not
-    found; a corrected mask is measured as it is.
+    and links. A fruit with a manual decision that is not found again is measured with its old
+    mask; a corrected mask is measured as it is.
 
     Parameters
     ----------

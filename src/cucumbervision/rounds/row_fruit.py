@@ -201,7 +201,7 @@ class FalseShare:
 
     @classmethod
     def learnt(cls, rejected: int, views: int) -> FalseShare:
-        """Return what a house's own verdicts say: so many of so many views were no fruit.
+        """Return the prior from a house's verdicts: how many of how many views were not fruit.
 
         Examples
         --------
@@ -216,7 +216,7 @@ class FalseShare:
 
 
 USUAL = FalseShare()
-"""What is known of a house of which nobody has said anything."""
+"""The prior of a house without verdicts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +293,7 @@ def count_fruit(
     merged, stops, views : Merged, RowStops, RowViews
         The row.
     accepted : ndarray of bool, shape (N,), optional
-        Views that a person said to show a fruit.
+        Views that a person accepted as fruit.
     false : FalseShare
         Prior of the share of false positives.
     """
@@ -385,7 +385,7 @@ def estimate_count(
         Its confidence in views of fruit that were seen twice or more. False positives are assumed
         to have any confidence from the least to the highest alike.
     known : ndarray of bool, shape (F,), optional
-        Which a person said to be a fruit.
+        Whether a person accepted each as a fruit.
     false : FalseShare
         Prior of the share of false positives.
 

@@ -1,9 +1,9 @@
-"""One row as arrays: its stops, the views of fruit that they show, and how alike two views are.
+"""One row as arrays: its stops, the views of its fruit, and the similarity of two views.
 
-The likeness is the log likelihood ratio of multi-target tracking (Blackman & Popoli 1999, ch. 6):
-the density of what separates two views of one fruit, against the density of other fruit where the
-second view is. Densities have heavy tails, so that one bad reading does not part what all others
-join.
+The similarity is the log likelihood ratio of multi-target tracking (Blackman & Popoli 1999, ch. 6):
+the density of the difference between two views of one fruit, against the density of other fruit at
+the second view. Densities have heavy tails, so that one outlier does not separate views that all
+other readings join.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class RowStops:
     ----------
     at_m : ndarray of float64, shape (S, 3)
         The camera as it was given: along, up, and into the row; metres. Up and into the row
-        count from the usual camera of its side, so that they are 0 unless a pose says otherwise.
+        count from the usual camera of its side, so that they are 0 unless a pose is given.
     sd_m : ndarray of float64, shape (S, 3)
         Standard deviations of these, metres.
     side : ndarray of int64, shape (S,)
@@ -204,7 +204,7 @@ def _size_ratio(
     Parameters
     ----------
     first, second : ndarray of float64, shape (K,)
-        The sizes, metres; one that is NaN says nothing.
+        The sizes, metres; NaN is ignored.
     sd : ndarray of float64, shape (K,)
         Standard deviation of their log ratio.
     partial : tuple of ndarray of bool, shape (K,)

@@ -1,8 +1,8 @@
-"""Where the stops of a row really were, from the fruit that they share.
+"""Estimate the positions of a row's stops from the fruit that they share.
 
 All stops of a row are estimated together: each has a normal prior about the position that the
-operator gave, and each pair of views of one fruit says how far its two stops lie apart. Wrong
-pairs are held down by Student-t weights (iteratively reweighted least squares; Lange, Little &
+operator gave, and each pair of views of one fruit measures the distance of its two stops. Wrong
+pairs are downweighted by Student-t weights (iteratively reweighted least squares; Lange, Little &
 Taylor 1989).
 """
 
@@ -81,7 +81,7 @@ def fit_stops(stops: RowStops, views: RowViews, i: Ints, j: Ints, weight: Floats
 
     Examples
     --------
-    Two stops, given as 0.40 m apart with 3 cm of doubt each; two fruit that both show say 0.46:
+    Two stops, given as 0.40 m apart with 3 cm of uncertainty each; two fruit in both measure 0.46:
 
     >>> from cucumbervision.rounds.row_views import RowStops, RowViews
     >>> stops = RowStops(np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.full((2, 3), 0.03),
@@ -94,7 +94,7 @@ def fit_stops(stops: RowStops, views: RowViews, i: Ints, j: Ints, weight: Floats
     >>> (100 * fitted.at_m[:, 0]).round(1).tolist()
     [-3.0, 43.0]
     """
-    apart = views.stop[i] != views.stop[j]  # two captures of one stop say nothing of where it is
+    apart = views.stop[i] != views.stop[j]  # two captures of one stop do not locate it
     i, j, weight = i[apart], j[apart], weight[apart]
     s, t = views.stop[i], views.stop[j]
     between = views.offset_m[i] - views.offset_m[j]

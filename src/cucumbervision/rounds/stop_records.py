@@ -1,4 +1,4 @@
-"""What was measured, as records of the store."""
+"""Convert measurements to records of the store."""
 
 from __future__ import annotations
 

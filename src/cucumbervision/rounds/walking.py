@@ -1,4 +1,4 @@
-"""A walk from stop to stop: where the next one is, and what sides and steps there are."""
+"""Predict the next stop of a walk: its position, side and step."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     Parameters
     ----------
     stop : Stop
-        Where somebody says that it is.
+        The position given by the operator.
     taken : sequence of Stop or StopView
         Where the others are, in order.
 
@@ -194,7 +194,7 @@ def last_step(*walks: Sequence[_Placed]) -> int:
 
 
 def sides_of(stops: Iterable[_Placed]) -> list[str]:
-    """Return what the sides of a house's rows are called, as its stops say; else left and right.
+    """Return the names of a house's row sides from its stops; otherwise left and right.
 
     Examples
     --------

@@ -122,7 +122,7 @@ def create_app(
         description="Measures greenhouse cucumbers from RGB-D pictures.",
         docs_url=None,
         redoc_url=None,
-        # FastAPI would send traces wherever variables of the environment say.
+        # Environment variables could make FastAPI send traces.
         telemetry={"auto_configure": False, "tracing": False, "metrics": False, "logs": False},
     )
     app.include_router(_routes(work, metrics))

@@ -1,4 +1,4 @@
-"""Who and what may come in: tokens, hosts and origins, and time limits for heads and bodies."""
+"""Access control: tokens, hosts and origins, and time limits for headers and bodies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TAIL_BYTES = 256  # a form's closing boundary, of 70 characters at most, and wh
 
 
 def problem(status: int, error: str, message: str) -> JSONResponse:
-    """Return an answer that says why a request was refused."""
+    """Return a response with the reason of a refusal."""
     return JSONResponse(Problem(error=error, message=message).model_dump(), status)
 
 
@@ -108,7 +108,7 @@ class Gate:
             tail = (tail + message.get("body", b""))[-_TAIL_BYTES:]
             is_cut_off = boundary and b"--%b--" % boundary not in tail
             if whole and is_cut_off and message["type"] == "http.request":
-                # Its parser would leave out the file that is cut off, and not say so.
+                # Its parser would silently omit a truncated file.
                 raise HTTPException(400, "the form is cut off; send it again")
             return message
 

@@ -1,1 +1,1 @@
-"""Rounds on disk: database, pictures, and the log of what was done by hand."""
+"""Rounds on disk: the database, the pictures, and the log of manual actions."""

@@ -1,4 +1,4 @@
-"""Values into the tables' cells and back; a cell that can be no such value is called damage."""
+"""Convert values to table cells and back; a cell with an invalid value is reported as damage."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def pack_um(values_m: Sequence[float] | Sequence[Point]) -> bytes:
     """
     values = np.asarray(values_m, np.float64).ravel()
     if not (np.abs(values) < _REACH_M).all():
-        raise StoreError("a path holds a number that is no position", remedy="give metres")
+        raise StoreError("a path holds a number that is not a position", remedy="give metres")
     return np.rint(values * 1e6).astype("<i4").tobytes()
 
 
@@ -117,7 +117,7 @@ def _reader_of_detections() -> TypeAdapter[DetectionRecord]:
 
 
 def decoding(connection: Connection) -> AbstractContextManager[None]:
-    """Report any failure inside as damage of the stored data; for code that only reads cells.
+    """Report any error in the block as damaged data; for code that only reads cells.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
     Raises
     ------
     StoreError
-        If a cell is not of its column's kind: SQLite keeps whatever other programs write.
+        If a cell has another type than its column: SQLite accepts any value from other programs.
     """
     try:
         rows = connection.execute(query).all()

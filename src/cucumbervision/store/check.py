@@ -1,9 +1,9 @@
-"""Whether a store still holds what was saved: hashes of its lines, and its pictures.
+"""Verify a store: the hashes of its rows, and its pictures.
 
 A stop's hash is of all that was measured there and of where that was: its line, captures, fruit,
 masks, methods and artifacts, as the database gives them back. Rounds, corrections, links, the log,
-joint measurements and where merging put a stop have a hash a line. Whatever else writes into the
-file, or a bit that turns over on the disk, is found by `check_store`, and before an export.
+joint measurements and where merging put a stop have a hash a line. Changes by another program and
+bit flips on the disk are found by `check_store`, and before an export.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def sha256_of(*values: Any) -> str:
 
 
 def seal_stops(connection: Connection, which: Any) -> None:
-    """Note the hash of all lines of some stops; called by whatever changes them.
+    """Update the hash of all lines of some stops; call it after every change of them.
 
     Parameters
     ----------
@@ -178,12 +178,12 @@ def change(connection: Connection, table: Any, which: Any, **values: Any) -> int
 
 
 def refuse_changed(store: Database, round_key: str) -> None:
-    """Refuse a round of which something is no longer as it was saved.
+    """Raise if any part of a round differs from what was saved.
 
     Raises
     ------
     StoreError
-        Naming the first of it.
+        If it does; the message names the first difference.
     """
     if changed := changed_lines(store, round_key):
         remedy = "copy the store back from a backup; `round check` names all that was changed"
@@ -191,7 +191,7 @@ def refuse_changed(store: Database, round_key: str) -> None:
 
 
 def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
-    """Return what is no longer as it was saved, in words; empty where all is.
+    """Return descriptions of everything that differs from what was saved.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
     Raises
     ------
     StoreError
-        If what is stored is of no kind that can be read.
+        If the stored data cannot be read.
     """
     found = []
     with store.reading() as connection:
@@ -251,13 +251,13 @@ class CheckReport:
     pictures : int
         How many the database names.
     missing, damaged : tuple of Path
-        Which of them are not there, or are not what their names say.
+        Pictures that are missing, or whose content differs from their name.
     orphans : tuple of Path
         Files that no stop names: a program ended between its pictures and its stop.
     removed : tuple of Path
         Which orphans were removed.
     faults : tuple of str
-        What SQLite says of its own file, and what is not as it was saved (`changed_lines`).
+        Faults that SQLite reports in its file, and the result of `changed_lines`.
     """
 
     pictures: int
@@ -274,7 +274,7 @@ class CheckReport:
 
 
 def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> CheckReport:
-    """Check a store against its hashes and pictures; nothing that a stop names is ever removed.
+    """Check a store against its hashes and pictures; files that a stop names are never removed.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     remove : bool
         Remove orphans.
     grace_s : float
-        Younger files are left alone: the stop that names them may be on its way.
+        Newer files are kept: the stop that names them may not be saved yet.
 
     Raises
     ------
@@ -335,11 +335,11 @@ def _older(path: Path, before_s: float) -> bool:
 
 
 def _removed(store: Database, path: Path, grace_s: float) -> bool:
-    """Remove one orphan, unless somebody is about to use it.
+    """Remove one orphan, unless another program is about to use it.
 
-    It is first taken away under another name, and its time and the database are then asked
-    again. A writer of the same picture either finds it before that, which makes its time new,
-    so that it is brought back; or does not find it, and writes it anew.
+    The file is renamed first; then its time and the database are checked again. A writer of the
+    same picture either finds it before that and updates its time, so that it is restored, or
+    does not find it, and writes it again.
     """
     aside = path.with_name(path.name + _ASIDE)
     try:
@@ -357,7 +357,7 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
 
 
 def _bring_back(store: Database) -> None:
-    """Restore files that a check was just removing when it was killed."""
+    """Restore files that an interrupted check was removing."""
     for aside in list(store.images.files()):
         if aside.name.endswith(_ASIDE):
             path = aside.with_name(aside.name.removesuffix(_ASIDE))

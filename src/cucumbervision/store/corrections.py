@@ -1,7 +1,7 @@
 """Corrections by hand: of fruit, stops and rounds; each is logged and can be undone.
 
-The line of a stop or round itself is changed, since every list reads it; what it said before is in
-the log. What is deleted stays in the tables, and is in no list.
+Corrections of a stop or round change its own line, which every list reads; the previous values are
+in the log. Deleted objects stay in the tables and are left out of all lists.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,53
 
 
 STOP_EDITS = ("place-stop", "delete-stop")
-"""Kinds of action after which a round's views have to be merged anew."""
+"""Kinds of action after which a round's views must be merged again."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Corrections(Database):
     def merge(self, first: str, second: str, *, by: str = "") -> int:
         """Record that two detections of a round are one fruit, with all that each is merged with.
 
-        Whatever parted the two groups before ends.
+        Earlier decisions that separated the two groups end.
         """
         with self.writing() as connection:
             a, b = find_detections(connection, [first, second])
@@ -168,7 +168,7 @@ class Corrections(Database):
             return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth", by)
 
     def place_stop(self, key: str, place: StopPlace, *, by: str = "") -> int:
-        """Say where a stop was taken, and what it is called; its fitted position is forgotten."""
+        """Set where a stop was taken, and its name; its fitted position is discarded."""
         with self.writing() as connection:
             after = asdict(place)
             row, stop = after.pop("row"), _line(connection, StopLine, key)
@@ -182,7 +182,7 @@ class Corrections(Database):
             return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True}, by)
 
     def rename_round(self, key: str, name: str, *, by: str = "") -> int:
-        """Call a round something else."""
+        """Rename a round."""
         with self.writing() as connection:
             found = _line(connection, RoundLine, key)
             return _edit(connection, RoundLine, found, "rename-round", {"name": name}, by)
@@ -297,7 +297,7 @@ def mark_added(connection: Connection, key: str, by: str, *, accept: bool = True
 
 
 def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
-    """Keep others from marking or linking in rounds until the transaction ends.
+    """Lock rounds against other marks and links until the transaction ends.
 
     Stops can still be saved. In SQLite a writing transaction is alone anyway.
     """
@@ -310,7 +310,7 @@ def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
 def _link(
     connection: Connection, kind: LinkKind, pairs: Sequence[tuple[str, str]], name: str, by: str
 ) -> int:
-    """Link pairs by hand, or part them; whatever linked a pair before, in either order, ends."""
+    """Link or separate pairs by hand; earlier links of a pair, in either order, end."""
     keys = list(dict.fromkeys(key for pair in pairs for key in pair))
     fruit = {row.key: row for row in find_detections(connection, keys)}
     action = _log(connection, name, by, list(fruit.values()), {"kind": str(kind)})
@@ -478,7 +478,7 @@ def change_line(connection: Connection, details: dict[str, Any], *, back: bool =
     if back:
         old, new = new, old
     now = [getattr(table, name).is_not_distinct_from(value) for name, value in old.items()]
-    # Where merging put a stop that is moved no longer holds: the next merging finds it anew.
+    # The fitted position of a stop that is moved is no longer valid: the next merge finds it again.
     fitted = {"fitted_m": None, "fitted_sd_m": None} if "position_m" in new else {}
     which = and_(table.key == details["key"], *now)
     if change(connection, table, which, **new, **fitted) != 1:

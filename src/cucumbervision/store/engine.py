@@ -1,4 +1,4 @@
-"""The connection to a database: SQLite made safe, PostgreSQL by URL, errors in one line.
+"""The database connection: safe settings for SQLite, PostgreSQL by URL, errors in one line.
 
 A new database gets its tables when it is opened; one of another version is refused untouched.
 """
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 BUSY_TIMEOUT_S = 30.0
 SIGNED_BY = "cucumbervision_signed_by"
-"""Name of the connections' option that says who writes."""
+"""Name of the connection option with the person who writes."""
 
 _WRITES = "cucumbervision_writes"
 _MAKE_ROOM = "make room on the disk"
@@ -72,7 +72,7 @@ def database_url(where: str | Path) -> URL:
     try:
         url = make_url(text) if "://" in text else URL.create("sqlite", database=text)
     except ArgumentError:
-        raise StoreError("is no address of a database", source="--store", remedy=_USAGE) from None
+        raise StoreError("is not a database address", source="--store", remedy=_USAGE) from None
     backend = url.get_backend_name()
     if backend == "postgresql":
         return url.set(drivername="postgresql+psycopg")
@@ -139,10 +139,10 @@ def make_engine(url: URL) -> Engine:
 
 
 def _open_read_only(path: Path) -> sqlite3.Connection:
-    """Open an SQLite file that may not be written: from a read-only disk, or somebody else's.
+    """Open an SQLite file without write permission.
 
-    Where nobody has it open there is no log of changes beside it, and none can be made for
-    reading: only as an immutable file does SQLite then read it.
+    If no other program has it open, there is no WAL file, and SQLite cannot create one: it can
+    then be read only as an immutable file.
     """
     log = path.with_name(f"{path.name}-wal")
     alone = not log.exists() or not log.stat().st_size
@@ -185,7 +185,7 @@ def _begin_sqlite(connection: Connection) -> None:
 def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     """Open one transaction: committed at the end, rolled back by any error.
 
-    One that only reads sees the database as it was when it began, whatever others write.
+    A read-only transaction sees the database as it was at its start.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
 
 @contextmanager
 def _store_errors(url: URL) -> Iterator[None]:
-    """Turn the database's errors into one line with a remedy.
+    """Convert database errors to one line with a remedy.
 
     Raises
     ------
@@ -246,7 +246,7 @@ class Database:
         return f"<{type(self).__name__} {self.name}>"
 
     def signed(self, by: str) -> Self:
-        """Return the same database, where what is done by hand is logged as this person's."""
+        """Return the same database, with this person's name in the log of manual actions."""
         one = copy(self)
         one._signed_by = by
         return one
@@ -258,7 +258,7 @@ class Database:
 
     @property
     def has_images(self) -> bool:
-        """Whether it is known where the pictures are."""
+        """Whether the folder of the pictures is known."""
         return self._images is not None
 
     @property

@@ -1,4 +1,4 @@
-"""Pictures beside the database: named by the hash of their content, whole or not there."""
+"""Pictures beside the database, named by the hash of their content and written atomically."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _SUFFIXES = (".png", ".jpg")
 class ImageStore:
     """A folder of pictures.
 
-    A file is written under a temporary name, forced to the disk and only then given its name,
-    in one step: whenever power fails it is there whole or not at all. A name is never written
-    twice, and what is read is compared with its name.
+    A file is written under a temporary name, flushed to the disk and then renamed, so that a power
+    failure leaves a complete file or none. Existing files are never overwritten, and the content
+    is compared with the name when it is read.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class ImageStore:
         Raises
         ------
         StoredImageError
-            If it is missing, or its content is not what its name says.
+            If it is missing, or its content does not match its name.
         """
         path = self.path(ref)
         remedy = "copy it back from a backup; its name is the hash of its content"
@@ -139,7 +139,7 @@ class ImageStore:
             data = path.read_bytes()
         if hashlib.sha256(data).hexdigest() != ref.sha256:
             raise StoredImageError(
-                "its content is not what its name says", source=path, remedy=remedy
+                "its content does not match its name", source=path, remedy=remedy
             )
         return data
 
@@ -162,7 +162,7 @@ class ImageStore:
         yield from self.folder.glob("??/??/*")
 
     def clean(self) -> None:
-        """Remove what runs that were killed left half written; what is being written stays."""
+        """Remove partial files of killed runs; files that are being written stay."""
         for path in self._half_written.glob("*"):
             with suppress(OSError), path.open("rb") as stream:
                 if time.time() - path.stat().st_mtime > _STARTED_S:
@@ -222,5 +222,5 @@ class ImageStore:
 
 def _decoded(image: Any) -> NDArray[Any]:
     if image is None:  # the hash is right, so it was no picture when it was put
-        raise StoredImageError("is no picture that can be read", remedy="measure the capture again")
+        raise StoredImageError("is not a readable picture", remedy="measure the capture again")
     return cast("NDArray[Any]", image)

@@ -38,7 +38,7 @@ class Position:
 
 
 def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, frozenset[str]]:
-    """Join detections that links say are the same fruit.
+    """Group the detections that links identify as the same fruit.
 
     What was linked by hand joins first, then the surest. A link that would bring two detections
     together that were parted by hand joins nothing.
@@ -48,7 +48,7 @@ def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[s
     keys : iterable of str
         The detections.
     links : iterable of LinkRecord
-        Of any kind; those of growth say nothing here.
+        Links of any kind; links of growth are ignored.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def representative_views(
     picked_s : mapping of str to float
         When those that were marked so were picked.
     links : iterable of LinkRecord
-        What links them.
+        Their links.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What goes into the store and comes out of it: frozen values, in metres and seconds."""
+"""Records of the store: frozen values, in metres and seconds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cucumbervision.measurement.result import LOWER_BOUND, Choice, Length
 
 Point: TypeAlias = tuple[float, ...]
 
-# What the flags call a fruit of which part is out of sight, and the hidden share that says so too.
+# Flags of a fruit that is partly out of sight, and the hidden share with the same meaning.
 _PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
 _HIDDEN_SHARE = 0.15
 
@@ -58,7 +58,7 @@ def checked_key(key: str, what: str) -> str:
     Raises
     ------
     StoreError
-        If it is no UUID.
+        If it is not a UUID.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def checked_key(key: str, what: str) -> str:
         return str(uuid.UUID(key))
     except (ValueError, AttributeError, TypeError):
         raise StoreError(
-            f"{what} key {key!r} is no UUID", remedy="take one from records.new_key()"
+            f"{what} key {key!r} is not a UUID", remedy="take one from records.new_key()"
         ) from None
 
 
@@ -127,7 +127,7 @@ class Round:
     key : str
         UUID, made by the program that starts the round.
     name : str
-        What people call it.
+        Its name.
     house : str
         The greenhouse; empty where there is only one.
     started_s : float
@@ -135,7 +135,7 @@ class Round:
     profile : str
         Name of the crop profile.
     note : str
-        Whatever the operator wrote.
+        The operator's note.
     """
 
     key: str = field(default_factory=new_key)
@@ -148,7 +148,7 @@ class Round:
 
 @dataclass(frozen=True)
 class MethodRecord:
-    """One method on one fruit, as `measurement.results.Measurement` says it.
+    """One method on one fruit, see `measurement.result.Measurement`.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ class CaptureRecord:
     name : str
         What the capture is called; unique within the stop.
     camera : mapping
-        The colour intrinsics, as `capture.calibration.CameraModel` writes them.
+        The colour intrinsics, as `capture.camera_file.CameraModel` writes them.
     color, depth, thumbnail : ImageRef, optional
         Its pictures in the `ImageStore`.
     depth_unit_m : float, optional
@@ -388,7 +388,7 @@ class StopRecord:
 
 @dataclass(frozen=True)
 class JointRecord:
-    """What several views of one fruit, fitted together, say of it.
+    """The joint measurement of one fruit in several views.
 
     Parameters
     ----------

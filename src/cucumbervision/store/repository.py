@@ -162,8 +162,8 @@ class Store(Queries, Corrections, Merging):
         StoreConflictError
             If another stop has its key.
         StoreError
-            If its round is not there, a key is no UUID, two captures have one name or two fruit of
-            a capture one number.
+            If its round does not exist, a key is not a UUID, or two captures have the same name or
+            two fruit of a capture the same number.
         """
         stop = checked_stop(stop)
         sha256 = content_sha256(stop)
@@ -203,7 +203,7 @@ class Store(Queries, Corrections, Merging):
         """Replace what was measured at a stop; logged, and not to be undone.
 
         The stop stays where it is. A fruit that is the same as before keeps its key and all that
-        was said of it by hand. What was measured before stays in the tables, in no list.
+        was decided about it by hand. Earlier measurements stay in the tables, out of all lists.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class Store(Queries, Corrections, Merging):
         corrected : mapping of str to DetectionRecord
             As measured now with its corrected mask, by its key.
         by : str
-            Who had it measured.
+            Name of the person.
 
         Raises
         ------
@@ -252,7 +252,7 @@ class Store(Queries, Corrections, Merging):
 
         It is accepted, unless it is flagged as doubtful.
 
-        Taken back by `undo`, it is in no list any more, and its number is not given again.
+        After `undo` it is left out of all lists, and its number is not used again.
 
         Parameters
         ----------
@@ -261,7 +261,7 @@ class Store(Queries, Corrections, Merging):
         record : DetectionRecord
             As it was measured; it gets the capture's next number.
         by : str
-            Who added it.
+            Name of the person.
 
         Raises
         ------
@@ -334,7 +334,7 @@ def _put_aside(connection: Connection, line: Any) -> tuple[int, dict[str, int]]:
 def _carry_over(
     connection: Connection, old: Mapping[str, int], corrected: Mapping[str, DetectionRecord]
 ) -> None:
-    """Give what people and algorithms said of fruit to those that have their keys now.
+    """Move marks and links to the fruit that now have the old keys.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""The tables, for SQLite and PostgreSQL alike, and how records are laid into them.
+"""The tables, for both SQLite and PostgreSQL, and the mapping of records to them.
 
-What was measured is written once and never changed. What people and algorithms say of it later
-is in `marks`, `links` and the stops' fitted positions; where a stop was taken and what a round
-is called can be corrected (`edits.py`). Every manual action is a line of `actions`, which the
-database itself keeps from being changed or removed.
+Measurements are written once and never changed. Later decisions by people and algorithms are in
+`marks`, `links` and the stops' fitted positions; the place of a stop and the name of a round can
+be corrected (`corrections.py`). Every manual action is a line of `actions`, which the database
+protects against change and removal.
 """
 
 from __future__ import annotations
@@ -284,7 +284,7 @@ class LinkLine(Base):
 
 
 class JointLine(Base):
-    """What several views of one fruit, fitted together, say of it."""
+    """The joint measurement of one fruit in several views."""
 
     __tablename__ = "joint_measurements"
 

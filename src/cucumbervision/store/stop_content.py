@@ -1,4 +1,4 @@
-"""One stop with everything in it, into the tables and out of them again."""
+"""Write one stop with all its content to the tables, and read it back."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class DetectionView:
     verdict : Verdict, optional
         A person's verdict on it.
     picked_s : float, optional
-        When it was picked, as any view of the same fruit says.
+        When it was picked, from any view of the same fruit.
     corrected : bool
         Whether its mask was corrected.
     group : str

@@ -1,8 +1,8 @@
-"""Captures that wait to be measured: kept on disk the moment they are taken, whole or not at all.
+"""The queue of captures to measure, written to disk atomically when they are taken.
 
-Each is a native capture folder, so that anything that reads captures can read it, with a file
-`waiting.json` that says which stop of which round it will be. It is written under a temporary name,
-brought to the disk and only then given its own name: what a kill leaves half done is no capture.
+Each is a native capture folder with a file `waiting.json` that names its future stop and round. It
+is written under a temporary name, flushed to the disk and then renamed, so that a killed program
+leaves no partial capture.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cucumbervision.errors import StoreError, wrap_os_errors
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
-MOST_TRIES = 3  # a capture that ends the program each time must not do so for ever
+MOST_TRIES = 3  # limits how often a capture can crash the program
 
 _WHERE = "waiting.json"
 _TRIES = "tries"
@@ -33,7 +33,7 @@ _TEMPORARY = ".unfinished-"
 
 @dataclass(frozen=True)
 class Waiting:
-    """A capture that waits.
+    """A capture in the queue.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Waiting:
 
 
 def waiting_folder(store: str) -> Path:
-    """Return where a store's captures wait: beside an SQLite file, else the user's own folder.
+    """Return the folder of a store's queue: beside an SQLite file, otherwise in the user's folder.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def waiting_folder(store: str) -> Path:
 
 
 class WaitingCaptures:
-    """A folder of captures that wait, in the order in which they were taken.
+    """A folder of captures to measure, in the order in which they were taken.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class WaitingCaptures:
         self._read: dict[Path, Waiting] = {}
 
     def put(self, capture: Capture, key: str, round_key: str, pressed_s: float) -> Waiting:
-        """Keep a capture; when this returns, no kill and no power cut takes it away.
+        """Save a capture durably, so that it survives a kill or a power failure after this returns.
 
         Raises
         ------
@@ -151,11 +151,11 @@ class WaitingCaptures:
         return one
 
     def captures(self) -> list[Waiting]:
-        """Return what waits, the oldest first; what has failed too often is left out."""
+        """Return the queued captures, the oldest first, without those that failed too often."""
         return [one for one in self._all() if one.tries < MOST_TRIES]
 
     def set_aside(self) -> list[Waiting]:
-        """Return what was tried too often: it stays where it is, for somebody to look at."""
+        """Return the captures that failed too often; they are kept for inspection."""
         return [one for one in self._all() if one.tries >= MOST_TRIES]
 
     def holds(self, key: str) -> bool:
@@ -163,7 +163,7 @@ class WaitingCaptures:
         return any(self.folder.glob(f"[0-9]*-{key}/{_WHERE}"))
 
     def begin(self, one: Waiting) -> None:
-        """Note that measuring begins, so that a capture that ends the program is known."""
+        """Record the start of a measurement, to recognise captures that crash the program."""
         with (one.folder / _TRIES).open("ab") as tries:
             tries.write(b".")
             tries.flush()
@@ -177,7 +177,7 @@ class WaitingCaptures:
         shutil.rmtree(half, ignore_errors=True)
 
     def clean(self) -> None:
-        """Remove what a kill left half written or half removed; when a program starts."""
+        """Remove partial folders of a killed program; call it at the start."""
         for half in self.folder.glob(f"{_TEMPORARY}*"):
             shutil.rmtree(half, ignore_errors=True)
 
@@ -200,7 +200,7 @@ def _read(path: Path) -> Waiting:
 
 
 def _sync(folder: Path) -> None:
-    """Bring a folder and all that is in it to the disk."""
+    """Flush a folder and its content to the disk."""
     for path in sorted(folder.rglob("*")):
         if path.is_dir():
             sync_folder(path)

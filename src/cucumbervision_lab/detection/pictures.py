@@ -44,9 +44,9 @@ def import_pycocotools() -> Any:
 class Stage(StrEnum):
     """Processing stage whose detections are evaluated."""
 
-    SEGMENTED = "segmenting network"
+    SEGMENTED = "segmentation network"
     POSED = "pose network"
-    KEPT = "what is reported"
+    KEPT = "reported detections"
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,7 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
     """
     comment = (
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
-        f"to be ignored are not counted. '{Stage.KEPT}' has fruit found twice made one."
+        f"to be ignored are not counted. '{Stage.KEPT}' has duplicates merged."
     )
     stages = [(str(stage), one) for stage, one in summary.overall]
     tables = [_precision_table(summary.precisions)]
@@ -169,7 +169,7 @@ def _mask_table(summary: Summary) -> Table:
     if "mask_iou" in summary.readings:
         measured = summary.readings.drop_duplicates(["case", "masks"])
         measured = measured[(measured["masks"] == Masks.PERCEIVED) & measured["mask_iou"].notna()]
-        kinds["what is measured"] = measured["mask_iou"].tolist(), measured["scene"].tolist()
+        kinds["measured"] = measured["mask_iou"].tolist(), measured["scene"].tolist()
     rows: list[tuple[Cell, ...]] = []
     for name, (values, scenes) in kinds.items():
         if values:
@@ -236,7 +236,7 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
         "Distance between the true and the found end, in percent of the line through the fruit's "
         "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
         f"{value} of {swapped.count} fruit (95 % by scene: {_span(swapped, 2, 100)}); swapped ends "
-        "are iou_type as they are."
+        "are not corrected first."
     )
     heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
     heads += ["90th percentile (% of length)", "95 % by scene"]
@@ -329,7 +329,7 @@ def _share_table(
 ) -> Table:
     """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
-    heads += ["scenes with some", "precision:.3", "95 % of it by scene"]
+    heads += ["scenes with detections", "precision:.3", "precision, 95 % by scene"]
     rows = [(name, *_share_cells(one.recall), *_share_cells(one.precision)) for name, one in named]
     return Table.of(title, heads, rows, comment)
 

@@ -122,7 +122,7 @@ def test_one_broken_image_loses_nothing_of_the_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("{", "is no JSON"), ("[]", "is no object of image ids")]
+    ("text", "words"), [("{", "is not JSON"), ("[]", "is not an object of image ids")]
 )
 def test_a_broken_camera_file(text: str, words: str, tmp_path: Path) -> None:
     make_scene(tmp_path / "set/a", images=(1,))

@@ -58,7 +58,7 @@ def test_one_broken_folder_loses_nothing_of_the_rest(capture: Capture, tmp_path:
     refs = list(open_source(tmp_path))
     assert [r.name for r in refs] == ["a", "b", "c", "d"]
     assert refs[0].load().name == "a"
-    with pytest.raises(CaptureError, match=r"b/capture\.json: is no JSON"):
+    with pytest.raises(CaptureError, match=r"b/capture\.json: is not JSON"):
         refs[1].load()
     with pytest.raises(CaptureError, match=r"c/depth_000000\.png: the file is missing"):
         refs[2].load()

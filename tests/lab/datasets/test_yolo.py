@@ -260,7 +260,7 @@ def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> No
     assert [p.labels for p in dataset.pictures] == [()]
     assert [e.message for e in dataset.refused] == [
         "the label file is missing",
-        "is no picture that can be read",
+        "is not a readable picture",
     ]
 
 

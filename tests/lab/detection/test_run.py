@@ -231,9 +231,9 @@ def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
 def test_masks_and_lengths(result: DetectionResult) -> None:
     tables = tables_of(result)
     masks = tables["Masks"]
-    assert (masks["detector"]["fruit"], masks["what is measured"]["fruit"]) == (2, 1)
+    assert (masks["detector"]["fruit"], masks["measured"]["fruit"]) == (2, 1)
     assert cast(float, masks["detector"]["mean IoU"]) > 0.9  # blocks of four pixels
-    assert cast(float, masks["what is measured"]["mean IoU"]) > 0.93  # drawn by SAM
+    assert cast(float, masks["measured"]["mean IoU"]) > 0.93  # drawn by SAM
     assert {r.masks for r in result.records} == {Masks.EXACT, Masks.PERCEIVED}
     for words in ("true masks", "perceived masks"):
         lengths = tables[f"Accuracy against the centreline, {words}"]
@@ -267,7 +267,11 @@ def test_the_command_writes_everything(
     numbers = json.loads((out / "results.json").read_text())
     tables = {table["title"]: table["rows"] for table in numbers["tables"]}
     reported = tables["Recall and precision"][0]
-    assert (reported["stage"], reported["recall"], reported["fruit"]) == ("what is reported", 1, 2)
+    assert (reported["stage"], reported["recall"], reported["fruit"]) == (
+        "reported detections",
+        1,
+        2,
+    )
     assert [one["name"] for one in numbers["networks"]] == ["seg.onnx", "pose.onnx"]
     lengths = {r["method"]: r for r in tables["Accuracy against the thread, perceived masks"]}
     assert (lengths["M6 thread"]["captures"], lengths["M6 thread"]["measured (%)"]) == (2, 100.0)

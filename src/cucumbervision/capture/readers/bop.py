@@ -70,7 +70,9 @@ def _scene(
         cameras = read_json(scene / SCENE_CAMERAS)
         if not isinstance(cameras, dict):
             raise CaptureError(
-                "is no object of image ids", source=scene / SCENE_CAMERAS, remedy="correct the file"
+                "is not an object of image ids",
+                source=scene / SCENE_CAMERAS,
+                remedy="correct the file",
             )
     except CaptureError as error:
         # Other scenes of the data set can still be loaded.

@@ -242,7 +242,7 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
         raise CaptureError(
             "a colour picture alone has no distances"
             if suffix in COLOR_SUFFIXES
-            else f"'{suffix}' files are no captures",
+            else f"'{suffix}' files are not captures",
             source=path,
             remedy="name a colour picture with its depth picture, or a capture folder",
         )

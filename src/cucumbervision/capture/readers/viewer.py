@@ -156,7 +156,7 @@ def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
     except (KeyError, ValueError) as error:
         what = f"has no '{error.args[0]}'" if isinstance(error, KeyError) else "holds no number"
         raise CaptureError(
-            f"is no table of RealSense Viewer: it {what}", source=path, remedy="export it again"
+            f"is not a table of RealSense Viewer: it {what}", source=path, remedy="export it again"
         ) from None
     except IntrinsicsError as error:
         raise IntrinsicsError(error.message, source=path, remedy="export it again") from None

@@ -13,6 +13,7 @@ from starlette.middleware import Middleware
 
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.access import AccessGuard, Login
+from cucumbervision.dashboard.callbacks import finish_callbacks
 from cucumbervision.dashboard.routes import routes
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import CucumberVisionError
@@ -38,6 +39,7 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
     yield {}
 
 
+finish_callbacks()
 app = st.App(
     Path(__file__).with_name("app.py"), middleware=[_GUARD], routes=routes(), lifespan=_prepared
 )

@@ -1,4 +1,5 @@
 // A list of fruit, to be opened or tapped off: each tap shows at once, and is sent with its number, so that none is lost or counted twice.
+// A fruit's line stays the same node: a tap that lasts while the list is drawn anew still arrives, and the focus stays.
 const state = new WeakMap();
 
 function add(parent, kind, name, words) {
@@ -11,7 +12,7 @@ function add(parent, kind, name, words) {
 
 export default function (component) {
   const { data, parentElement: root, setStateValue, setTriggerValue } = component;
-  const own = state.get(root) || { taps: [], made: Math.random().toString(36).slice(2), mine: {} };
+  const own = state.get(root) || { taps: [], made: Math.random().toString(36).slice(2), mine: {}, lines: new Map() };
   state.set(root, own);
   const list = root.querySelector(".fruit");
   list.setAttribute("aria-label", data.label);
@@ -21,9 +22,10 @@ export default function (component) {
     root.querySelector(".total").textContent = data.opens ? data.words : `${done} of ${data.fruit.length} picked${data.words ? ` · ${data.words}` : ""}`;
   };
   for (const one of data.fruit) if (own.mine[one.key] === one.picked) delete own.mine[one.key];
-  list.replaceChildren(...data.fruit.map((one) => {
-    const line = document.createElement("button");
-    line.type = "button";
+  const lines = data.fruit.map((one) => {
+    const line = own.lines.get(one.key) || Object.assign(document.createElement("button"), { type: "button" });
+    own.lines.set(one.key, line);
+    line.replaceChildren();
     const box = data.opens ? null : add(line, "span", "box", "");
     if (one.picture) Object.assign(add(line, "img", "", ""), { src: one.picture, alt: "" });
     const says = add(line, "span", "says", "");
@@ -44,6 +46,7 @@ export default function (component) {
     };
     draw();
     return line;
-  }));
+  });
+  if (lines.length !== list.children.length || lines.some((line, k) => line !== list.children[k])) list.replaceChildren(...lines);
   total();
 }

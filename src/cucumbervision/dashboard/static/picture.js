@@ -52,7 +52,7 @@ function text(svg, words, x, y, size, anchor = "start") {
   node.textContent = words;
 }
 
-function chip(parent, label, pressed, color, act) {
+function chip(label, pressed, color, act) {
   const node = document.createElement("button");
   node.type = "button";
   node.setAttribute("aria-pressed", String(pressed));
@@ -64,7 +64,18 @@ function chip(parent, label, pressed, color, act) {
   }
   node.appendChild(document.createTextNode(label));
   node.onclick = act;
-  parent.appendChild(node);
+  return node;
+}
+
+// Chips that say the same stay: a tap that lasts while the page is drawn anew still arrives, and the focus stays.
+function place(parent, nodes) {
+  const before = [...parent.children];
+  const isSame = before.length === nodes.length && before.every((node, k) => node.textContent === nodes[k].textContent);
+  if (!isSame) { parent.replaceChildren(...nodes); return; }
+  nodes.forEach((node, k) => {
+    before[k].setAttribute("aria-pressed", node.getAttribute("aria-pressed"));
+    before[k].onclick = node.onclick;
+  });
 }
 
 function drawLayer(svg, layer, unit) {
@@ -156,33 +167,33 @@ function zoomed(view, data, factor, [u, v]) {
 }
 
 function chips(root, data, own, again) {
-  const layers = root.querySelector(".layers"), tools = root.querySelector(".tools");
-  layers.replaceChildren();
-  tools.replaceChildren();
+  const layers = [], tools = [];
   const names = Object.keys(data.images);
   if (names.length > 1) {
-    for (const name of names) chip(layers, name, own.image === name, "", () => { own.image = name; again(); });
+    for (const name of names) layers.push(chip(name, own.image === name, "", () => { own.image = name; again(); }));
   }
   for (const layer of data.layers) {
-    chip(layers, layer.name, own.on[layer.name], layer.color, () => { own.on[layer.name] = !own.on[layer.name]; again(); });
+    layers.push(chip(layer.name, own.on[layer.name], layer.color, () => { own.on[layer.name] = !own.on[layer.name]; again(); }));
   }
   for (const tool of data.tools) {
-    chip(tools, data.adds ? NAMES[tool].replace("Redraw", "Add") : NAMES[tool], own.tool === tool, "", () => {
+    tools.push(chip(data.adds ? NAMES[tool].replace("Redraw", "Add") : NAMES[tool], own.tool === tool, "", () => {
       own.tool = own.tool === tool ? "" : tool;
       own.ends = [];
       own.drag = null;
       again();
-    });
+    }));
   }
   const middle = () => [own.view.x + own.view.w / 2, own.view.y + (own.view.w * data.height) / data.width / 2];
-  const look = (label, view, zoomed = true) => chip(tools, label, false, "", () => { Object.assign(own, { view: view(), zoomed }); again(); });
+  const look = (label, view, zoomed = true) => tools.push(chip(label, false, "", () => { Object.assign(own, { view: view(), zoomed }); again(); }));
   look("+", () => zoomed(own.view, data, 1.5, middle()));
   look("−", () => zoomed(own.view, data, 1 / 1.5, middle()));
   look("Whole", () => ({ x: -0.5, y: -0.5, w: data.width }), false);
-  chip(tools, "Full screen", false, "", () => {
+  tools.push(chip("Full screen", false, "", () => {
     if (document.fullscreenElement) document.exitFullscreen();
     else root.host.requestFullscreen?.();
-  });
+  }));
+  place(root.querySelector(".layers"), layers);
+  place(root.querySelector(".tools"), tools);
   root.querySelector(".hint").textContent = HINTS[own.tool];
 }
 

@@ -61,8 +61,10 @@ def show(one: RoundView, graded: GradedRound, key: str) -> None:
     detail = resources.fruit_detail(one, key)
     _head(graded, key)
     left, right = page_elements.halves()
-    with right:
+    # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
+    with right.container():
         _figures(graded, detail)
+    with right.container():
         _verdict(one, detail)
     line = next((x for x in resources.fruit_of(one) if x.view.group == detail.view.group), None)
     joint = _joint_of(one, line)
@@ -87,7 +89,9 @@ def _head(graded: GradedRound, key: str) -> None:
             there = 0 <= to < len(keys)
             target, how = keys[to] if there else key, {"disabled": not there}
             # A keyboard walks through the fruit by its arrows.
-            button(st, label, f"chevron_{side}", go, target, shortcut=side.capitalize(), **how)
+            arrow = side.capitalize()
+            own = f"{side}_{key}"
+            button(st, label, f"chevron_{side}", go, target, shortcut=arrow, key=own, **how)
 
 
 def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
@@ -129,7 +133,8 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     def judge(verdict: Verdict | None) -> None:
         # All its views: otherwise another one would stand in for a fruit that was deleted.
         views = store.detections(detail.view.round_key)
-        store.set_verdict([x.key for x in views if x.group == detail.view.group], verdict)
+        group = next(x.group for x in views if x.key == key)  # merged anew since it was drawn
+        store.set_verdict([x.key for x in views if x.group == group], verdict)
 
     def pick() -> None:
         store.unpick([key]) if is_picked else store.pick([key])
@@ -139,12 +144,14 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
             (Verdict.ACCEPTED, "Accept", "Accepted", "check"),
             (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
         ):
+            # Named after the fruit: a press means the one on the screen, not the one drawn next.
             if now is verdict:
-                button(st, done, icon, judge, None, type="primary")
+                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}")
             else:
-                button(st, name, icon, judge, verdict)
+                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}")
     with st.container(horizontal=True):
-        button(st, "Not picked" if is_picked else "Picked", "shopping_basket", pick)
+        words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
+        button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
         button(st, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("undo_fault", None):
         st.info(plain(fault))
@@ -271,6 +278,7 @@ def _accept_others(detail: DetectionDetail) -> None:
         icon=":material/done_all:",
         width="stretch",
         on_click=accept,
+        key=f"rest_{view.key}",
     )
 
 

@@ -121,9 +121,10 @@ def _fruit(one: RoundView, graded: GradedRound) -> None:
     _judge(one, found)
     store = resources.store()
     apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
-    _pictures(f"Seen {counted(len(found.views), 'time', 'times')}", found.views, apart)
+    seen = f"Seen {counted(len(found.views), 'time', 'times')}"
+    _pictures(fruit.key, seen, found.views, apart)
     same = ("Same fruit", "merge", partial(store.merge, fruit.key))
-    _pictures("Fruit nearby", found.near, same)
+    _pictures(fruit.key, "Fruit nearby", found.near, same)
     for day, is_earlier in ((found.earlier, True), (found.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
@@ -136,8 +137,8 @@ def _judge(one: RoundView, found: FruitContext) -> None:
         accept, reject = (
             partial(store.set_verdict, keys, x) for x in (Verdict.ACCEPTED, Verdict.REJECTED)
         )
-        button(st, "This is a fruit", "check", _do, accept)
-        button(st, "Not a fruit", "delete", _do, reject)
+        button(st, "This is a fruit", "check", _do, accept, key=f"accept_{found.fruit.key}")
+        button(st, "Not a fruit", "delete", _do, reject, key=f"reject_{found.fruit.key}")
     with st.container(horizontal=True):
         page_elements.link("results", "Open", fruit=found.fruit.key)
         button(st, "Undo", "undo", _undo, one)
@@ -163,16 +164,18 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
     when = round_day(day.round.record.started_s)
     if day.linked is not None:
-        _pictures(f"The same fruit on {when}", [day.linked], ("Different fruit", "link_off", part))
-    _pictures(f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
+        act = ("Different fruit", "link_off", part)
+        _pictures(fruit.key, f"The same fruit on {when}", [day.linked], act)
+    _pictures(fruit.key, f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
 
 
 def _pictures(
+    of: str,
     title: str,
     views: Sequence[DetectionView],
     act: tuple[str, str, Callable[[str], int]] | None,
 ) -> None:
-    """Draw views side by side, each with what can be done about it."""
+    """Draw views side by side, each with what can be done about it to the fruit `of`."""
     if not views:
         return
     units = resources.settings().units
@@ -185,7 +188,7 @@ def _pictures(
     def draw(view: DetectionView) -> None:
         if act is not None:
             label, icon, do = act
-            button(st, label, icon, _do, partial(do, view.key), key=f"{label}_{view.key}")
+            button(st, label, icon, _do, partial(do, view.key), key=f"{label}_{of}_{view.key}")
 
     page_elements.pictures(views, words, draw)
 

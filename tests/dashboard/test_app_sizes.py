@@ -31,9 +31,10 @@ PAGES = {
     "fruit": ("/results?fruit={fruit}", "Details"),
     "map": ("/map?fruit={fruit}", "This is a fruit"),
     "stop": ("/map?stop={stop}", "Delete this stop"),
-    "forecast": ("/forecast", "80 % intervals"),
+    "forecast": ("/forecast", "if nothing is picked"),
     "accuracy": ("/accuracy", "Measured by hand"),
     "settings": ("/settings", "Networks"),
+    "about": ("/about", "Source code"),
 }
 LEAST_PX = 40
 

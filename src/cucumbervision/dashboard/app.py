@@ -9,12 +9,11 @@ from urllib.parse import urlencode
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.access import Login, note_viewer, read_openid_connect
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.dashboard.views import (
+    about,
     accuracy,
     forecast,
     results,
@@ -55,7 +54,9 @@ a[data-testid="stPageLink-NavLink"] { min-height: 44px; align-items: center; }
 a.load { display: flex; min-height: 3rem; align-items: center; justify-content: center;
   border-radius: 8px; background: #1B7837; color: #fff !important; text-decoration: none; }
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
-.block-container { padding-top: 0.4rem; padding-bottom: 2rem; }
+.st-key-about a span:has([data-testid="stIconMaterial"]) { display: none; }
+.st-key-about p { font-size: 0.88rem; color: #565d68; }
+.block-container { padding-top: 0.4rem; padding-bottom: 3.5rem; }
 [data-testid="stCaptionContainer"], [data-testid="stCaptionContainer"] p {
   color: #565d68 !important; opacity: 1 !important; }
 @media (max-width: 640px) {
@@ -74,7 +75,8 @@ a.load { display: flex; min-height: 3rem; align-items: center; justify-content: 
   .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
     min-width: 100%; } }
 @media print {
-  header, .stButton, .st-key-noprint, [data-testid="stToolbar"] { display: none !important; }
+  header, .stButton, .st-key-noprint, .st-key-about,
+  [data-testid="stToolbar"] { display: none !important; }
   .block-container { padding: 0 !important; } }
 </style>"""
 
@@ -92,6 +94,7 @@ def main() -> None:
         chosen = st.navigation(pages, position="hidden")
         if admitted:
             resources.prepare()
+            page_elements.keep_address()
             read_address()
             _draw_navigation(pages)
             _draw_log_out(login)
@@ -100,11 +103,12 @@ def main() -> None:
             ticket = context.session_id if context and login is Login.OIDC else ""
             page_elements.live(ticket)
             chosen.run()
+            page_elements.note_address()
+            footer(pages[-1])
         else:
             _draw_login()
     except CucumberVisionError as error:
         st.error(plain(error), icon=":material/error:")
-    footer()
 
 
 def _pages() -> list[StreamlitPage]:
@@ -117,6 +121,7 @@ def _pages() -> list[StreamlitPage]:
         ("Forecast", forecast.page, ":material/calendar_month:"),
         ("Accuracy", accuracy.page, ":material/target:"),
         ("Settings", settings.page, ":material/settings:"),
+        ("About", about.page, ":material/info:"),
     ]
     return [
         st.Page(
@@ -137,7 +142,7 @@ def _leave_for_capture() -> None:
 
 def _draw_navigation(pages: list[StreamlitPage]) -> None:
     with st.container(horizontal=True, key="nav", gap="small"):
-        for one in pages:
+        for one in pages[:-1]:
             st.page_link(one, label=one.title, query_params=page_elements.here())
 
 
@@ -157,12 +162,10 @@ def keep_inputs() -> None:
             st.session_state[name] = st.session_state[name]
 
 
-def footer() -> None:
-    """Name the program, its licence and where its source is (AGPL-3.0, section 13)."""
-    offer = source_offer()
-    where = f"[source code]({offer})" if offer.startswith("http") else f"source code: {offer}"
-    st.divider()
-    st.caption(f"CucumberVision {__version__} · {LICENCE} · {where}")
+def footer(about_page: StreamlitPage) -> None:
+    """Draw the quiet way to the licence and the source (AGPL-3.0, section 13)."""
+    with st.container(key="about", horizontal_alignment="right"):
+        st.page_link(about_page, label="About", query_params=page_elements.here(), width="content")
 
 
 def _login() -> Login:

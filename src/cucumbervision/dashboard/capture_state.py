@@ -6,7 +6,6 @@ import time
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from cucumbervision.about import source_offer
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import mask_outline, stop_layers
@@ -69,7 +68,6 @@ def walk(round_key: str, source: str) -> dict[str, Any]:
         },
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
-        "source_code": source_offer(),
         "waiting": len(waiting),
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."

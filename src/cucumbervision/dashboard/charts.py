@@ -143,10 +143,6 @@ def map_chart(
         alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
         alt.Tooltip("class:N", title="Class"),
         alt.Tooltip("along:Q", title="Along the row [m]", format=".2f"),
-        alt.Tooltip("height:Q", title="Above the camera [m]", format=".2f"),
-        alt.Tooltip("views:Q", title="Views"),
-        alt.Tooltip("mark:N", title="Mark"),
-        alt.Tooltip("capture:N", title="Capture"),
     ]
     chart: alt.Chart = (
         alt.Chart(_data(lines))
@@ -219,7 +215,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             alt.Tooltip("day:N", title="Day"),
             alt.Tooltip("class:N", title="Class"),
             alt.Tooltip("expected:Q", title="Expected", format=".0f"),
-            alt.Tooltip("low:Q", title="80 %: from", format=".0f"),
+            alt.Tooltip("low:Q", title="Likely from", format=".0f"),
             alt.Tooltip("high:Q", title="to", format=".0f"),
         ],
     )

@@ -133,18 +133,19 @@ def fruit_layers(
     Returns
     -------
     list of dict
-        'name', 'color', 'on' (shown at first) and 'shapes': each 'kind' ('area', 'line' or
-        'dot') and 'points' (x and y after each other).
+        'name', 'color', 'on' (shown at first), 'detail' (offered behind 'Details') and 'shapes':
+        each 'kind' ('area', 'line' or 'dot') and 'points' (x and y after each other).
     """
 
     def layer(name: str, color: str, on: bool, shapes: list[dict[str, Any]]) -> dict[str, Any]:
-        return {"name": name, "color": color, "on": on, "shapes": shapes}
+        detail = name != "Outline"
+        return {"name": name, "color": color, "on": on, "detail": detail, "shapes": shapes}
 
     layers = []
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
         areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
-        layers.append(layer("Mask", _MASK_COLOR, True, areas))
+        layers.append(layer("Outline", _MASK_COLOR, True, areas))
     layers.append(layer("Box", _BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
         seen = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from functools import wraps
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
 
 import streamlit as st
+from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
@@ -69,11 +71,14 @@ def fruit_list(
     component("fruitlist")(key=key, data=data, on_taps_change=on_taps)
 
 
-def open_fruit(key: str, label: str, fruit: list[dict[str, Any]], words: str) -> str | None:
-    """Draw fruit to be opened, as `fruit_list`; return the key of the one that was tapped."""
+def open_fruit(key: str, label: str, fruit: list[dict[str, Any]], words: str) -> None:
+    """Draw fruit to be opened, as `fruit_list`; the address names the one that was tapped."""
+
+    def opened() -> None:
+        name_in_address("fruit", st.session_state[key].opened)
+
     data = {"fruit": fruit, "words": words, "label": label, "opens": True}
-    drawn = component("fruitlist")(key=key, data=data, on_opened_change=lambda: None)
-    return str(drawn.opened) if drawn.opened else None
+    component("fruitlist")(key=key, data=data, on_opened_change=opened)
 
 
 def pictures(
@@ -159,6 +164,30 @@ def name_in_address(name: str, value: str | None) -> None:
         st.query_params[name] = value
     elif name in st.query_params:
         del st.query_params[name]
+    note_address()
+
+
+def note_address() -> None:
+    """Remember the address of the page that is open."""
+    context = get_script_run_ctx()
+    page = context.page_script_hash if context else ""
+    st.session_state["address"] = page, st.query_params.to_dict()
+
+
+def keep_address() -> None:
+    """Stay where the page is if nothing but its own news draws it anew.
+
+    A browser that was slower sends the address of before along with them, which would show the
+    list of fruit in place of the one that was just opened.
+    """
+    context, (page, kept) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
+    news = getattr(st.session_state.get("live"), "changed", None)
+    if not news or context is None or context.is_history_navigation:
+        return
+    sent = st.query_params.to_dict()
+    is_link = dict(parse_qsl(str(news["at"]).lstrip("?"))) != sent
+    if page == context.page_script_hash and not is_link and kept != sent:
+        st.query_params.from_dict(kept)
 
 
 def start_job(key: str, title: str, work: Work) -> None:

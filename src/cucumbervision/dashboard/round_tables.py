@@ -109,7 +109,6 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
             "class": grade_name(graded.grades[view.key]),
             "views": view.views,
             "mark": _mark_of(view),
-            "capture": view.capture,
         }
         for view in graded.fruit
         if view.along_m is not None

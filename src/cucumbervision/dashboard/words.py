@@ -243,7 +243,7 @@ def count_words(count: CountEstimate) -> str:
         return "no fruit found"
     low, high = count.interval()
     there = f"{low} to {high}" if low < high else f"{low}"
-    return f"{len(count.seen)} seen, about {count.expected:.0f} real (90 %: {there})"
+    return f"{len(count.seen)} seen, about {count.expected:.0f} real ({there})"
 
 
 def span_words(of: Span) -> str:

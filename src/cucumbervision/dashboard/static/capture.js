@@ -83,8 +83,6 @@ function showWalk(walk) {
   if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), "");
-  if (walk.source_code.startsWith("http")) $("source").href = walk.source_code;
-  else $("owed").textContent = walk.source_code;
   $("take").disabled = !walk.round;
   drawLast(walk.last);
 }

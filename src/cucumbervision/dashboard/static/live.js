@@ -32,7 +32,7 @@ function heard() {
   setTimeout(() => {
     if (own.news.version !== version || version === own.version) return;
     own.asked = version;
-    own.trigger("changed", version);
+    own.trigger("changed", { version, at: location.search });
   }, SETTLE_MS);
 }
 

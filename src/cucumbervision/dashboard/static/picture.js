@@ -173,8 +173,10 @@ function chips(root, data, own, again) {
     for (const name of names) layers.push(chip(name, own.image === name, "", () => { own.image = name; again(); }));
   }
   for (const layer of data.layers) {
+    if (layer.detail && !own.details) continue;
     layers.push(chip(layer.name, own.on[layer.name], layer.color, () => { own.on[layer.name] = !own.on[layer.name]; again(); }));
   }
+  if (data.layers.some((layer) => layer.detail)) layers.push(chip("Details", own.details, "", () => { own.details = !own.details; again(); }));
   for (const tool of data.tools) {
     tools.push(chip(data.adds ? NAMES[tool].replace("Redraw", "Add") : NAMES[tool], own.tool === tool, "", () => {
       own.tool = own.tool === tool ? "" : tool;
@@ -199,7 +201,7 @@ function chips(root, data, own, again) {
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
-  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, zoomed: false, fingers: new Map(), moved: false };
+  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, zoomed: false, details: false, fingers: new Map(), moved: false };
   state.set(root, own);
   if (own.stale) Object.assign(own, { stale: false, draft: [] });
   if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [], painted: null });

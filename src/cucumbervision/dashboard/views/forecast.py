@@ -51,7 +51,7 @@ def _age(one: RoundView) -> None:
 
 
 def _days(found: Forecast) -> None:
-    st.markdown("**Fruit in each class if nothing is picked**, with 80 % intervals")
+    st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
     st.altair_chart(forecast_chart(found))
     house = found.house
     lines = []
@@ -64,10 +64,12 @@ def _days(found: Forecast) -> None:
             line[class_name(found, k)] = words if words == "–" else f"{words}{more}"
         lines.append(line)
     page_elements.table(lines)
-    st.caption(
-        "Growth comes from the crop profile until fruit are linked between days. 'Or more': fruit "
-        "too small to be detected today are not counted."
-    )
+    st.caption("'Or more': fruit too small to be detected today are not counted.")
+    with st.expander("Details", icon=":material/list:"):
+        st.caption(
+            "Ranges are 80 % intervals. Growth comes from the crop profile until fruit are linked "
+            "between days."
+        )
 
 
 def _work(found: Forecast) -> None:

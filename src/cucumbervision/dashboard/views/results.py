@@ -156,11 +156,8 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     shown = page_elements.page_of(fruit, "list_page", _LINES)
     lines = [_line(graded, view) for view in shown]
     words = f"{len(fruit)} fruit: tap one to open it"
-    opened = page_elements.open_fruit("fruit_list", "Fruit of this round", lines, words)
+    page_elements.open_fruit("fruit_list", "Fruit of this round", lines, words)
     page_elements.choose_page(fruit, "list_page", _LINES)
-    if opened:
-        page_elements.name_in_address("fruit", opened)
-        st.rerun()
 
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, RoundView
 
 _ROWS_AT_ONCE = 4
+_SHORT_M = 2.0  # of which all is shown
 
 
 @page_elements.of_round
@@ -68,28 +70,52 @@ def _map(one: RoundView) -> None:
         return
     for report in resources.rows_of(one):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report.count)}")
-    shown = [line for line in lines if line["row"] in chosen]
+    shown = _part([line for line in lines if line["row"] in chosen])
+    found = _opened(one)
     for row in [row for row in rows if row in chosen]:
         st.caption(plain(row))
         here = [line for line in shown if line["row"] == row]
         chart = map_chart(here, shown, units, by_length=colored == "Length")
         event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
-        _choose(f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])])
+        if _choose(
+            f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])]
+        ):
+            found = _opened(one)
+        if found is not None and any(line["key"] == found.fruit.key for line in here):
+            _fruit(one, graded, found)  # where the finger is
+            found = None
     st.caption(
         "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, hollow if "
         "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
         "camera."
     )
     _doubtful(graded)
-    _fruit(one, graded)
+    if found is not None:  # of a row, or a part of it, that is not shown
+        _fruit(one, graded, found)
 
 
-def _choose(chart: str, keys: Sequence[str]) -> None:
-    """Use a tap on a mark once: a later choice elsewhere is kept."""
+def _part(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Draw the choice of a part of the rows, which is drawn as wide as all; return its fruit."""
+    end_m = math.ceil(max(line["along"] for line in lines))
+    if end_m <= _SHORT_M:
+        return lines
+    part = st.slider("From and to, metres along the row", 0, end_m, (0, end_m), key="map_part")
+    return [line for line in lines if part[0] <= line["along"] <= part[1]]
+
+
+def _opened(one: RoundView) -> FruitContext | None:
+    key = st.query_params.get("fruit")
+    return around(resources.store(), one.key, key) if key else None
+
+
+def _choose(chart: str, keys: Sequence[str]) -> bool:
+    """Use a tap on a mark once, as a later choice elsewhere is kept; return whether it is new."""
     taps = st.session_state.setdefault("map_taps", {})
-    if keys and taps.get(chart) != keys[0]:
+    is_new = bool(keys) and taps.get(chart) != keys[0]
+    if is_new:
         taps[chart] = keys[0]
         page_elements.name_in_address("fruit", keys[0])
+    return is_new
 
 
 def _doubtful(graded: GradedRound) -> None:
@@ -109,11 +135,7 @@ def _doubtful(graded: GradedRound) -> None:
     button(go, "Show the least certain", "visibility", look)
 
 
-def _fruit(one: RoundView, graded: GradedRound) -> None:
-    key = st.query_params.get("fruit")
-    found = around(resources.store(), one.key, key) if key else None
-    if found is None:
-        return
+def _fruit(one: RoundView, graded: GradedRound, found: FruitContext) -> None:
     units, fruit = resources.settings().units, found.fruit
     grade = grade_words(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
     place = f"{row_name(fruit.row)}, {fruit.side or ''}, {metres_words(fruit.along_m)}"

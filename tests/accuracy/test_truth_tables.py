@@ -44,6 +44,7 @@ def test_a_guarded_text_loses_its_apostrophe(tmp_path: Path) -> None:
         (b"", "the file is empty"),
         (b"\xef\xbb\xbf\r\n", "the file is empty"),
         (b"a,A\n1,2\n", "line 1: column 'a' is there twice"),
+        (b",".join(b"%d" % k for k in range(200_000)), "line 1 names 200000 columns; a table"),
         (b"a,b\n1,2\n1,2,5\n", "line 3 has 3 cells, the head 2"),
         (b"\xff\xfe\x00", "is not text"),
     ],

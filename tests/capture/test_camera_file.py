@@ -107,6 +107,10 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         (without("fx", "fy", "cx", "cy") | {"matrix": [[1, 2], [3, 4]]}, "not \\[\\[fx, 0, cx\\]"),
         (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "camera matrix is not"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [10**400] * 9}, "camera matrix is not"),
+        (
+            {"stream": "color", "matrix": [[60, 0, 1.7e308], [0, 60, 23.5], [0, 0, 1]]},
+            "camera matrix is not",
+        ),
         (OURS | {"fx": 10**400}, "'fx': input should be a valid number"),
         (OURS | {"width": 10**400}, "is not a picture"),
         *(

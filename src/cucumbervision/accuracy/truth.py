@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _SEPARATORS = (",", ";", "\t")
+_MOST_COLUMNS = 1000
 
 _FORMULA_STARTS = ("=", "+", "-", "@")
 
@@ -86,6 +87,12 @@ def _table_of(
 ) -> CsvTable:
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     head = tuple(name.strip().lower() for name in next(reader))
+    if len(head) > _MOST_COLUMNS:
+        raise error(
+            f"line {1 + skipped} names {len(head)} columns",
+            source=path,
+            remedy=f"a table has at most {_MOST_COLUMNS}; write the columns' names on line 1",
+        )
     double = {name for name in head if name and head.count(name) > 1}
     if double:
         raise error(

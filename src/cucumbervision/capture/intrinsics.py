@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SHORTEST, _LONGEST = 0.05, 100.0  # range of focal lengths relative to the longer side
 _SQUARE = 1.5  # maximum ratio of the focal lengths
 _CURVED = 1e3  # maximum distortion coefficient
+_MOST_PX = 1e9  # maximum of a camera matrix
 _WIDEST = 20.0  # maximum tangent of a pixel's viewing angle
 
 
@@ -202,7 +203,8 @@ def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
         k = np.asarray(matrix, dtype=float).reshape(3, 3)
     except (ValueError, TypeError, OverflowError):
         k = np.zeros((3, 3))
-    form = np.isfinite(k).all() and np.allclose(k[2], (0, 0, 1)) and not k[0, 1] and not k[1, 0]
+    pixels = bool((np.abs(k) < _MOST_PX).all())  # False for NaN
+    form = pixels and np.allclose(k[2], (0, 0, 1)) and not k[0, 1] and not k[1, 0]
     if not form:
         raise IntrinsicsError(
             "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",

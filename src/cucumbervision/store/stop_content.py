@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,7 @@ def checked_stop(stop: StopRecord) -> StopRecord:
 
 
 def _check_once(names: Sequence[object], source: str, what: str) -> None:
-    double = next((name for name in names if names.count(name) > 1), None)
+    double = next((name for name, times in Counter(names).items() if times > 1), None)
     if double is not None:
         raise StoreError(f"two {what} {double}", source=source, remedy="give each its own")
 

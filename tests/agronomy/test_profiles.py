@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -120,8 +121,15 @@ def test_faults_name_file_key_and_remedy(
     assert "\n" not in line
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(ProfileError, match=r"pipe\.toml: is a pipe or a device, not a file"):
+        load_profile(str(tmp_path / "pipe.toml"))
+
+
 def test_missing_file_and_unknown_name_say_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(ProfileError, match=r"none\.toml: cannot be read \(No such file"):
+    with pytest.raises(ProfileError, match=r"none\.toml: the file is missing"):
         load_profile(tmp_path / "none.toml")
     with pytest.raises(
         ProfileError, match=r"called 'gherkin'; take one of aubergine, .* own gherkin"

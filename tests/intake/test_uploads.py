@@ -5,15 +5,18 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError, UploadError
-from cucumbervision.intake.archives import Limits
+from cucumbervision.intake.archives import Limits, clean_name
 from cucumbervision.intake.uploads import AcceptedUploads, accept_uploads
 
 
@@ -228,6 +231,44 @@ def test_zips_that_lead_elsewhere_are_refused_whole(
 def test_members_in_very_many_folders_are_refused(tmp_path: Path, depth_png: bytes) -> None:
     got = send(tmp_path, a__zip=zip_of(("a/" * 900 + "depth_1.png", depth_png)))
     assert "more than 32 folders" in faults(got)["a.zip"]
+
+
+def test_a_path_too_long_for_the_file_system_is_said(tmp_path: Path, depth_png: bytes) -> None:
+    name = "/".join(["é" * 110] * 24) + "/depth_1.png"
+    got = send(tmp_path, a__zip=zip_of((name, depth_png)))
+    assert "its member 'depth_1.png' cannot be kept (File name too long)" in faults(got)["a.zip"]
+    assert not got.sources
+
+
+DEVICES = ("CON", "prn.png", "AUX.tar.gz", "nul", "COM1.png", "lpt9", "COM².png", "CONIN$")
+
+
+@pytest.mark.parametrize("name", [*DEVICES, "a.png.", "a. ", "a:b.png", 'x<>"|?*.png'])
+def test_names_that_windows_gives_a_meaning_to_are_changed(name: str) -> None:
+    is_valid_on_windows(clean_name(name))
+    is_valid_on_windows(safe_name(name))
+
+
+@given(st.text() | st.text("conauxlptm.: ²1", max_size=8))
+def test_every_name_is_valid_on_windows(name: str) -> None:
+    is_valid_on_windows(clean_name(name))
+    is_valid_on_windows(safe_name(name))
+
+
+def is_valid_on_windows(name: str) -> None:
+    assert name
+    assert not PureWindowsPath(name).is_reserved()
+    assert not set(name) & {*'<>:"/\\|?*', *map(chr, range(32))}
+    assert name == name.rstrip(". ")
+
+
+def test_pictures_with_such_names_are_still_a_pair(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    members = {"nul/intrinsics.json": intrinsics_json}
+    members |= {"nul/rgb_12:30.jpg": color_jpg, "nul/depth_12:30.png": depth_png}
+    (ref,) = send(tmp_path, a__zip=zip_of(*members.items())).sources[0].open()
+    assert ref.load().source == "a.zip: _nul/rgb_12_30.jpg"
 
 
 def test_members_of_one_name_are_refused(tmp_path: Path, depth_png: bytes) -> None:

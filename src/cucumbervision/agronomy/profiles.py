@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cucumbervision.capture.files import parse_model
+from cucumbervision.capture.files import parse_model, read_bytes
 from cucumbervision.errors import ProfileError
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -331,13 +331,9 @@ def _entry(path: Path, *, shipped: bool) -> ProfileEntry:
 
 
 def _read(path: Path) -> CropProfile:
+    text = read_bytes(path, ProfileError, "give a profile's file")
     try:
-        with path.open("rb") as stream:
-            data = tomllib.load(stream)
-    except OSError as error:
-        raise ProfileError(
-            f"cannot be read ({error.strerror})", source=path, remedy="give a profile's file"
-        ) from None
+        data = tomllib.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise ProfileError(
             f"not valid TOML ({error})", source=path, remedy="correct that line"

@@ -206,6 +206,18 @@ def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called 
 
 
 _LONGEST_NAME = 200  # bytes; leaves space for a number and a suffix
+_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\.|$)", re.IGNORECASE)
+
+
+def no_device(name: str) -> str:
+    """Return a file name that is no device on Windows, where `nul.png` takes all and keeps nothing.
+
+    Examples
+    --------
+    >>> no_device("nul.png"), no_device("Com1"), no_device("console.png")
+    ('_nul.png', '_Com1', 'console.png')
+    """
+    return f"_{name}" if _DEVICE.match(name) else name
 
 
 def safe_name(text: str) -> str:
@@ -224,7 +236,7 @@ def safe_name(text: str) -> str:
     """
     # Keep combining marks, which are vowels in Hindi.
     kept = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
-    name = re.sub("_+", "_", "".join(kept)).strip("._") or "capture"
+    name = no_device(re.sub("_+", "_", "".join(kept)).strip("._") or "capture")
     if len(name.encode()) <= _LONGEST_NAME:
         return name
     digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import stat
 import struct
 import unicodedata
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import PurePosixPath
 from typing import IO, TYPE_CHECKING, BinaryIO
 
+from cucumbervision.capture.source import no_device
 from cucumbervision.errors import UploadError, wrap_os_errors
 
 if TYPE_CHECKING:
@@ -19,16 +21,19 @@ if TYPE_CHECKING:
 
 
 _LONGEST, _DEEPEST = 120, 32
+_FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' would be hidden
 _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
 
 def clean_name(text: str) -> str:
-    """Sanitise a file name from a sender: last path component, printable, limited length.
+    """Sanitise a file name from a sender: last path component, valid on Windows, limited length.
 
     Examples
     --------
     >>> clean_name("../../etc/pass" + chr(0) + "wd" + chr(0x202E) + ".png")
     'passwd.png'
+    >>> clean_name("docs/con"), clean_name("row: 3?.png. ")
+    ('_con', 'row_ 3_.png')
     >>> clean_name("a" * 200 + ".png")[-7:], len(clean_name("a" * 200))
     ('aa….png', 120)
     """
@@ -36,7 +41,7 @@ def clean_name(text: str) -> str:
     plain = unicodedata.normalize("NFC", last.encode("utf-8", "replace").decode())
     # Control characters, bidirectional formatting characters and unassigned code points.
     kept = "".join(c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp")))
-    kept = " ".join(kept.split())
+    kept = no_device(" ".join(_FORBIDDEN.sub("_", kept).split()).rstrip(". "))
     if len(kept) > _LONGEST or len(kept.encode()) > 2 * _LONGEST:
         suffix = PurePosixPath(kept).suffix[-8:]
         start = kept[: _LONGEST - 1 - len(suffix)].encode()[: 2 * _LONGEST - 35]
@@ -215,8 +220,7 @@ def unpack(
                 raise _too_many(limits.members, source)
             for member, name in wanted:
                 own = folder / name
-                own.parent.mkdir(parents=True, exist_ok=True)
-                with archive.open(member) as packed, own.open("xb") as unpacked:
+                with archive.open(member) as packed, _created(own, source) as unpacked:
                     _copy(packed, unpacked, member, limits, budget, source)
                 yield str(name), own
     except FileExistsError:
@@ -225,6 +229,18 @@ def unpack(
         ) from None
     except _ZIP_FAULTS:
         raise _damaged(source) from None
+
+
+def _created(path: Path, source: str) -> BinaryIO:
+    remedy = "pack it with shorter names, in fewer folders"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("xb")
+    except FileExistsError:
+        raise
+    except OSError as error:
+        fault = f"its member {path.name!r} cannot be kept ({error.strerror or error})"
+        raise UploadError(fault, source=source, remedy=remedy) from None
 
 
 def _check_member(

@@ -298,7 +298,7 @@ class _Intake:
                             "is a zip too deep in others", source=shown, remedy="unpack it first"
                         )
                     else:
-                        inner = file.rename(file.with_name(f"{file.name} "))
+                        inner = file.rename(file.with_name(f" {file.name}"))
                         self._unpack(inner, file, shown, depth + 1)
                 except CucumberVisionError as error:
                     self.out.refused.append(error)

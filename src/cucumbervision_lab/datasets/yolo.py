@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from cucumbervision.capture.files import read_bytes, read_json
+from cucumbervision.capture.files import read_bytes, read_json, read_text
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
@@ -204,7 +204,7 @@ def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
         for entry in given if isinstance(given, list) else [given] if given else []:
             place = _resolve(str(entry), base, folder)
             if place.suffix == ".txt" and place.is_file():
-                lines = place.read_text(encoding="utf-8").split("\n")
+                lines = read_text(place, DataSetError).split("\n")
                 files = [_resolve(x.strip(), place.parent, folder) for x in lines if x.strip()]
             else:
                 files = list_pictures(place)
@@ -270,18 +270,17 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
 def _read_labels(
     file: Path, found: _YoloFolder, width: int, height: int
 ) -> tuple[list[Label], list[CucumberVisionError]]:
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
+    if not file.exists():
         fault = DataSetError(
             "the label file is missing",
             source=file,
             remedy="create an empty file if the picture shows no fruit",
         )
         return [], [fault]
-    except (OSError, ValueError) as error:
-        fault = DataSetError(f"is not a text file ({error})", source=file, remedy="export it again")
-        return [], [fault]
+    try:
+        lines = read_text(file, DataSetError).split("\n")
+    except DataSetError as error:
+        return [], [error]
     labels: list[Label] = []
     refused: list[CucumberVisionError] = []
     for i, line in enumerate(lines, 1):

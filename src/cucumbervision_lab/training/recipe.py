@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cucumbervision.capture.files import read_text
 from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.keypoint_axis import keypoints_between
@@ -412,8 +413,8 @@ def read_recipe(path: Path) -> Recipe:
         If the file cannot be read, or a key, name, plan or kind is invalid.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        values = tomllib.loads(read_text(path, TrainingError))
+    except (ValueError, RecursionError) as error:
         raise TrainingError(
             f"the recipe cannot be read ({error})", source=path, remedy="give a TOML file"
         ) from error

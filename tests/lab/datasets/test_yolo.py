@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -262,6 +263,17 @@ def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> No
         "the label file is missing",
         "is not a readable picture",
     ]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_among_the_labels_is_not_waited_for(make_set: MakeSet, tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    write_yolo(make_set(), folder, "segment", link=False)
+    label = min((folder / "labels").rglob("*.txt"))
+    label.unlink()
+    os.mkfifo(label)
+    (fault,) = read_yolo(folder).refused
+    assert f"{label.name}: is a pipe or a device, not a file" in str(fault)
 
 
 def test_yaml_faults(tmp_path: Path) -> None:

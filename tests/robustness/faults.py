@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -163,6 +164,41 @@ def _postgres_gone(folder: Path) -> Outcome:
             lost = half != 0 or store.stop(stop.key) != stop or len(store.stops(walk.key)) != 1
     kept = "no half stop; sent again it is there once"
     return Outcome("PostgreSQL is killed in a transaction", seen, kept, lost or seen == "nothing")
+
+
+def _postgres_full(folder: Path) -> Outcome:
+    """Fill the disk of PostgreSQL's data while stops are saved, and make room again."""
+    from tests.robustness.made_stops import made_round, made_stop
+    from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
+
+    from cucumbervision.store.repository import open_store
+
+    if reason := missing_reason():
+        raise CucumberVisionError(reason)
+    for above in (folder.parent, folder):
+        above.chmod(0o711)  # the server is no root
+    walk, sent, seen = made_round("walk"), 0, ""
+    with (
+        _small_disk(folder / "disk", "140m") as disk,
+        throwaway_cluster(within=Path(disk)) as cluster,
+        open_store(cluster.new_database(), images=folder / "pictures") as store,
+    ):
+        store.save_round(walk)
+        ballast = Path(disk) / "ballast"
+        ballast.write_bytes(bytes(shutil.disk_usage(disk).free - 1024**2))
+        while not seen and sent < 500:
+            try:
+                store.save_stop(made_stop(walk, sent))
+                sent += 1
+            except CucumberVisionError as error:
+                seen = str(error)
+        whole = len(store.stops(walk.key)) == sent
+        ballast.unlink()
+        store.save_stop(made_stop(walk, sent))
+        there = [store.stop(one.key) for one in store.stops(walk.key)]
+    lost = not whole or there != [made_stop(walk, k) for k in range(sent + 1)]
+    kept = "every stop acknowledged, no half one; with room again the next is taken"
+    return Outcome("PostgreSQL's disk is full (tmpfs)", seen, kept, lost or "room" not in seen)
 
 
 def _camera_gone(folder: Path) -> Outcome:
@@ -355,6 +391,7 @@ FAULTS: dict[str, Callable[[Path], Outcome]] = {
     "measure": _kill_measure,
     "s3": s3_gone,
     "postgres": _postgres_gone,
+    "postgres-full": _postgres_full,
     "camera": _camera_gone,
     "clock": _clock_back,
     "jumps": _clock_jumps,

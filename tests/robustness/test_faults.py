@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from tests.robustness.faults import _without, s3_gone, try_faults
 from tests.robustness.trial import Outcome
+from tests.store.throwaway_postgres import missing_reason
 
 from cucumbervision.errors import CucumberVisionError
 
@@ -22,6 +24,14 @@ def test_damage_and_a_folder_that_goes_lose_no_other_row() -> None:
 def test_a_clock_that_jumps_by_an_hour_changes_nothing() -> None:
     [jumps] = try_faults(["jumps"])
     assert (jumps.lost, jumps.kept) == (False, "6 rows, as without; 3 stops")
+
+
+@pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="mounts a small disk")
+@pytest.mark.skipif(bool(missing_reason()), reason=missing_reason())
+def test_postgresql_on_a_full_disk_loses_nothing_and_says_so() -> None:
+    [full] = try_faults(["postgres-full"])
+    assert not full.lost
+    assert "make room on the disk" in full.seen
 
 
 def test_an_unknown_fault_is_named() -> None:

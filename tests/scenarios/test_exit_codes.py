@@ -105,7 +105,7 @@ def test_a_full_disk_at_the_start_is_2(tmp_path: Path) -> None:
 
 
 def test_a_console_that_lacks_letters_shows_question_marks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     manifest = json.loads((BENCH / "capture.json").read_text())
     house = named(tmp_path / "黄瓜", json.dumps({**manifest, "name": "黄瓜"}))
@@ -114,6 +114,9 @@ def test_a_console_that_lacks_letters_shows_question_marks(
     assert (done.returncode, rows(tmp_path / "out")) == (1, 3)
     assert "??" in done.stdout
     assert "??: does not exist" in done.stderr
+    # JSON escapes letters that the console may lack.
+    done = run("stream", house, "--instances", "dataset", "--segmenter", "none")
+    assert {json.loads(line)["capture"] for line in done.stdout.splitlines()} == {"黄瓜"}
 
 
 def test_an_error_without_a_name_is_a_defect_of_ours_and_70(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from threading import Timer
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
-from cucumbervision.errors import StoreError
+from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreError
 from cucumbervision.store.engine import begin, database_url, named
 from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
@@ -68,6 +69,27 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(StoreError, match=r"cannot be made .File exists.; name another folder"):
         open_store(tmp_path / "file" / "house.db")
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "remedy"),
+    [
+        ("could not extend file: No space left on device", DiskFullError, "make room on the disk"),
+        ('could not extend file "b": wrote only 4096 of 8192 bytes', DiskFullError, "make room"),
+        ("connection failed: the database system is in recovery mode", StoreError, "try again"),
+        ("connection failed: the database system is not yet accepting connections", StoreError, ""),
+        ("connection failed: the database system is starting up", StoreError, "in a minute"),
+        ("connection failed: Connection refused", StoreError, "check that the PostgreSQL server"),
+    ],
+)
+def test_what_a_server_says_has_a_remedy(
+    said: str, kind: type[CucumberVisionError], remedy: str, tmp_path: Path
+) -> None:
+    with open_store(tmp_path / "a.db") as store:
+        with pytest.raises(kind, match=f"; .*{remedy}") as caught, begin(store.engine):
+            raise OperationalError("SELECT 1", None, Exception(said))
+        assert type(caught.value) is kind
+        assert "own words" not in str(caught.value)
 
 
 def test_who_writes_for_too_long_is_named_as_such(

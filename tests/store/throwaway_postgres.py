@@ -125,15 +125,17 @@ class Cluster:
 
 
 @contextmanager
-def throwaway_cluster(*, durable: bool = True) -> Iterator[Cluster]:
+def throwaway_cluster(*, durable: bool = True, within: Path | None = None) -> Iterator[Cluster]:
     """Run a server for a while; its folder is removed afterwards.
 
     Parameters
     ----------
     durable : bool
         Whether commits wait for the disk.
+    within : Path, optional
+        Where its folder is made; by default where temporary files lie.
     """
-    folder = Path(tempfile.mkdtemp(prefix="cv-pg-"))
+    folder = Path(tempfile.mkdtemp(prefix="cv-pg-", dir=within))
     try:
         cluster = Cluster(folder, durable=durable)
         cluster.start()

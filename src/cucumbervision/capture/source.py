@@ -156,6 +156,8 @@ class CaptureSource:
         Returns an iterator over the captures.
     total : int, optional
         Number of captures, for a progress bar; None if unknown without reading.
+    unused : tuple of str
+        Pictures that are colour or depth by their names and belong to no capture.
 
     Examples
     --------
@@ -168,6 +170,7 @@ class CaptureSource:
     kind: str
     refs: Callable[[], Iterator[CaptureRef]] = field(repr=False)
     total: int | None = None
+    unused: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[CaptureRef]:
         """Iterate over the captures in the order of the source."""

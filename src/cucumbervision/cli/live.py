@@ -50,7 +50,7 @@ def print_stream(
             if not count:
                 # The networks are loaded and warm by now.
                 began_s, busy_s = time.perf_counter(), time.process_time()
-            sys.stdout.write(json.dumps(one.as_json(), ensure_ascii=False) + "\n")
+            sys.stdout.write(json.dumps(one.as_json()) + "\n")
             sys.stdout.flush()
             count, dropped = count + 1, dropped + one.dropped
             if count == most:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from textwrap import shorten
 from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.readers import open_source
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureSource, ReadOptions
 
 _log = logging.getLogger(__name__)
+_LONGEST_LIST = 300
 
 Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
 
@@ -97,7 +99,11 @@ def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[List
     failures: list[Failure] = []
     refs = None
     with Boundary(failures, name):
-        refs = iter(opener())
+        source = opener()
+        if unused := source.unused:
+            shown = shorten(", ".join(unused), _LONGEST_LIST, placeholder=" …")
+            _log.warning("%s: %d pictures belong to no capture: %s", name, len(unused), shown)
+        refs = iter(source)
     while refs is not None:
         ref = None
         with Boundary(failures, name):

@@ -37,6 +37,7 @@ SIGNED_BY = "cucumbervision_signed_by"
 
 _WRITES = "cucumbervision_writes"
 _MAKE_ROOM = "make room on the disk"
+_COMES_BACK = "the server starts again after a fault; try again in a minute"
 _HINTS = (
     ("is locked", "another program is writing to it for a long time; try again"),
     ("not a database", "name another file; this one is left as it is"),
@@ -46,6 +47,10 @@ _HINTS = (
     ("attempt to write", "check the file's permissions"),
     ("is full", _MAKE_ROOM),
     ("No space left", _MAKE_ROOM),
+    ("could not extend file", _MAKE_ROOM),  # PostgreSQL, where half a page still fitted
+    ("in recovery mode", _COMES_BACK),
+    ("not yet accepting connections", _COMES_BACK),
+    ("is starting up", _COMES_BACK),
     ("connection", "check that the PostgreSQL server runs, and the address and password"),
 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.readers.bop import find_scenes
 from cucumbervision.capture.readers.native import MANIFEST, find_native
-from cucumbervision.capture.readers.pair import find_pairs, open_pair_file
+from cucumbervision.capture.readers.pair import find_pairs, is_half_a_pair, open_pair_file
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.readers.viewer import find_snapshots
 from cucumbervision.capture.source import (
@@ -130,7 +131,8 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
     if faults and not parts:
         raise faults[0]
     parts += [(Path(f.source).name, -1, partial(fail, f), Path(f.source), None) for f in faults]
-    return CaptureSource.listed(path, "+".join(found), parts)
+    unused = tuple(name for name in folder if is_half_a_pair(name))
+    return replace(CaptureSource.listed(path, "+".join(found), parts), unused=unused)
 
 
 def find_captures(folder: Folder) -> dict[str, Opener]:

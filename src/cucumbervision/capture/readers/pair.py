@@ -159,6 +159,11 @@ def _pair_role(name: str) -> tuple[str, str]:
     return ("color" if _COLOR_WORD.search(stem) else "picture"), _key(stem)
 
 
+def is_half_a_pair(name: str) -> bool:
+    """Return whether a file is a colour or a depth picture by its name."""
+    return _pair_role(name)[0] in ("color", "depth")
+
+
 def _key(name: str) -> str:
     without = _DEPTH_WORD.sub(" ", _COLOR_WORD.sub(" ", name))
     return re.sub(r"[^a-z0-9]+", " ", without.lower()).strip()

@@ -42,11 +42,12 @@ def test_evaluate_prints_a_table_and_writes_files(run: Run, folder: Path, tmp_pa
     assert "a standard deviation of 0.7" in done.stdout
     assert "16 measurements of 8 fruit" in done.stdout
     assert "Some of these captures are simulated" in done.stdout
-    assert {p.name for p in tmp_path.iterdir()} >= {"scores.csv", "lengths.csv", "scores.json"}
-    scores = json.loads((tmp_path / "scores.json").read_text())
-    m5 = next(s for s in scores["scores"] if s["method"] == "M5")
-    assert (m5["kind"], m5["fruit"], m5["metrics"]["measured"]) == ("centreline", 8, 1.0)
-    assert m5["low_percent"] < m5["metrics"]["mape_percent"] < m5["high_percent"]
+    assert {p.name for p in tmp_path.iterdir()} == {"scores.csv", "lengths.csv"}
+    with (tmp_path / "scores.csv").open(encoding="utf-8-sig", newline="") as stream:
+        m5 = next(score for score in csv.DictReader(stream) if score["method"] == "M5")
+    assert (m5["kind"], m5["fruit"], m5["measured"]) == ("centreline", "8", "1.0")
+    low, mape, high = (float(m5[f"{name}_percent"]) for name in ("low", "mape", "high"))
+    assert low < mape < high
 
 
 def rows_of(out: Path) -> list[dict[str, Any]]:

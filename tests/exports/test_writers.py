@@ -19,13 +19,14 @@ import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.capture.files import defused
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision.exports.writers import SHEETS, render_sheet, write_exports
 from cucumbervision.measurement.result import Length, LengthDefinition
-from cucumbervision.pipeline.fields import FIELDS, Cell, Column, defused
+from cucumbervision.pipeline.fields import FIELDS, Cell, Column
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,

@@ -10,7 +10,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, defused, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, fruit_row
 
 field = {one.name: one for one in FIELDS}.__getitem__
 
@@ -135,13 +135,3 @@ def test_the_method_named_is_the_one_that_measured(capture: Capture, instance: I
     assert row["method"] == "M2"
     assert row["reason"] == "mask-points-lt-100"
     assert row["fallback"] == "M3:too-few-points"
-
-
-@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t", "\r"])
-def test_formulas_are_defused(start: str) -> None:
-    assert defused(f"{start}cmd") == f"'{start}cmd"
-
-
-def test_plain_text_stays() -> None:
-    assert defused("row-3 = left") == "row-3 = left"
-    assert defused("") == ""

@@ -12,6 +12,7 @@ import numpy as np
 import openpyxl
 import pytest
 
+from cucumbervision.capture.files import cell_value
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
@@ -27,7 +28,6 @@ from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import count_captures
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, Step, measure_inputs
-from cucumbervision.pipeline.tables import cell_value
 
 ROW_A = "simulated-row-a"
 

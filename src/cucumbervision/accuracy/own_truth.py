@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-import platform
 from collections import Counter
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.about import installed_versions, software
 from cucumbervision.accuracy.measured import REPORTED, Reading
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.table import Table
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
-from cucumbervision.capture.files import json_value
+from cucumbervision.capture.files import write_csv
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
@@ -250,11 +246,10 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + more
 
 
-def write_own_truth(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
-    """Write `scores.csv`, `lengths.csv` and `scores.json` to a folder.
+def write_own_truth(found: OwnTruth, out: Path) -> None:
+    """Write `scores.csv` and `lengths.csv` to a folder.
 
-    `lengths.csv` has a row for each manual length with the length of each method in centimetres;
-    `scores.json` contains the scores with notes, versions and provenance.
+    `lengths.csv` has a row for each manual length with the length of each method in centimetres.
 
     Raises
     ------
@@ -280,25 +275,12 @@ def write_own_truth(found: OwnTruth, out: Path, measured: Measured, truth: Truth
         {key: value for key, value in (vars(one) | asdict(one.metrics)).items() if key != "metrics"}
         for one in found.scores
     ]
-    head = {
-        **software(),
-        "versions": {"python": platform.python_version(), **installed_versions()},
-        **_provenance(measured, truth),
-        "notes": found.notes,
-        "floor": found.floor and asdict(found.floor),
-        "scores": [json_value(asdict(one)) for one in found.scores],
-    }
     with wrap_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
         for name, rows in (("lengths", lengths), ("scores", scores)):
-            with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
-                writer = csv.DictWriter(
-                    file, list(dict.fromkeys(key for row in rows for key in row))
-                )
-                writer.writeheader()
-                writer.writerows(rows)
-        text = json.dumps(head, indent=1, ensure_ascii=False)
-        (out / "scores.json").write_text(text + "\n", encoding="utf-8")
+            columns = dict.fromkeys(key for row in rows for key in row)
+            lines = ({key: row.get(key) for key in columns} for row in rows)
+            write_csv(out / f"{name}.csv", list(columns), lines)
 
 
 _SCORES = {
@@ -324,16 +306,3 @@ def scores_table(scores: Sequence[MethodScore]) -> Table:
         for one in scores
     ]
     return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)
-
-
-def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
-    report = measured.report
-    return {
-        "measurements": str(measured.path),
-        "measured_with": report.get("software"),
-        "config_sha256": report.get("config_sha256"),
-        "models": report.get("models", []),
-        "calibration": (report.get("calibration") or {}).get("tag"),
-        "truth": str(truth.path),
-        "truth_sha256": truth.sha256,
-    }

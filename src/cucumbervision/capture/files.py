@@ -1,7 +1,8 @@
-"""Read and write files, JSON and text, with errors that name the file."""
+"""Read and write files, JSON, CSV and text, with errors that name the file."""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -23,12 +24,13 @@ from cucumbervision.errors import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from pydantic import TypeAdapter
 
 ModelT = TypeVar("ModelT")
+_FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 
 
 _held: ContextVar[dict[str, bytes] | None] = ContextVar("held", default=None)
@@ -164,6 +166,70 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
         with suppress(UnicodeDecodeError):
             return data.decode(code).replace("\r\n", "\n").replace("\r", "\n")
     raise error("is not text", source=path, remedy="save it as UTF-8")
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a table as CSV; texts are defused, None leaves a cell empty.
+
+    Parameters
+    ----------
+    path : Path
+        The file: UTF-8 with a byte order mark, which Excel needs to read accents.
+    columns : sequence of str
+        The head.
+    rows : iterable of mapping
+        Each is written before the next is asked for.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
+    >>> write_csv(path, ["name", "length_cm"], [{"name": "=1+1", "length_cm": 12.5}])
+    >>> path.read_text(encoding="utf-8-sig").split()
+    ['name,length_cm', "'=1+1,12.5"]
+    """
+    # A file's name may hold bytes that are no text.
+    with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([cell_value(row[name]) for name in columns] for row in rows)
+
+
+def cell_value(value: str | float | bool | None) -> str | int | float | None:
+    """Return what a spreadsheet's cell holds: texts defused, true and false as words.
+
+    Examples
+    --------
+    >>> cell_value("@home"), cell_value(True), cell_value(-1.5)
+    ("'@home", 'true', -1.5)
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return defused(value) if isinstance(value, str) else value
+
+
+def write_json(path: Path, report: Mapping[str, Any]) -> None:
+    """Write a report as JSON, UTF-8, one value per line."""
+    path.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def defused(text: str) -> str:
+    """Return a text that no spreadsheet runs as a formula.
+
+    A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
+    injection), as do their full-width forms, which some spreadsheets read alike.
+
+    Examples
+    --------
+    >>> defused("=1+1"), defused("row 3")
+    ("'=1+1", 'row 3')
+    """
+    return f"'{text}" if text[:1] in _FORMULA_STARTS else text
 
 
 def json_value(value: Any) -> Any:

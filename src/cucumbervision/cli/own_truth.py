@@ -169,5 +169,5 @@ def lengths(
     print_table(console, scores_table(found.scores))
     for note in found.notes:
         console.print(note, soft_wrap=True, markup=False)
-    write_own_truth(found, out, measured, table)
+    write_own_truth(found, out)
     console.print(f"The tables are in {out}/", soft_wrap=True, markup=False)

@@ -6,15 +6,11 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.picking import hours_words
+from cucumbervision.capture.files import write_csv, write_json
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import Table
-from cucumbervision.pipeline.tables import (
-    Workbook,
-    write_csv,
-    write_json,
-    write_parquet,
-)
+from cucumbervision.pipeline.tables import Workbook, write_parquet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

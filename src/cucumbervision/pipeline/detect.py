@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision.about import software
-from cucumbervision.capture.files import write_bytes
+from cucumbervision.capture.files import write_bytes, write_csv, write_json
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jpeg
@@ -32,7 +32,7 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.overlay import draw_detections
-from cucumbervision.pipeline.tables import FAILURE_COLUMNS, write_csv, write_json
+from cucumbervision.pipeline.tables import FAILURE_COLUMNS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -30,7 +30,6 @@ _UNITS = {
     "g": ("kg", 1e3, 1),
 }
 _PLAIN: tuple[str, float, int | None] = ("", 1.0, None)
-_FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 _STORED_DIGITS = 9
 
 
@@ -257,17 +256,3 @@ def utc(seconds: float) -> str:
     '1970-01-02T00:00:00Z'
     """
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def defused(text: str) -> str:
-    """Return a text that no spreadsheet runs as a formula.
-
-    A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
-    injection), as do their full-width forms, which some spreadsheets read alike.
-
-    Examples
-    --------
-    >>> defused("=1+1"), defused("row 3")
-    ("'=1+1", 'row 3')
-    """
-    return f"'{text}" if text[:1] in _FORMULA_STARTS else text

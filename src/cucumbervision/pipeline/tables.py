@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import platform
 from itertools import islice
@@ -12,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.about import installed_versions, software
-from cucumbervision.capture.files import json_value
+from cucumbervision.capture.files import cell_value, json_value, write_csv
 from cucumbervision.errors import MissingExtraError
-from cucumbervision.pipeline.fields import FIELDS, defused
+from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Boundary, Failure
 
 if TYPE_CHECKING:
@@ -42,56 +41,6 @@ _PART_ROWS = 100_000
 _FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
 _A4 = 9
 _MEANING = ("column", "unit", "meaning")
-
-
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a table as CSV; texts are defused, None leaves a cell empty.
-
-    Parameters
-    ----------
-    path : Path
-        The file: UTF-8 with a byte order mark, which Excel needs to read accents.
-    columns : sequence of str
-        The head.
-    rows : iterable of mapping
-        Each is written before the next is asked for.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
-    >>> write_csv(path, ["name", "length_cm"], [{"name": "=1+1", "length_cm": 12.5}])
-    >>> path.read_text(encoding="utf-8-sig").split()
-    ['name,length_cm', "'=1+1,12.5"]
-    """
-    # A file's name may hold bytes that are no text.
-    with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([cell_value(row[name]) for name in columns] for row in rows)
-
-
-def cell_value(value: Cell) -> str | int | float | None:
-    """Return what a spreadsheet's cell holds: texts defused, true and false as words.
-
-    Examples
-    --------
-    >>> cell_value("@home"), cell_value(True), cell_value(-1.5)
-    ("'@home", 'true', -1.5)
-    """
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return defused(value) if isinstance(value, str) else value
-
-
-def write_json(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON, UTF-8, one value a line."""
-    path.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 class Workbook:

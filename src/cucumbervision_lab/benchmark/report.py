@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.capture.files import write_json
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.length_tables import (
     PAPER_METHODS,

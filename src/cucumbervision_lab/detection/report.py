@@ -14,9 +14,9 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.capture.files import write_csv
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
-from cucumbervision.pipeline.fields import defused
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     comparable_readings,
@@ -425,6 +425,6 @@ def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
 
 
 def _write_csv(path: Path, frame: pd.DataFrame) -> None:
-    """Write a frame as CSV with empty missing values, and escape text that looks like a formula."""
-    texts = frame.map(lambda cell: defused(cell) if isinstance(cell, str) else cell)
-    texts.round(6).to_csv(path, index=False, lineterminator="\r\n")
+    """Write a frame as CSV with empty missing values."""
+    rows = frame.round(6).astype(object).where(frame.notna(), None)
+    write_csv(path, list(frame.columns), rows.to_dict("records"))

@@ -522,3 +522,8 @@ def test_every_page_opens_on_500_stops(
         assert not test.exception
         if page == "results":
             assert next(m.value for m in test.metric if m.label == "Fruit") == "2500"
+        if page == "row_map":
+            test.slider(key="map_part").set_value((10, 12)).run()
+            drawn = json.loads(test.get("vega_lite_chart")[0].proto.spec)
+            low, high = drawn["encoding"]["x"]["scale"]["domain"]
+            assert 9.9 < low < high < 12.1

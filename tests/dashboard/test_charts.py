@@ -23,4 +23,4 @@ def test_every_class_of_the_lines_has_its_colour() -> None:
     assert bars["encoding"]["color"]["scale"] == COLORS
     # The scale is that of all rows, also where one row has fewer classes.
     marks = charts.map_chart(lines[:1], lines, Units("cm"), by_length=False).to_dict()
-    assert marks["encoding"]["color"]["scale"] == COLORS
+    assert marks["encoding"]["fill"]["scale"] == marks["encoding"]["stroke"]["scale"] == COLORS

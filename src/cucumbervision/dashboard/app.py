@@ -56,7 +56,7 @@ a.load { display: flex; min-height: 3rem; align-items: center; justify-content: 
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
 .st-key-about a span:has([data-testid="stIconMaterial"]) { display: none; }
 .st-key-about p { font-size: 0.88rem; color: #565d68; }
-.block-container { padding-top: 0.4rem; padding-bottom: 3.5rem; }
+.block-container { padding-top: 0.4rem; padding-bottom: 5.5rem; }
 [data-testid="stCaptionContainer"], [data-testid="stCaptionContainer"] p {
   color: #565d68 !important; opacity: 1 !important; }
 @media (max-width: 640px) {
@@ -104,7 +104,8 @@ def main() -> None:
             page_elements.live(ticket)
             chosen.run()
             page_elements.note_address()
-            footer(pages[-1])
+            if chosen != pages[-1]:
+                footer(pages[-1])
         else:
             _draw_login()
     except CucumberVisionError as error:

@@ -129,16 +129,11 @@ def map_chart(
     lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
 ) -> alt.Chart:
     """Return the fruit of one row and side by position and height; scales fit all that is shown."""
-    color = (
-        alt.Color(
-            "length:Q",
-            title=f"Length [{units.name}]",
-            scale=alt.Scale(scheme="viridis", domain=_ends(shown, "length")),
-            legend=_BELOW,
-        )
-        if by_length
-        else _color_of_class(x["class"] for x in shown)
-    )
+    if by_length:
+        field, title = "length:Q", f"Length [{units.name}]"
+        scale = alt.Scale(scheme="viridis", domain=_ends(shown, "length"))
+    else:
+        field, title, scale = "class:N", None, _class_colors(x["class"] for x in shown)
     tooltip = [
         alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
         alt.Tooltip("class:N", title="Class"),
@@ -148,10 +143,11 @@ def map_chart(
         alt.Chart(_data(lines))
         .mark_point(filled=True, size=_MARK_PX2, strokeWidth=2.5)
         .encode(
-            fillOpacity=alt.condition("datum.views > 1", alt.value(0.85), alt.value(0.25)),
+            fillOpacity=alt.condition("datum.views > 1", alt.value(0.85), alt.value(0.15)),
             x=alt.X("along:Q", title="Along the row [m]", scale=_scale(shown, "along")),
             y=alt.Y("height:Q", title="Height [m]", scale=_scale(shown, "height")),
-            color=color,
+            fill=alt.Fill(field, title=title, scale=scale, legend=_BELOW),
+            stroke=alt.Stroke(field, title=title, scale=scale, legend=_BELOW),
             shape=alt.Shape(
                 "mark:N",
                 scale=alt.Scale(domain=list(_MARKS), range=list(_MARKS.values())),

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.camera_feed import Preview
     from cucumbervision.dashboard.shutter import Pressed
 
-PAGES = ("", "upload", "results", "map", "forecast", "accuracy", "settings")
+PAGES = ("", "upload", "results", "map", "forecast", "accuracy", "settings", "about")
 """Addresses of Streamlit's pages."""
 
 _STATIC = Path(__file__).with_name("static")

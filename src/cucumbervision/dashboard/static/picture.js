@@ -119,7 +119,7 @@ function drawBar(svg, bar, view, unit) {
 function draw(root, data, own) {
   const svg = root.querySelector("svg");
   const { x, y, w } = own.view, h = (w * data.height) / data.width;
-  const unit = w / 900;
+  const unit = own.unit = w / Math.min(900, 1.35 * (svg.getBoundingClientRect().width || 900)); // words are read on a phone too
   svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
   // A finger on a picture that nobody zoomed scrolls the page.
   svg.style.touchAction = DRAGGED.includes(own.tool) || own.zoomed ? "none" : "pan-y";
@@ -209,6 +209,8 @@ export default function (component) {
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;
   const svg = root.querySelector("svg");
   const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
+  own.redraw = redraw;
+  if (!own.sized) (own.sized = new ResizeObserver(() => own.redraw())).observe(svg);
   const again = () => { redraw(); chips(root, data, own, again); };
   const send = (kind, value) => prompt(data, own, kind, value, redraw, setTriggerValue);
   const raw = (event) => {
@@ -259,7 +261,7 @@ export default function (component) {
       if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) send("box", own.drag);
     }
     if (own.stroke) {
-      const radius = Math.round((10 * BRUSH * own.view.w) / 900) / 10;
+      const radius = Math.round(10 * BRUSH * own.unit) / 10;
       setTriggerValue("stroke", { points: own.stroke, radius, erase: own.tool === "erase" });
       Object.assign(own, { painted: own.stroke, stroke: null, told: "Measuring …" });
       redraw();

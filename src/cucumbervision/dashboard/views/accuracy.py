@@ -17,7 +17,7 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.settings import replace_text
-from cucumbervision.dashboard.words import length_words, metres_words, plain, row_name
+from cucumbervision.dashboard.words import length_words, metres_words, plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.rounds.from_store import read_round
@@ -264,13 +264,13 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         hide_index=True,
         row_height=56,
         placeholder="",
-        disabled=["Picture", "Fruit", "Program"],
+        disabled=["Picture", "At", "Row", "Program"],
         column_config={
             # Narrow: on a phone too, what is typed stands beside what it is compared with.
-            "Picture": st.column_config.ImageColumn("", width=56),
-            "First": st.column_config.NumberColumn("By hand", width=76, **typed),
-            "Second": st.column_config.NumberColumn("Again", width=70, **typed),
-            "Program": st.column_config.NumberColumn("Program", width=76, format="%.1f"),
+            "Picture": st.column_config.ImageColumn("", width=50),
+            "First": st.column_config.NumberColumn("By hand", width=98, **typed),
+            "Second": st.column_config.NumberColumn("Again", width=88, **typed),
+            "Program": st.column_config.NumberColumn("Program", width=74, format="%.1f"),
         },
         key=f"hand_{path.stem}_{shown[0].key}",
     )
@@ -292,13 +292,13 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
 
 def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
-    along = "" if view.along_m is None else f" {metres_words(view.along_m)}"
     return {
         "Picture": resources.thumbnail_of(view),
         "First": units.value(known[0]),
         "Second": units.value(known[1]),
         "Program": units.value(view.record.length_m),
-        "Fruit": f"{row_name(view.row)}{along}",
+        "At": metres_words(view.along_m) if view.along_m is not None else "",
+        "Row": view.row or "?",
     }
 
 

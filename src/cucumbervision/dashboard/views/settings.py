@@ -32,8 +32,9 @@ def page() -> None:
         _camera()
     with measuring:
         _measuring()
+    with st.expander("Details: networks and method", icon=":material/list:"):
         _how()
-    _models()
+        _models()
     st.caption(f"Store: {plain(resources.store().name)}")
 
 
@@ -95,6 +96,7 @@ def _measuring() -> None:
         format_func=_FINDERS.__getitem__,
     )
     exact = st.toggle("Same lengths on every computer (slower)", now.full_precision)
+    burst = st.number_input("Frames per photo", 1, 15, now.burst)
     limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, now.upload_limit_mb, 100)
     calibration = st.text_input(
         "Calibration file of this site",
@@ -116,6 +118,7 @@ def _measuring() -> None:
         full_precision=exact,
         calibration=calibration,
         upload_limit_mb=limit_mb,
+        burst=burst,
     )
 
 
@@ -151,7 +154,6 @@ def _camera() -> None:
 def _how() -> None:
     now = resources.settings()
     resources.change_settings(
-        burst=st.number_input("Frames per photo", 1, 15, now.burst),
         confidence=st.number_input(
             "Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05
         ),
@@ -175,7 +177,6 @@ def _how() -> None:
 
 
 def _models() -> None:
-    st.subheader("Networks")
     registry = resources.registry()
     tasks = {
         "segment": "finds fruit",

@@ -20,6 +20,7 @@ pytest.importorskip("streamlit")
 from cucumbervision.capture.source import example_captures
 from cucumbervision.store.repository import open_store
 
+REDRAWS = 40  # what each of them would leave behind is found by the second
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
 # One server and one browser, and no limit that a busy machine could reach.
@@ -106,6 +107,25 @@ def test_a_fresh_machine_shows_a_round(dashboard: Dashboard) -> None:
     # Other tests may have added stops.
     assert shown == "8" if dashboard.stops() == 3 else int(shown) >= 8
     dashboard.shot("results")
+
+
+def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: Dashboard) -> None:
+    page = dashboard.page
+    metric = page.get_by_test_id("stMetric").filter(has_text="Picked")
+    picked = metric.get_by_test_id("stMetricValue")
+    before, nodes = int(picked.inner_text()), list[int]()
+    with open_store(dashboard.store) as store:
+        shown = store.rounds()[0].key
+        left = next(x.key for x in store.detections(shown) if x.best and x.picked_s is None)
+        for _ in range(REDRAWS // 2):
+            for change, number in ((store.pick, before + 1), (store.unpick, before)):
+                change([left])
+                picked.filter(has_text=re.compile(f"^{number}$")).wait_for()
+            dashboard.quiet()
+            nodes.append(page.evaluate("document.querySelectorAll('*').length"))
+    assert max(nodes[1:]) == nodes[0]
+    page.locator(".fruit button").first.click()
+    page.locator("svg.view").wait_for()
 
 
 def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> None:

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import live, measure, models, own_truth, round, schema, servers
+from cucumbervision.cli import live, measure, models, own_truth, round, servers
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 
@@ -36,7 +36,7 @@ app.command("record", epilog=EXIT_CODES)(live.record)
 app.command("cameras")(live.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(servers.serve)
-app.command("schema")(schema.schema)
+app.command("schema")(servers.schema)
 app.command("dashboard")(servers.dashboard)
 app.command("calibrate")(own_truth.calibrate)
 app.command("export")(round.export)

@@ -26,7 +26,6 @@ EXIT_CODES = (
 )
 """Exit codes of commands that process many captures; shown by --help."""
 
-PromptChoice: TypeAlias = Literal["box+point", "box", "point"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
 Confidence = Annotated[

@@ -1,7 +1,9 @@
-"""`cucumbervision dashboard` and `serve`: the pages in a browser, and the measurer over HTTP."""
+"""`cucumbervision dashboard`, `serve` and `schema`: the pages, the service, its JSON Schemas."""
 
 from __future__ import annotations
 
+import json
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +12,8 @@ import typer
 from cucumbervision.cli.choices import ListenOn, Port, measure_options, takes
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -85,3 +89,25 @@ def serve(
         typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
 
     run(options, settings, address=address, port=port, ready=ready)
+
+
+class Kind(StrEnum):
+    """JSON that programs read."""
+
+    STREAM = "stream"
+    MEASURE = "measure"
+    DETECT = "detect"
+
+
+def schema(
+    kind: Annotated[
+        Kind, typer.Argument(help="A line of stream; or the reply to /measure or /detect.")
+    ],
+) -> None:
+    """Print the JSON Schema of a stream's line or a reply of the service."""
+    from cucumbervision.service.work import DetectReply, MeasureReply
+    from cucumbervision.streaming.stream import line_model
+
+    models: dict[Kind, type[BaseModel]]
+    models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}
+    typer.echo(json.dumps(models[kind].model_json_schema(mode="serialization"), indent=1))

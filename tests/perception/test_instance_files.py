@@ -176,6 +176,18 @@ def test_another_size_is_refused(tmp_path: Path) -> None:
         get(path)
 
 
+def test_more_masks_than_memory_holds_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    square = {"segmentation": [[1, 1, 5, 1, 5, 5, 1, 5]]}
+    path = coco(tmp_path / "c.json", square, square, square, {"bbox": [2, 1, 5, 4]})
+    monkeypatch.setattr("cucumbervision.perception.instance_files._MOST_MASK_BYTES", 600)
+    assert len(get(path).instances) == 4
+    monkeypatch.setattr("cucumbervision.perception.instance_files._MOST_MASK_BYTES", 599)
+    with pytest.raises(InstancesError, match=r"has 3 masks of 20x10 pixels in .*at most 2 are"):
+        get(path)
+
+
 def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
     found = get(
         coco(

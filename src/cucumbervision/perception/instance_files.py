@@ -6,7 +6,9 @@ pixel is subtracted.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -240,6 +242,7 @@ def _keypoints(values: NDArray[np.float64], visible: float) -> NDArray[np.float6
 
 
 _CLIP_SLACK_PX = 0.01  # tolerance for rounded boxes
+_MOST_MASK_BYTES = 4_000_000_000  # one byte a pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +302,8 @@ class InstanceFile:
         Raises
         ------
         InstancesError
-            If the file names the picture twice, or gives it another size.
+            If the file names the picture twice, gives it another size, or has more masks of it
+            than 4 GB hold.
         """
         picture = self._find([n for n in names if n], frame)
         if picture is None:
@@ -310,6 +314,17 @@ class InstanceFile:
                 f"{picture.size_px[0]}x{picture.size_px[1]}, the picture is {width}x{height}",
                 source=self.source,
                 remedy="give the annotations of this very picture",
+            )
+        masks = sum(
+            isinstance(record, LabelledInstance) and bool(record.rle or record.polygons)
+            for record in picture.records
+        )
+        if masks * width * height > _MOST_MASK_BYTES:
+            raise InstancesError(
+                f"has {masks} masks of {width}x{height} pixels in one picture",
+                source=self.source,
+                remedy=f"at most {_MOST_MASK_BYTES // (width * height)} are read: they would need "
+                f"{masks * width * height / 1e9:.0f} GB; give the picture in parts",
             )
         read = [
             record
@@ -351,10 +366,10 @@ class InstanceFile:
         ]
 
     def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
-        for short in (str, _file_name, _stem):
+        for short, called in self._by_name.items():
             # A capture's name may contain dots without having an extension.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
-            found = [p for p in self.pictures if p.name and short(p.name) in wanted]
+            found = [picture for name in wanted for picture in called.get(name, ())]
             if len(found) == 1:
                 return found[0]
             if found:
@@ -367,6 +382,17 @@ class InstanceFile:
         if frame is None or any(p.name for p in self.pictures):
             return None
         return next((p for p in self.pictures if p.number == frame), None)
+
+    @cached_property
+    def _by_name(self) -> dict[Callable[[str], str], dict[str, list[LabelledImage]]]:
+        """The pictures by their names in full, without folder, and without extension too."""
+        shortened: dict[Callable[[str], str], dict[str, list[LabelledImage]]] = {}
+        for short in (str, _file_name, _stem):
+            called = shortened[short] = defaultdict(list)
+            for picture in self.pictures:
+                if picture.name:
+                    called[short(picture.name)].append(picture)
+        return shortened
 
 
 def read_instances(path: Path | str) -> InstanceFile:

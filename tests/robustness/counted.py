@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 COUNTS = Path(__file__).with_name("counts.json")
 _MARKED = re.compile(r"(<!-- counts -->\n).*?(<!-- counted -->)", re.DOTALL)
 _GENERATORS = {"mutations": "damaged files, our mutations", "hypothesis": "the same, Hypothesis"}
+_OTHERS = {
+    "bit flips": ("single bits of a store's file", "missed"),
+    "faults": ("faults in real commands", "lost"),
+}
+"""Title of each other kind of trial, and its worst outcome."""
 
 
 def read_counts(path: Path) -> dict[str, Any]:
@@ -41,21 +46,24 @@ def add_counts(path: Path, name: str, counts: Mapping[str, int]) -> None:
 def counts_table(counts: Mapping[str, Any]) -> str:
     """Return the counts as a table in Markdown."""
     rows = ["| tried | inputs | came of them |", "|---|--:|---|"]
-    for name, title in _GENERATORS.items():
-        one = counts[name]
-        tried, refused = (sum(one[which].values()) for which in ("tried", "refused"))
-        found, mended = len(one["findings"]), sum(one["mended"].values())
-        came = f"{refused:,} refused by name, the others read; {found} findings"
-        rows.append(f"| {title} | {tried:,} | {came}{f', {mended} mended' if mended else ''} |")
-    if flips := counts.get("bit flips"):
-        rows.append(_flips_row(flips))
+    for generator, title in _GENERATORS.items():
+        for name in sorted(name for name in counts if name.partition(":")[0] == generator):
+            rows.append(_damaged_row(title + name.removeprefix(generator), counts[name]))
+    for name, (title, bad) in _OTHERS.items():
+        if found := counts.get(name):
+            words = [f"{n:,} {word}" for word, n in sorted(found.items(), key=lambda one: -one[1])]
+            words += [] if bad in found else [f"none {bad}"]
+            rows.append(f"| {title} | {sum(found.values()):,} | {', '.join(words)} |")
     return "\n".join(rows) + "\n"
 
 
-def _flips_row(flips: Mapping[str, int]) -> str:
-    words = ", ".join(f"{n:,} {word}" for word, n in sorted(flips.items(), key=lambda one: -one[1]))
-    missed = "" if "missed" in flips else ", none missed"
-    return f"| single bits of a store's file | {sum(flips.values()):,} | {words}{missed} |"
+def _damaged_row(title: str, one: Mapping[str, Any]) -> str:
+    tried, refused = (sum(one[which].values()) for which in ("tried", "refused"))
+    networks = one["tried"].get("ONNX", 0)
+    among = f" ({networks:,} of them ONNX)" if networks else ""
+    found, mended = len(one["findings"]), sum(one["mended"].values())
+    came = f"{refused:,} refused by name, the others read; {found} findings"
+    return f"| {title} | {tried:,}{among} | {came}{f', {mended} mended' if mended else ''} |"
 
 
 def with_counts(page: str, counts: Mapping[str, Any]) -> str:

@@ -1,6 +1,6 @@
 """Inject faults into real commands; print what the user sees and what is left.
 
-    python -m tests.robustness.faults [FAULT...] [--kills N] [--seed N]
+    python -m tests.robustness.faults [FAULT...] [--kills N] [--seed N] [--counts FILE]
 
 The exit code is 1 if something was lost. The full disk is a small file system in memory, which
 needs root; PostgreSQL and S3 are servers on loopback.
@@ -9,6 +9,7 @@ needs root; PostgreSQL and S3 are servers on loopback.
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import shutil
@@ -17,10 +18,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.robustness.counted import add_counts
 from tests.robustness.round_kills import kill_rounds
 from tests.robustness.trial import (
     MASKS,
@@ -255,6 +258,25 @@ def _clock_jumps(folder: Path) -> Outcome:
     return Outcome("the clock jumps by an hour", ran.line("fruit measured"), kept, lost)
 
 
+def _many_instances(folder: Path) -> Outcome:
+    """Name 100,000 fruit of 10,000 pictures in one COCO file; three of them are measured."""
+    source = captures(folder / "in")
+    images = [{"id": n, "file_name": f"c{n}"} for n in range(10_000)]
+    boxes = [[60 + 70 * k, 100, 60, 150] for k in range(10)]
+    for name, most in (("few", 3), ("many", 10_000)):
+        fruit = [
+            {"image_id": n, "category_id": 1, "bbox": box} for n in range(most) for box in boxes
+        ]
+        said = {"images": images[:most], "annotations": fruit, "categories": []}
+        (folder / f"{name}.json").write_text(json.dumps(said))
+        told = ("--instances", folder / f"{name}.json", *MASKS[2:])
+        ran = command("measure", source, "--out", folder / name, *told)
+    rows = rows_in(folder / "many")
+    lost = len(rows) != 30 or rows != rows_in(folder / "few") or ran.code not in (0, 1)
+    kept = f"{len(rows)} rows, as with those three alone"
+    return Outcome("100,000 fruit in one COCO file", ran.line("fruit measured"), kept, lost)
+
+
 def _kill_worker(folder: Path) -> Outcome:
     """Kill one of two workers of `measure` in the middle of its work."""
     source = captures(folder / "in", 6)
@@ -395,6 +417,7 @@ FAULTS: dict[str, Callable[[Path], Outcome]] = {
     "camera": _camera_gone,
     "clock": _clock_back,
     "jumps": _clock_jumps,
+    "instances": _many_instances,
 }
 
 
@@ -455,8 +478,12 @@ def main() -> int:
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(FAULTS))
     parser.add_argument("--kills", type=int, default=0, help="also kill `round add` this often")
     parser.add_argument("--seed", type=int, default=1, help="of the moments of the kills")
+    parser.add_argument("--counts", type=Path, help="file to which the counts are added")
     given = parser.parse_args()
     found = try_faults(given.faults, given.kills, given.seed)
+    if given.counts is not None:
+        lost = Counter("lost" if one.lost else "kept everything" for one in found)
+        add_counts(given.counts, "faults", lost)
     for one in found:
         state = "LOST" if one.lost else "nothing lost"
         sys.stdout.write(f"{one.fault}: {state}\n  seen: {one.seen}\n  left: {one.kept}\n")

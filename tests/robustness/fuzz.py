@@ -113,20 +113,20 @@ class Counts:
         self.findings += other.findings
 
     @classmethod
-    def load(cls, path: Path, by: str, seed: int) -> Counts:
-        """Read the counts of a generator's earlier runs; none where there are none."""
-        found = read_counts(path).get(by)
+    def load(cls, path: Path, run: str, seed: int) -> Counts:
+        """Read the counts of earlier runs of a generator and some readers, or none."""
+        found = read_counts(path).get(run)
         if found is None:
             return cls(seed=seed)
         findings = [Finding(detail="", **one) for one in found.pop("findings")]
         counters = {name: Counter(found.pop(name)) for name in ("tried", "refused", "mended")}
         return cls(findings=findings, **{**found, **counters})
 
-    def save(self, path: Path, by: str) -> None:
+    def save(self, path: Path, run: str) -> None:
         """Put the counts into a file, beside those of others."""
         rows = [asdict(one) for one in self.findings]
         rows = [{key: value for key, value in row.items() if key != "detail"} for row in rows]
-        write_counts(path, by, {**vars(self), "findings": rows})
+        write_counts(path, run, {**vars(self), "findings": rows})
 
 
 def damage_drawn(folder: Path, draw: Any) -> str:
@@ -413,9 +413,10 @@ def fuzz(
     counted : Path, optional
         File of counts, to which this run adds.
     """
-    counts = Counts.load(counted, by, seed) if counted else Counts(seed=seed)
-    size = _BATCH if by == "mutations" else _DRAWN_BATCH
     names = tuple(one.name for one in targets)
+    run = by if len(names) == len(TARGETS) else f"{by}: {', '.join(names)}"
+    counts = Counts.load(counted, run, seed) if counted else Counts(seed=seed)
+    size = _BATCH if by == "mutations" else _DRAWN_BATCH
     with _valid_files(targets) as place:
         reader = _Reader(_Job(place, counts.seed, names, limits or Limits(), by, out))
         try:
@@ -425,7 +426,7 @@ def fuzz(
                 counts.numbers = min(start + size, inputs)
                 counts.add(reader.read(range(start, counts.numbers)))
                 if counted is not None:
-                    counts.save(counted, by)
+                    counts.save(counted, run)
         finally:
             reader.close()
     return counts

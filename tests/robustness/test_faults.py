@@ -34,6 +34,11 @@ def test_postgresql_on_a_full_disk_loses_nothing_and_says_so() -> None:
     assert "make room on the disk" in full.seen
 
 
+def test_a_file_of_100_000_fruit_changes_no_row() -> None:
+    [many] = try_faults(["instances"])
+    assert (many.lost, many.kept) == (False, "30 rows, as with those three alone")
+
+
 def test_an_unknown_fault_is_named() -> None:
     with pytest.raises(CucumberVisionError, match=r"no fault is called 'fire'; take truncated"):
         try_faults(["fire"])

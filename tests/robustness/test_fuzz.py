@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import pytest
 from tests.robustness import fuzz as fuzzing
-from tests.robustness.counted import COUNTS, read_counts, with_counts
+from tests.robustness.counted import COUNTS, counts_table, read_counts, with_counts
 from tests.robustness.fuzz import damage, find_targets, fuzz, read_input
 from tests.robustness.mutations import damaged
 from tests.robustness.targets import TARGETS, Target
@@ -173,16 +173,30 @@ def test_a_run_goes_on_where_the_last_one_ended(by: str, tmp_path: Path) -> None
         counts = fuzz(inputs, 3, targets, by=by, counted=counted)
     assert counts.findings == []
     assert (counts.numbers, counts.tried.total()) == (50, 50)
-    said = read_counts(counted)[by]
+    said = read_counts(counted)[f"{by}: truth tables, poses"]
     assert (said["numbers"], said["seed"], sum(said["tried"].values())) == (50, 3, 50)
 
 
 def test_what_was_found_and_is_none_any_more_is_counted_as_mended(tmp_path: Path) -> None:
     counted = tmp_path / "counts.json"
     found = fuzzing.Finding("poses", 4, "unnamed", "x.py:1 KeyError", "")
-    fuzzing.Counts(findings=[found], numbers=10, seed=3).save(counted, "mutations")
+    fuzzing.Counts(findings=[found], numbers=10, seed=3).save(counted, "mutations: poses")
     counts = fuzz(10, 3, find_targets(["poses"]), counted=counted)
     assert (counts.findings, counts.mended) == ([], {found.key: 1})
+
+
+def test_what_was_tried_is_a_line_each() -> None:
+    whole = {"tried": {"ONNX": 1200, "poses": 800}, "refused": {"poses": 1500}}
+    whole |= {"findings": [], "mended": {"x": 2}}
+    part = {"tried": {"recordings": 300}, "refused": {}, "findings": [{}], "mended": {}}
+    counts = {"mutations": whole, "hypothesis: recordings": part, "faults": {"kept everything": 14}}
+    assert counts_table(counts).splitlines()[2:] == [
+        "| damaged files, our mutations | 2,000 (1,200 of them ONNX) "
+        "| 1,500 refused by name, the others read; 0 findings, 2 mended |",
+        "| the same, Hypothesis: recordings | 300 "
+        "| 0 refused by name, the others read; 1 findings |",
+        "| faults in real commands | 14 | 14 kept everything, none lost |",
+    ]
 
 
 def test_the_documentation_has_the_counts() -> None:

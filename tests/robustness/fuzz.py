@@ -421,6 +421,8 @@ def fuzz(
         reader = _Reader(_Job(place, counts.seed, names, limits or Limits(), by, out))
         try:
             _read_again(counts, reader, 1 if by == "mutations" else size)
+            if counted is not None:
+                counts.save(counted, run)
             starts = range(counts.numbers, inputs, size)
             for start in track(starts, "reading damaged files", disable=not sys.stderr.isatty()):
                 counts.numbers = min(start + size, inputs)

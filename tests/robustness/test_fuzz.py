@@ -183,6 +183,7 @@ def test_what_was_found_and_is_none_any_more_is_counted_as_mended(tmp_path: Path
     fuzzing.Counts(findings=[found], numbers=10, seed=3).save(counted, "mutations: poses")
     counts = fuzz(10, 3, find_targets(["poses"]), counted=counted)
     assert (counts.findings, counts.mended) == ([], {found.key: 1})
+    assert read_counts(counted)["mutations: poses"]["mended"] == {found.key: 1}
 
 
 def test_what_was_tried_is_a_line_each() -> None:

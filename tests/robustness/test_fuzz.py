@@ -7,7 +7,7 @@ import os
 from functools import partial
 from pathlib import Path
 from random import Random
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 from tests.robustness import fuzz as fuzzing
@@ -187,8 +187,8 @@ def test_what_was_found_and_is_none_any_more_is_counted_as_mended(tmp_path: Path
 
 
 def test_what_was_tried_is_a_line_each() -> None:
-    whole = {"tried": {"ONNX": 1200, "poses": 800}, "refused": {"poses": 1500}}
-    whole |= {"findings": [], "mended": {"x": 2}}
+    whole: dict[str, Any] = {"findings": [], "mended": {"x": 2}, "refused": {"poses": 1500}}
+    whole["tried"] = {"ONNX": 1200, "poses": 800}
     part = {"tried": {"recordings": 300}, "refused": {}, "findings": [{}], "mended": {}}
     counts = {"mutations": whole, "hypothesis: recordings": part, "faults": {"kept everything": 14}}
     assert counts_table(counts).splitlines()[2:] == [

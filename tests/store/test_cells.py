@@ -85,5 +85,5 @@ def test_paths_keep_whole_micrometres() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 3000.0])
 def test_a_path_of_no_positions_is_refused(value: float) -> None:
-    with pytest.raises(StoreError, match="no position"):
+    with pytest.raises(StoreError, match="not a position"):
         pack_um([value])

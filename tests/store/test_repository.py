@@ -85,7 +85,7 @@ def test_a_stop_that_fails_half_way_leaves_nothing(store: Store, make_stop: Make
     endless = MethodRecord("M5", path_m=((5000.0, 0.0, 0.0),))
     fruit = (DetectionRecord(1), DetectionRecord(2, methods=(endless,)))
     captures = (make_stop().captures[0], CaptureRecord("b", fruit=fruit))
-    with pytest.raises(StoreError, match="no position"):
+    with pytest.raises(StoreError, match="not a position"):
         store.save_stop(make_stop(1, captures=captures, row="99"))
     assert lines(store) == before
     assert store.save_stop(make_stop(1)) is Saved.NEW

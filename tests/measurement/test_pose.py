@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jsonschema
@@ -14,7 +15,7 @@ from pydantic import TypeAdapter
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.pose import FruitPose, Part
-from cucumbervision.measurement.result import FruitMeasurement, Method
+from cucumbervision.measurement.result import Flag, FruitMeasurement, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
@@ -80,6 +81,35 @@ def test_keypoints_tell_the_stem_as_surely_as_they_are() -> None:
     assert pose.stem_confidence == pytest.approx(0.8)
 
 
+def test_a_judge_of_ends_is_asked_along_the_tube_and_puts_the_keypoints_in_order() -> None:
+    capture, instance = seen(BODY)
+    assert instance.keypoints is not None
+    swapped = replace(instance, keypoints=instance.keypoints[::-1], end_confidence=0.8)
+    blossom, stem = LENS.project(BODY.poles_m)
+
+    def judge(
+        color: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]
+    ) -> list[float | None]:
+        assert color is capture.color
+        (line,) = lines
+        ends = sorted([tuple(line[0]), tuple(line[-1])])
+        assert ends == [pytest.approx(one, abs=2) for one in sorted(map(tuple, (blossom, stem)))]
+        runs_to_the_stem = np.linalg.norm(line[-1] - stem) < 2
+        return [float(np.log(19)) * (1 if runs_to_the_stem else -1)]
+
+    fruit = measure_fruit(capture, swapped, ends=judge)
+    pose = pose_of(fruit)
+    assert pose.stem_m == pytest.approx(BODY.poles_m[1], abs=0.001)
+    assert pose.stem_confidence == pytest.approx(0.95)
+    assert fruit.instance.end_confidence == pytest.approx(0.95)
+    assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
+    assert Flag.ENDS_UNSURE not in fruit.flags
+    # A line too short to tell leaves everything as it was, and unsure.
+    unsure = measure_fruit(capture, swapped, ends=lambda *_: [None])
+    assert pose_of(unsure).stem_m == pytest.approx(BODY.poles_m[0], abs=0.001)
+    assert Flag.ENDS_UNSURE in unsure.flags
+
+
 def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:
     capture, instance = seen(BODY)
     assert instance.keypoints is not None
@@ -96,6 +126,9 @@ def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:
     pose = pose_of(measure_fruit(lies, unsure))
     assert pose.stem_m == pytest.approx(blossom, abs=0.001)
     assert pose.stem_confidence == pytest.approx(0.6, abs=0.01)
+    # What gravity makes sure is not flagged, whatever the keypoints alone would say.
+    flagged = [Flag.ENDS_UNSURE in measure_fruit(one, unsure).flags for one in (hangs, lies)]
+    assert flagged == [False, True]
 
 
 def test_without_any_sign_the_upper_end_is_taken_and_called_unsure() -> None:

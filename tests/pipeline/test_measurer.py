@@ -278,3 +278,27 @@ def test_warming_up_loads_the_networks_that_find_fruit(own_registry: Registry) -
     masks = Measurer(MeasureOptions(instances="dataset"), own_registry)
     masks.warm_up()
     assert masks.models == []
+
+
+@pytest.mark.parametrize(
+    ("edge", "upright"), [("top", True), ("bottom", True), ("left", False), ("right", False)]
+)
+def test_the_edge_that_is_up_says_which_end_is_the_stems(edge: str, upright: bool) -> None:
+    mask = np.zeros((480, 480), bool)
+    mask[200:220, 100:380] = True
+    mask = mask.T if upright else mask
+    depth = np.where(mask, 0.5, 0.9).astype(np.float32)
+    lens = Intrinsics(480, 480, 600.0, 600.0, 240.0, 240.0)
+    capture = Capture(np.zeros((480, 480, 3), np.uint8), depth, lens, "bar", masks=(mask,))
+    options = MeasureOptions(instances="dataset", segmenter="none", camera_up=edge)
+    (found,) = Measurer(options).measure(capture).fruit
+    assert found.pose is not None
+    across, down = lens.project(found.pose.stem_m[None])[0]
+    far = {"top": down, "bottom": 479 - down, "left": across, "right": 479 - across}[edge]
+    assert far == pytest.approx(100, abs=8)
+    assert found.pose.stem_confidence > 0.99
+    # What the capture says itself comes first.
+    lies = replace(capture, gravity=(0.0, 0.0, 1.0))
+    (found,) = Measurer(options).measure(lies).fruit
+    assert found.pose is not None
+    assert found.pose.stem_confidence == pytest.approx(0.5, abs=0.1)

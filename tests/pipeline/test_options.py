@@ -53,6 +53,7 @@ def test_names_are_taken_for_what_they_name() -> None:
         ({"confidence": float("nan")}, "nan is not a valid value"),
         ({"prompt": "boxes"}, "'boxes' is not a valid value; give box or"),
         ({"runtime": "gpu"}, "'gpu' is not a valid value; give auto or"),
+        ({"camera_up": "up"}, "'up' is not a valid value; give top or left or right or bottom"),
     ],
 )
 def test_what_is_no_choice_is_refused_at_once(given: dict[str, Any], text: str) -> None:

@@ -26,6 +26,7 @@ EXIT_CODES = (
 )
 """Exit codes of commands that process many captures; shown by --help."""
 
+CameraUp: TypeAlias = Literal["top", "left", "right", "bottom"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
 Confidence = Annotated[
@@ -107,6 +108,13 @@ def measure_options(
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     fast: Fast = False,
+    camera_up: Annotated[
+        CameraUp | None,
+        typer.Option(
+            help="The picture's edge that is up, for a camera mounted about level before hanging "
+            "fruit: the upper end is then the stem's."
+        ),
+    ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
     from cucumbervision.agronomy.profiles import load_profile
@@ -127,6 +135,7 @@ def measure_options(
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
+        camera_up=camera_up,
     ).for_crop(load_profile(profile))
 
 

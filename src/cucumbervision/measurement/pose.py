@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,11 @@ _SUREST = 0.9999
 # What the fit does not know: a stem end is no half ball, and a peduncle leaves the axis' line.
 _END_SD_M = 0.0025
 _PEDUNCLE_SD_RAD = 0.26
+
+EndJudge: TypeAlias = Callable[
+    [NDArray[np.uint8], Sequence[NDArray[np.float64]]], Sequence[float | None]
+]
+"""Tells which end of a fruit is the stem's, as `EndClassifier.log_odds`."""
 
 _NEARER_M = 0.01  # what lies as much before the place to cut is in the way
 
@@ -176,6 +182,40 @@ def stem_first(
         return measurement, sure
     fit = measurement.fit
     return replace(measurement, path_m=path[::-1], fit=fit and _turned(fit)), sure
+
+
+def with_tubes_ends(
+    instance: Instance, tube: Measurement | None, capture: Capture, ends: EndJudge
+) -> Instance:
+    """Return a fruit with its keypoints in the order that the picture along its tube says.
+
+    A tube's axis runs from end to end, where a network's keypoints may stop short or lie aside.
+
+    Parameters
+    ----------
+    instance : Instance
+        The fruit; one without keypoints is returned as it is.
+    tube : Measurement, optional
+        M6's.
+    capture : Capture
+        The frame.
+    ends : callable
+        Tells which end is the stem's, as `EndClassifier.log_odds`.
+    """
+    points, path = instance.keypoints, None if tube is None else tube.path_m
+    if points is None or path is None or (path[:, 2] <= 0).any():
+        return instance
+    line = capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
+    (odds,) = ends(capture.color, [line])
+    if odds is None:
+        return instance
+    line = line if odds >= 0 else line[::-1]
+    straight, crossed = (
+        np.linalg.norm(points[[0, -1], :2] - ends_px, axis=1).sum()
+        for ends_px in (line[[0, -1]], line[[-1, 0]])
+    )
+    points = points[::-1].copy() if crossed < straight else points
+    return replace(instance, keypoints=points, end_confidence=float(1 / (1 + np.exp(-abs(odds)))))
 
 
 def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:

@@ -15,7 +15,12 @@ from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
-from cucumbervision.measurement.pose import CUT_BEYOND_M, fruit_pose, stem_first
+from cucumbervision.measurement.pose import (
+    CUT_BEYOND_M,
+    fruit_pose,
+    stem_first,
+    with_tubes_ends,
+)
 from cucumbervision.measurement.result import (
     Choice,
     Flag,
@@ -38,6 +43,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.intervals import IntervalModels
+    from cucumbervision.measurement.pose import EndJudge
     from cucumbervision.perception.instances import Instance
 
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
@@ -219,6 +225,7 @@ def measure_fruit(
     scale_known: bool = False,
     models: IntervalModels | None = None,
     cut_beyond_m: float = CUT_BEYOND_M,
+    ends: EndJudge | None = None,
 ) -> FruitMeasurement:
     """Measure one detected fruit, choose among the methods, and compute the length's interval.
 
@@ -241,6 +248,9 @@ def measure_fruit(
         The package's own if not given.
     cut_beyond_m : float
         How far beyond the stem end the place to cut is, metres.
+    ends : callable, optional
+        Tells once more which end is the stem's, along the tube (`EndClassifier.log_odds`); the
+        keypoints of the result are in its order.
 
     Returns
     -------
@@ -267,10 +277,10 @@ def measure_fruit(
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
-    turned = {
-        method: stem_first(one, instance, capture)
-        for method, one in run_methods(region, methods).items()
-    }
+    found = run_methods(region, methods)
+    if ends is not None:
+        instance = with_tubes_ends(instance, found.get(Method.M6), capture, ends)
+    turned = {method: stem_first(one, instance, capture) for method, one in found.items()}
     measurements = {method: one for method, (one, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
@@ -279,7 +289,10 @@ def measure_fruit(
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
-    if instance.end_confidence is not None and instance.end_confidence < LEAST_END_CONFIDENCE:
+    sure = instance.end_confidence
+    if capture.gravity is not None and chosen is not None and chosen.path_m is not None:
+        sure = turned[chosen.method][1]
+    if sure is not None and sure < LEAST_END_CONFIDENCE:
         flags.append(Flag.ENDS_UNSURE)
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:

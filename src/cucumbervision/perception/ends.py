@@ -162,24 +162,46 @@ class EndClassifier:
         tuple of Instance
             In the same order; `end_confidence` is the probability that the direction is right.
         """
-        strips = [
-            None if one.keypoints is None else orient(color_rgb, one.keypoints[:, :2])
-            for one in instances
-        ]
-        seen = [strip for strip in strips if strip is not None]
-        if not seen:
-            return tuple(instances)
-        planes = np.stack(seen).transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
-        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
-        logits = iter(answer.ravel().tolist())
+        lines = [None if one.keypoints is None else one.keypoints[:, :2] for one in instances]
+        odds = self.log_odds(color_rgb, [line for line in lines if line is not None])
+        found = iter(odds)
         return tuple(
-            one if strip is None else _ordered(one, next(logits))
-            for one, strip in zip(instances, strips, strict=True)
+            one if line is None else _ordered(one, next(found))
+            for one, line in zip(instances, lines, strict=True)
         )
 
+    def log_odds(
+        self, color_rgb: NDArray[np.uint8], lines_px: Sequence[NDArray[np.float64]]
+    ) -> list[float | None]:
+        """Return the log-odds that lines run from blossom end to stem end.
 
-def _ordered(instance: Instance, logit: float) -> Instance:
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture.
+        lines_px : sequence of ndarray of float64, shape (K, 2)
+            u, v along each fruit's axis, from end to end.
+
+        Returns
+        -------
+        list of float or None
+            The mean of the strip's and its mirror image's; None for a line too short to tell.
+        """
+        strips = [orient(color_rgb, line) for line in lines_px]
+        seen = [strip for strip in strips if strip is not None]
+        if not seen:
+            return [None] * len(strips)
+        both = np.stack([*seen, *(strip[::-1] for strip in seen)])
+        planes = both.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
+        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
+        found = iter(answer.reshape(2, -1).mean(axis=0).tolist())
+        return [None if strip is None else next(found) for strip in strips]
+
+
+def _ordered(instance: Instance, logit: float | None) -> Instance:
     points = instance.keypoints
-    if points is not None and logit < 0:
+    if points is None or logit is None:
+        return instance
+    if logit < 0:
         points = points[::-1].copy()
     return replace(instance, keypoints=points, end_confidence=float(1 / (1 + np.exp(-abs(logit)))))

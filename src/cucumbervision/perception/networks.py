@@ -316,6 +316,7 @@ class NetworkLoader:
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
         self._pose_confidence = pose_floor(confidence)
+        self.ends: EndClassifier | None = None
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, Segmenter] = {}
         self._begun: dict[str | None, Future[Segmenter]] = {}
@@ -359,7 +360,7 @@ class NetworkLoader:
         own = self.registry.default("ends") if network.by_place else None
         if own is not None:
             path = self.verify(own.name)["network"]
-            network.ends = EndClassifier(path)
+            network.ends = self.ends = EndClassifier(path)
             self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], network.ends)
         return network
 

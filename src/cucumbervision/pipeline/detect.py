@@ -244,7 +244,7 @@ def detect_inputs(
     if options.instances == "auto":  # plain pictures come without masks
         options = replace(options, instances="models")
     measurer = Measurer(options, registry)
-    result = DetectResult(skipped=skipped, models=measurer.load().models, out=out)
+    result = DetectResult(skipped=skipped, models=measurer.load().networks.models, out=out)
     with wrap_os_errors("cannot be written", out):
         (out / "overlays").mkdir(parents=True, exist_ok=True)
     worker = PictureWorker(measurer, out / "overlays")

@@ -67,12 +67,12 @@ class Finder:
     ----------
     find : callable
         Gives the fruit of a capture.
-    models : list of dict
-        Name, task, SHA-256 and runtime of each network that was loaded so far.
+    networks : NetworkLoader
+        What loads the networks, and knows which were loaded so far.
     """
 
     find: Find
-    models: list[dict[str, Any]]
+    networks: NetworkLoader
 
     def models_of(self, stages: Collection[Stage]) -> tuple[dict[str, Any], ...]:
         """Return the networks that took part in some stages."""
@@ -81,7 +81,7 @@ class Finder:
         drawn = Stage.DRAWN in stages
         return tuple(
             one
-            for one in self.models
+            for one in self.networks.models
             if one["task"] in tasks or (drawn and one["task"] not in _FINDING)
         )
 
@@ -147,7 +147,7 @@ def make_finder(
         kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
         return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
-    return Finder(find, networks.models)
+    return Finder(find, networks)
 
 
 def _with_fitting_masks(capture: Capture, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:

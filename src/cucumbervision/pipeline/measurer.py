@@ -32,7 +32,7 @@ from cucumbervision.measurement.result import (
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.fields import NumberedFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.pipeline.stages import StageHashes
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ class Measurer:
     @property
     def models(self) -> list[dict[str, Any]]:
         """Name, SHA-256 and runtime of each network that was loaded so far."""
-        return [] if self._finder is None else self._finder.models
+        return [] if self._finder is None else self._finder.networks.models
 
     @cached_property
     def site(self) -> SiteCalibration | None:
@@ -325,6 +325,8 @@ class Measurer:
         finder = self.load()
         if self.site is not None:
             capture = calibrated_capture(capture, self.site)
+        if self.options.camera_up is not None and capture.gravity is None:
+            capture = replace(capture, gravity=GRAVITY_BY_EDGE[self.options.camera_up])
         return DetectedCapture(capture, finder.find(capture))
 
     @OneThread()
@@ -356,6 +358,10 @@ class Measurer:
     def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
         """Measure one fruit of a capture whose depth is scaled already."""
         options = self.options
+        judge = None
+        # A pose network that orders its own points is not asked again.
+        if self._finder is not None and instance.end_confidence is not None:
+            judge = self._finder.networks.ends
         fruit = measure_fruit(
             capture,
             instance,
@@ -364,6 +370,7 @@ class Measurer:
             options.length,
             scale_known=self.site is not None and self.site.depth_scale is not None,
             cut_beyond_m=options.cut_beyond_m,
+            ends=None if judge is None else judge.log_odds,
         )
         if self.site is not None:
             fruit = calibrated_fruit(fruit, self.site, options.length)

@@ -26,6 +26,14 @@ if TYPE_CHECKING:
 
 _Enum = TypeVar("_Enum", bound=StrEnum)
 
+GRAVITY_BY_EDGE = {
+    "top": (0.0, 1.0, 0.0),
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+    "bottom": (0.0, -1.0, 0.0),
+}
+"""Direction of gravity in camera coordinates, by the picture's edge that is up."""
+
 INSTANCE_SOURCES = ("auto", "models", "dataset")
 """What `MeasureOptions.instances` may be beside a file."""
 
@@ -77,6 +85,10 @@ class MeasureOptions:
         long cucumber's. What lies outside gets no length.
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres, from the crop profile.
+    camera_up : str, optional
+        The picture's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
+        mounted about level before hanging fruit; it takes the place of `Capture.gravity` where a
+        capture has none, and says which end is the stem's.
     """
 
     instances: str = "auto"
@@ -95,6 +107,7 @@ class MeasureOptions:
     calibration: Path | None = None
     accepted_m: tuple[float, float] = (0.05, 0.80)
     cut_beyond_m: float = CUT_BEYOND_M
+    camera_up: str | None = None
 
     def __post_init__(self) -> None:
         """Take the names of enumerations, and refuse what is no choice.
@@ -112,7 +125,10 @@ class MeasureOptions:
         methods = (_choice("methods", one, Method) for one in sorted(names))
         chosen = AVAILABLE if names == {"ALL"} else tuple(methods)
         object.__setattr__(self, "methods", chosen)
-        for name, allowed in (("prompt", PROMPTS), ("runtime", RUNTIMES)):
+        named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
+        if self.camera_up is not None:
+            named.append(("camera_up", tuple(GRAVITY_BY_EDGE)))
+        for name, allowed in named:
             if getattr(self, name) not in allowed:
                 raise _no_choice(name, getattr(self, name), allowed)
         if not 0 <= self.confidence <= 1:

@@ -389,6 +389,7 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]
 
     path = data.folder / picture.depth_file
     depth_m = depth_to_metres(read_depth(path), picture.depth_unit_m, source=path)
+    gravity = picture.extras.get("gravity")
     return Capture(
         color,
         depth_m,
@@ -396,6 +397,7 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]
         name=Path(picture.file).stem,
         simulated=picture.source == DRAWN,
         source=str(path),
+        gravity=None if gravity is None else (gravity[0], gravity[1], gravity[2]),
     )
 
 

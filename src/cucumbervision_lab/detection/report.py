@@ -262,6 +262,21 @@ def pose_table(readings: pd.DataFrame) -> Table:
         "perceived, ends 90 % sure": posed[near & perceived & sure],
         "perceived, farther": posed[~near & perceived],
     }
+    if "hangs" in posed:
+        known = posed.dropna(subset="hangs")
+        known = known[known["masks"] == Masks.PERCEIVED]
+        by_gravity = known.assign(
+            swapped=known["swapped_by_gravity"], stem_confidence=known["sure_by_gravity"]
+        )
+        hanging = known["hangs"].astype(bool)
+        groups |= {
+            "perceived, hanging, any distance": known[hanging],
+            "the same, gravity known": by_gravity[hanging],
+            "perceived, any distance, gravity known": by_gravity,
+            "the same, ends 90 % sure": by_gravity[
+                by_gravity["stem_confidence"] >= LEAST_END_CONFIDENCE
+            ],
+        }
     cells: list[tuple[Cell, ...]] = []
     for name, some in groups.items():
         right = some.dropna(subset="stem_mm")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
-from cucumbervision.measurement.pose import Part
+from cucumbervision.measurement.pose import Part, stem_first
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.pose import FruitPose
+    from cucumbervision.measurement.pose import EndJudge, FruitPose
+    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.benchmark.records import LengthRecord
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
@@ -188,7 +189,9 @@ def evaluate_detection(
             if networks.segmenter is not None:
                 drawn = networks.segmenter.segment(color, list(found.values()))
                 found = dict(zip(found, drawn, strict=True))
-            records += length_records(result.frame, capture, found)
+            judge = None if networks.pose is None else networks.pose.ends
+            ends = None if judge is None else judge.log_odds
+            records += length_records(result.frame, capture, found, ends)
         frames.append(result.frame)
         for name, one in result.seconds.items():
             seconds.setdefault(name, []).append(one)
@@ -260,7 +263,10 @@ _READ = (*Method, "M6 thread", "M6 chord", "selector best", "selector paper")
 
 
 def length_records(
-    frame: Frame, capture: Capture, perceived: Mapping[int, Instance]
+    frame: Frame,
+    capture: Capture,
+    perceived: Mapping[int, Instance],
+    ends: EndJudge | None = None,
 ) -> list[LengthRecord]:
     """Measure the fruit of a picture on true and on predicted masks.
 
@@ -272,6 +278,8 @@ def length_records(
         Colour and depth of the picture.
     perceived : mapping of int to Instance
         Detected instances with masks and keypoints, by index in `frame.true`.
+    ends : callable, optional
+        Tells which end of these is the stem's, as in `measure_fruit`.
 
     Returns
     -------
@@ -285,7 +293,7 @@ def length_records(
             continue
         found = perceived.get(number)
         records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
-        records.append(_record(frame, number, capture, found, Masks.PERCEIVED))
+        records.append(_record(frame, number, capture, found, Masks.PERCEIVED, ends))
     return records
 
 
@@ -349,8 +357,29 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     return found
 
 
+def _with_gravity(
+    measured: FruitMeasurement, axis_m: NDArray[np.float64], capture: Capture, swapped: bool
+) -> dict[str, Any]:
+    """Return what gravity would make of a pose's ends, and whether the fruit hangs."""
+    if capture.gravity is None or measured.selected is None:
+        return {}
+    before = measured.selected
+    after, sure = stem_first(before, measured.instance, capture)
+    run = axis_m[0] - axis_m[-1]
+    return {
+        "hangs": bool(run @ capture.gravity > 0.5 * np.linalg.norm(run)),
+        "swapped_by_gravity": swapped != (after is not before),
+        "sure_by_gravity": sure,
+    }
+
+
 def _record(
-    frame: Frame, number: int, capture: Capture, instance: Instance | None, masks: Masks
+    frame: Frame,
+    number: int,
+    capture: Capture,
+    instance: Instance | None,
+    masks: Masks,
+    ends: EndJudge | None = None,
 ) -> LengthRecord:
     fruit = frame.true[number]
     lengths: dict[str, float | None] = dict.fromkeys(map(str, _READ))
@@ -359,7 +388,7 @@ def _record(
     details["selected"] = None
     fill = None
     if instance is not None:
-        measured = measure_fruit(capture, instance)
+        measured = measure_fruit(replace(capture, gravity=None), instance, ends=ends)
         lengths.update(fruit_lengths(measured, capture)[0])
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)
@@ -367,6 +396,7 @@ def _record(
         details |= interval_details(measured)
         if measured.pose is not None and fruit.axis_m is not None:
             details |= pose_errors(measured.pose, fruit.axis_m)
+            details |= _with_gravity(measured, fruit.axis_m, capture, details["swapped"])
         fill = measured.fill
     return LengthRecord(
         case=f"{frame.name}#{number}",

@@ -370,5 +370,6 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
             "setting": frame.staged.setting.value,
             "variety": frame.staged.variety.value,
             "depth_scale": round(frame.depth_scale, 6),
+            "gravity": [round(-float(each), 4) for each in frame.staged.up],
         },
     )

@@ -87,9 +87,7 @@ def test_a_judge_of_ends_is_asked_along_the_tube_and_puts_the_keypoints_in_order
     swapped = replace(instance, keypoints=instance.keypoints[::-1], end_confidence=0.8)
     blossom, stem = LENS.project(BODY.poles_m)
 
-    def judge(
-        color: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]
-    ) -> list[float | None]:
+    def judge(color: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]) -> list[float | None]:
         assert color is capture.color
         (line,) = lines
         ends = sorted([tuple(line[0]), tuple(line[-1])])

@@ -229,6 +229,9 @@ def _check_order(key: str, limits: list[float | None]) -> None:
         raise ValueError(f"{key}: the limits must rise, and only the last may be left out")
 
 
+PACK_PROFILE = "profile.toml"
+"""The profile of a crop's own folder."""
+
 _SHIPPED = Path(__file__).parent / "crops"
 
 
@@ -291,7 +294,7 @@ def load_profile(name_or_path: str | Path) -> CropProfile:
     Parameters
     ----------
     name_or_path : str or Path
-        A profile's name, or a TOML file.
+        A profile's name, a TOML file, or a path (`./courgette`) of a folder with `profile.toml`.
 
     Raises
     ------
@@ -308,14 +311,20 @@ def load_profile(name_or_path: str | Path) -> CropProfile:
     ...
     cucumbervision.errors.ProfileError: no crop profile is called 'gherkin'; take one of ...
     """
+    return _read(profile_path(name_or_path))
+
+
+def profile_path(name_or_path: str | Path) -> Path:
+    """Return the file of a profile. Parameters and errors as those of `load_profile`."""
     text = str(name_or_path)
     if isinstance(name_or_path, Path) or text.endswith(".toml") or Path(text).name != text:
-        return _read(Path(name_or_path))
+        path = Path(name_or_path)
+        return path / PACK_PROFILE if path.is_dir() else path
     for place in (profiles_folder(), _SHIPPED):
         # Looked up by name: a name that no file can have is none of them.
         found = {path.stem: path for path in place.glob("*.toml")}
         if text in found:
-            return _read(found[text])
+            return found[text]
     known = ", ".join(entry.name for entry in profiles())
     raise ProfileError(
         f"no crop profile is called {text!r}",

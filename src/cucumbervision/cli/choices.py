@@ -103,7 +103,11 @@ def measure_options(
         Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
     ] = None,
     profile: Annotated[
-        str, typer.Option(help="Crop profile; lengths outside its range are rejected.")
+        str,
+        typer.Option(
+            help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
+            "range are rejected."
+        ),
     ] = "long-cucumber",
     input_size: InputSize = "",
     runtime: Runtime = "auto",
@@ -117,12 +121,12 @@ def measure_options(
     ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
-    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.agronomy.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
 
-    return MeasureOptions(
+    options = MeasureOptions(
         instances=instances,
         pose=pose,
         segmenter=segmenter,
@@ -136,7 +140,13 @@ def measure_options(
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
         camera_up=camera_up,
-    ).for_crop(load_profile(profile))
+    )
+    path = profile_path(profile)
+    if path.name != PACK_PROFILE:
+        return options.for_crop(load_profile(path))
+    from cucumbervision.pipeline.crop_pack import read_pack
+
+    return read_pack(path.parent).options(options)
 
 
 def loop_options(

@@ -1,0 +1,88 @@
+"""A crop pack: one folder with all that a crop needs, which `--profile FOLDER` reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from cucumbervision.agronomy.profiles import PACK_PROFILE, CropProfile, load_profile
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.perception.registry import file_sha256
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cucumbervision.pipeline.options import MeasureOptions
+
+TRUTH = "truth.csv"
+"""Lengths measured by hand, as `evaluate lengths` reads them."""
+
+
+@dataclass(frozen=True)
+class CropPack:
+    """A crop's folder.
+
+    Parameters
+    ----------
+    profile : CropProfile
+        Of its `profile.toml`.
+    segment, pose : Path, optional
+        Its networks, `NAME-seg.onnx` and `NAME-pose.onnx` as `train export` writes them; the
+        package's own where there are none.
+    truth : Path, optional
+        Its `truth.csv`.
+    """
+
+    profile: CropProfile
+    segment: Path | None = None
+    pose: Path | None = None
+    truth: Path | None = None
+
+    def options(self, options: MeasureOptions) -> MeasureOptions:
+        """Return the same choices for this crop: its lengths, its cut, and its networks.
+
+        Instances and keypoints that were chosen by the user stay.
+        """
+        own = options.instances in ("auto", "models") and self.segment is not None
+        return replace(
+            options.for_crop(self.profile),
+            instances=str(self.segment) if own else options.instances,
+            pose=options.pose or self.pose,
+        )
+
+
+def read_pack(folder: Path) -> CropPack:
+    """Read a crop's folder.
+
+    Raises
+    ------
+    ProfileError
+        If `profile.toml` is missing or invalid.
+    ModelError
+        If there are two networks for one task.
+    ModelHashError
+        If a network is not the one that the card beside it describes.
+    """
+    profile = load_profile(folder / PACK_PROFILE)
+    truth = folder / TRUTH
+    segment, pose = (_network(folder, task) for task in ("seg", "pose"))
+    return CropPack(profile, segment, pose, truth if truth.is_file() else None)
+
+
+def _network(folder: Path, task: str) -> Path | None:
+    found = sorted(folder.glob(f"*-{task}.onnx"))
+    if len(found) > 1:
+        raise ModelError(
+            f"holds {len(found)} networks *-{task}.onnx", source=folder, remedy="keep one"
+        )
+    for path in found:
+        card = path.with_suffix(".json")
+        said = read_json(card, ModelError) if card.is_file() else {}
+        if isinstance(said, dict) and said.get("sha256") not in (None, file_sha256(path)):
+            raise ModelHashError(
+                f"is not the network that {card.name} describes",
+                source=path,
+                remedy="export both again with `cucumbervision train export`",
+            )
+    return found[0] if found else None

@@ -37,9 +37,9 @@ def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
         assert one.detector_mask is not None
         assert one.keypoints is not None
         assert one.keypoints[0, 1] > one.keypoints[4, 1]  # the blossom end hangs
-    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
     known = own_registry.hashes("tiny-seg")
-    assert finder.models[0]["sha256"] == known["tiny-seg.onnx"]
+    assert finder.networks.models[0]["sha256"] == known["tiny-seg.onnx"]
 
 
 def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
@@ -48,7 +48,7 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     finder = make_finder(MeasureOptions(instances="models"), own_registry)
     kept = finder.find(plain).instances
     assert [one.mask_source for one in kept] == [MaskSource.DETECTOR] * 3
-    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose"]
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose"]
     dark = plain.depth_m.copy()
     left, top, right, bottom = kept[0].box.round().astype(int)
     dark[top : bottom + 1, left : right + 1] = 0
@@ -56,7 +56,7 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     drawn = [one for one in found if one.mask_source is MaskSource.SAM]
     assert len(found) == 3
     assert [box_iou(one.box, kept[0].box) for one in drawn] == [1.0]
-    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
 
 
 def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
@@ -65,11 +65,11 @@ def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
     finder = make_finder(MeasureOptions(segmenter=None), own_registry)
     given = finder.find(row_a).instances
     assert [one.mask_source for one in given] == [MaskSource.DATASET] * 3
-    assert finder.models == []
+    assert finder.networks.models == []
     assert len(finder.find(plain).instances) == 3
-    assert len(finder.models) == 2
+    assert len(finder.networks.models) == 2
     finder.find(plain)
-    assert len(finder.models) == 2
+    assert len(finder.networks.models) == 2
 
 
 def test_auto_without_any_detector_still_takes_a_data_sets_masks(

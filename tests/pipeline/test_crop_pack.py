@@ -56,5 +56,5 @@ def test_what_does_not_belong_together_is_refused(folder: Path) -> None:
     with pytest.raises(ModelError, match="holds 2 networks"):
         read_pack(folder)
     (folder / "profile.toml").unlink()
-    with pytest.raises(ProfileError, match=r"profile\.toml: cannot be read"):
+    with pytest.raises(ProfileError, match=r"profile\.toml: the file is missing"):
         read_pack(folder)

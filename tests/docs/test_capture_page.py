@@ -8,9 +8,11 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from cucumbervision.capture.camera_file import read_camera_file
@@ -79,7 +81,7 @@ def made_samples(folder: Path) -> None:
         ],
     }
     (folder / "masks.json").write_text(json.dumps(coco))
-    pictures = {
+    pictures: dict[str, NDArray[Any]] = {
         "rgb.png": COLOR, "depth.png": DEPTH_MM,
         "scene/rgb/000000.png": COLOR, "scene/depth/000000.png": DEPTH_MM,
         "pairs/rgb_7.png": COLOR, "pairs/depth_7.png": DEPTH_MM,
@@ -104,7 +106,12 @@ def made_samples(folder: Path) -> None:
     turn = {"rotation": np.eye(3).tolist(), "translation_m": [0.015, 0, 0]}
     both = CAMERA | {"depth": depth_camera, "depth_to_color": turn}
     (folder / "both.json").write_text(json.dumps(both))
-    said = {"Frame Number": 1, "Resolution x": 64, "Resolution y": 48, "Bytes per pixel": 2}
+    said: dict[str, object] = {
+        "Frame Number": 1,
+        "Resolution x": 64,
+        "Resolution y": 48,
+        "Bytes per pixel": 2,
+    }
     said |= {"Type": "Depth", "Format": "Z16", "Fx": 60, "Fy": 60, "PPx": 32, "PPy": 24}
     table = "Frame Info:\n" + "".join(f"{key},{value}\n" for key, value in said.items())
     (folder / "viewer/row3_Depth_metadata.csv").write_text(table)

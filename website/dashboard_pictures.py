@@ -64,8 +64,7 @@ def take(address: str) -> None:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(300_000)
         page.goto(f"{address}/results")
-        page.get_by_text("Measuring the bundled captures").wait_for()
-        page.get_by_text("Measuring the bundled captures").wait_for(state="hidden")
+        page.get_by_test_id("stMetricValue").first.filter(has_text="8").wait_for()  # all its fruit
         for name, (path, words) in PAGES.items():
             page.goto(f"{address}/{path}")
             page.get_by_text(words).first.wait_for()

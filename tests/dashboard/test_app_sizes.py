@@ -119,6 +119,19 @@ def test_back_and_reload_come_to_the_same_place(
     page.context.close()
 
 
+def test_a_tap_on_the_map_is_answered_within_the_screen(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    page.goto(f"{address[0]}/map?round={TODAY}")
+    page.locator(".mark-symbol.role-mark path").first.tap()
+    page.get_by_role("button", name="This is a fruit").wait_for()
+    page.wait_for_function(
+        "document.querySelector('.st-key-answer').getBoundingClientRect().bottom <= innerHeight + 1"
+    )
+    page.context.close()
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_for_everybody(

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 _ROWS_AT_ONCE = 4
 _SHORT_M = 2.0  # of which all is shown
+# Beside the mark that was tapped, also where the chart fills a phone's screen.
+_SHOW_ANSWER = """<script>setTimeout(() => document.querySelector('.st-key-answer')
+?.scrollIntoView({block: 'nearest'}), 300);</script>"""
 
 
 @page_elements.of_round
@@ -77,13 +80,15 @@ def _map(one: RoundView) -> None:
         here = [line for line in shown if line["row"] == row]
         chart = map_chart(here, shown, units, by_length=colored == "Length")
         event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
-        if _choose(
-            f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])]
-        ):
+        tapped = [str(x["key"]) for x in event["selection"].get("fruit", [])]
+        is_new = _choose(f"{one.key}_{row}", tapped)
+        if is_new:
             found = _opened(one)
         if found is not None and any(line["key"] == found.fruit.key for line in here):
-            _fruit(one, graded, found)  # where the finger is
+            _fruit(one, graded, found)
             found = None
+            if is_new:
+                st.html(_SHOW_ANSWER, unsafe_allow_javascript=True)
     st.caption(
         "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, hollow if "
         "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
@@ -139,8 +144,9 @@ def _fruit(one: RoundView, graded: GradedRound, found: FruitContext) -> None:
     units, fruit = resources.settings().units, found.fruit
     grade = grade_words(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
     place = f"{row_name(fruit.row)}, {fruit.side or ''}, {metres_words(fruit.along_m)}"
-    st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
-    _judge(one, found)
+    with st.container(key="answer"):
+        st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
+        _judge(one, found)
     store = resources.store()
     apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
     seen = f"Seen {counted(len(found.views), 'time', 'times')}"

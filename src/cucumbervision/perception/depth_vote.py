@@ -54,7 +54,7 @@ _BODY_M = 0.06  # depth further than this from the median belongs to something e
 _SLICES = 12  # along the mask, so that a bent fruit is straight within each
 _CORE = 0.35  # of the half width: pixels that give a slice's depth
 _MOST_RELIEF = 2.0
-_REPORTED_PROBABILITY = 0.6  # from which a detection is reported by default
+_REPORTED_PROBABILITY = 0.75  # from which a detection is reported by default
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def with_depth_votes(
     """Return detections with confidences rescored by depth.
 
     The probability p of a cucumber becomes a confidence on the detector's own scale, where the
-    default threshold stands for p = 0.6: logit(confidence) = logit(p) - logit(0.6) + logit(0.2).
+    default threshold stands for p = 0.75: logit(confidence) = logit(p) - logit(0.75) + logit(0.2).
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
+from scipy.special import expit
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.curve import arc_positions, points_along
@@ -177,7 +178,7 @@ def stem_first(
         return measurement, 0.5
     ends = path[[0, -1]]
     odds = _keypoint_odds(ends, instance, capture) + _gravity_odds(ends, capture)
-    sure = float(1 / (1 + np.exp(-abs(odds))))
+    sure = float(expit(abs(odds)))
     if odds > 0 or (odds == 0 and ends[0, 1] <= ends[1, 1]):
         return measurement, sure
     fit = measurement.fit
@@ -215,7 +216,7 @@ def with_tubes_ends(
         for ends_px in (line[[0, -1]], line[[-1, 0]])
     )
     points = points[::-1].copy() if crossed < straight else points
-    return replace(instance, keypoints=points, end_confidence=float(1 / (1 + np.exp(-abs(odds)))))
+    return replace(instance, keypoints=points, end_confidence=float(expit(abs(odds))))
 
 
 def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:

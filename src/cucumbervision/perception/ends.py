@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import expit
 
 from cucumbervision.errors import ModelError
 from cucumbervision.geometry.curve import arc_positions, points_along
@@ -204,4 +205,4 @@ def _ordered(instance: Instance, logit: float | None) -> Instance:
         return instance
     if logit < 0:
         points = points[::-1].copy()
-    return replace(instance, keypoints=points, end_confidence=float(1 / (1 + np.exp(-abs(logit)))))
+    return replace(instance, keypoints=points, end_confidence=float(expit(abs(logit))))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
@@ -335,7 +336,7 @@ def _result(
         some = seen == count
         if some.any():
             accuracy[f"{count} ends in sight"] = float((logits[some] > 0).mean())
-    confident = 1 / (1 + np.exp(-np.abs(logits))) >= LEAST_END_CONFIDENCE
+    confident = expit(np.abs(logits)) >= LEAST_END_CONFIDENCE
     share = float((logits[confident] > 0).mean()) if confident.any() else float("nan")
     return EndsResult(
         out, trained // COPIES, len(logits) // COPIES, accuracy, float(confident.mean()), share

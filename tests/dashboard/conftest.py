@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import socket
@@ -33,6 +34,7 @@ FLAGS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
+SAID = logging.getLogger("page")
 PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
 
@@ -195,19 +197,31 @@ def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def new_page() -> Iterator[Callable[..., Any]]:
-    """Open an empty page of a real Chromium, in a browser context of its own."""
+def browser() -> Iterator[Any]:
+    """A real Chromium."""
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
         pytest.skip("Chromium is not installed")
-
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-
-        def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
-            page = browser.new_page(viewport={"width": width, "height": height}, **how)
-            page.set_default_timeout(1000 * PATIENCE_S)
-            return page
-
-        yield opened
+        yield browser
         browser.close()
+
+
+@pytest.fixture
+def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open an empty page in a browser context of its own; what it logged is shown on failure."""
+    contexts: list[Any] = []
+
+    def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
+        page = browser.new_page(viewport={"width": width, "height": height}, **how)
+        page.set_default_timeout(1000 * PATIENCE_S)
+        page.on("console", lambda line: SAID.warning("console: %s", line.text))
+        page.on("pageerror", lambda error: SAID.warning("page error: %s", error))
+        page.on("requestfailed", lambda one: SAID.warning("%s: %s", one.url, one.failure))
+        contexts.append(page.context)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()

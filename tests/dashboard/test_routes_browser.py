@@ -157,6 +157,16 @@ def test_capture_opens_and_takes_presses_while_the_server_is_away(
     shot(page, "reloaded")
 
 
+def test_an_answer_that_is_cut_off_replaces_nothing_that_was_known(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.route("**/api/walk?*", lambda route: route.fulfill(status=200, body='{"round": "'))
+    for _ in range(2):
+        page.reload()
+        page.locator("button.take:enabled").wait_for()
+
+
 def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., Any]) -> None:
     first, second = (opened(new_page(has_touch=True), walk) for _ in range(2))
     for _ in range(3):

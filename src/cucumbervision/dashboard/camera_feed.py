@@ -72,40 +72,41 @@ class _Held:
 
 
 class CameraBurst:
-    """A burst about a moment, of which the last frames may still be on their way."""
+    """The frames nearest to a moment, of which the last may still be on their way."""
 
     def __init__(
-        self,
-        feed: CameraFeed,
-        wanted: int,
-        pressed_s: float,
-        reach_s: float,
-        frames: list[_Held],
+        self, feed: CameraFeed, wanted: int, pressed_s: float, reach_s: float, held: list[_Held]
     ) -> None:
-        self._feed = feed
-        self.wanted = wanted
-        self.pressed_s = pressed_s
-        self.frames = frames
-        self._until_s = pressed_s + reach_s
-        self.is_full = len(frames) >= wanted
+        self._feed, self._reach_s = feed, reach_s
+        self.wanted, self.pressed_s = wanted, pressed_s
+        self.frames: list[_Held] = []
+        self.is_full = False
+        for one in held:
+            self.offer(one)
 
     def offer(self, held: _Held) -> None:
-        """Take a frame that has come since, unless it is too early, or too late for a burst."""
-        if held.at_s >= self.pressed_s and not self.is_full:
-            too_late = held.at_s > self._until_s and bool(self.frames)
-            if not too_late:
-                self.frames.append(held)
-            self.is_full = too_late or len(self.frames) >= self.wanted
+        """Take the next frame if it is among the nearest; the first that is not ends the burst."""
+        if self.is_full:
+            return
+        frames = sorted([*self.frames, held], key=self._away_s)
+        within = [one for one in frames if self._away_s(one) <= self._reach_s] or frames[:1]
+        self.frames = sorted(within[: self.wanted], key=lambda one: one.at_s)
+        # Those that follow lie farther after the press than this one.
+        enough_s = self.farthest_s if len(self.frames) == self.wanted else self._reach_s
+        self.is_full = held.at_s - self.pressed_s >= enough_s
+
+    def _away_s(self, held: _Held) -> float:
+        return abs(held.at_s - self.pressed_s)
 
     @property
     def nearest_s(self) -> float:
         """How far in time the nearest frame lies from the press, seconds."""
-        return min(abs(one.at_s - self.pressed_s) for one in self.frames)
+        return min(map(self._away_s, self.frames))
 
     @property
     def farthest_s(self) -> float:
         """How far in time the farthest frame lies from the press, seconds."""
-        return max(abs(one.at_s - self.pressed_s) for one in self.frames)
+        return max(map(self._away_s, self.frames))
 
     def capture(self) -> Capture:
         """Wait for the last frames, and return the capture that all make together.
@@ -204,7 +205,7 @@ class CameraFeed:
                 self.retry()
 
     def grab(self, burst: int, pressed_s: float) -> CameraBurst:
-        """Begin a burst about a moment: the frames just before it are there, the others come.
+        """Begin a burst of the frames nearest to a moment: the earlier are there, the others come.
 
         Frames that lie farther from the moment than `REACH_S`, or than so many frames take, are
         left out, unless there is none nearer.
@@ -212,7 +213,7 @@ class CameraFeed:
         Parameters
         ----------
         burst : int
-            Frames at most, half of them before the moment: those that lie nearest to it.
+            Frames at most.
         pressed_s : float
             The moment, seconds since 1970: up to `_HELD_S` ago.
 
@@ -227,19 +228,7 @@ class CameraFeed:
             if min([*ago_s, time.time() - pressed_s]) > FAR_S:
                 raise picture_gone()
             reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
-            earlier = [one for one in self._held if one.at_s < pressed_s]
-            # An odd burst has its middle frame where the moment is nearest to one. Of a press that
-            # comes late the next frame is held, too, and may lie farther off than the last.
-            after_s = [one.at_s - pressed_s for one in self._held if one.at_s >= pressed_s]
-            next_s = min(after_s, default=0.5 / self._config.fps)
-            near = bool(earlier) and pressed_s - earlier[-1].at_s < next_s
-            before = [one for one in earlier if pressed_s - one.at_s <= reach_s]
-            before = before or (earlier[-1:] if near else [])
-            wanted = burst // 2 + (burst % 2 if near else 0)
-            frames = before[len(before) - min(wanted, len(before)) :]
-            grabbed = CameraBurst(self, burst, pressed_s, reach_s, frames)
-            for one in self._held:
-                grabbed.offer(one)
+            grabbed = CameraBurst(self, burst, pressed_s, reach_s, self._held)
             self._filling += [] if grabbed.is_full else [grabbed]
             return grabbed
 

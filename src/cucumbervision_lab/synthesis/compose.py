@@ -16,6 +16,7 @@ from cucumbervision_lab.synthesis.placing import (
     NEAREST_M,
     Ground,
     crate_rods,
+    in_front,
     occlude,
     place_hanging,
     place_lying,
@@ -200,7 +201,7 @@ def _compose_hanging(
         if rng.random() < difficulty.covered:
             share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
             covered = occlude(scene, camera, index, share, rng, ends_free=free)
-            if _in_front(covered.leaves[-1]):
+            if covered is not scene:
                 scene = covered
                 leaf_roles.append("leaf")
     before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
@@ -271,14 +272,9 @@ def _loose_leaves(
             (float(rng.normal(0, 2)), float(rng.normal(0, 2))),
             rng.uniform(0.05, 0.18),
         )
-        if _in_front(leaf):
+        if in_front(leaf):
             leaves.append(leaf)
     return tuple(leaves)
-
-
-def _in_front(leaf: Leaf) -> bool:
-    reach = 1.3 * max(leaf.half_length_m, leaf.half_width_m)
-    return float(leaf.centre_m[2]) - reach > 0.05
 
 
 def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, ...]:
@@ -365,7 +361,7 @@ def _pitch(angle_deg: float) -> NDArray[np.float64]:
 def _all_in_front(scene: Scene) -> bool:
     return (
         all(f.centres_m[:, 2].min() > NEAREST_M for f in scene.fruit)
-        and all(_in_front(leaf) for leaf in scene.leaves)
+        and all(in_front(leaf) for leaf in scene.leaves)
         and all(rod.vertices_m[:, 2].min() > 2 * rod.radius_m for rod in scene.stems)
     )
 

@@ -216,7 +216,8 @@ def occlude(
     Returns
     -------
     Scene
-        Scene with the leaf. The share is approximate; `truth_of` returns the exact one.
+        Scene with the leaf. The share is approximate; `truth_of` returns the exact one. The given
+        scene if such a leaf would extend behind the camera.
 
     Examples
     --------
@@ -247,11 +248,17 @@ def occlude(
     for _ in range(_SEARCH_STEPS):
         reach = (low + high) / 2
         leaf = _blade(tube, where, reach, before, bend)
-        if _hides(leaf, fruit, rough) < hidden_share:
+        if in_front(leaf) and _hides(leaf, fruit, rough) < hidden_share:
             low = reach
         else:
             high = reach
-    return replace(scene, leaves=(*scene.leaves, leaf))
+    return replace(scene, leaves=(*scene.leaves, leaf)) if in_front(leaf) else scene
+
+
+def in_front(leaf: Leaf) -> bool:
+    """Return whether all of a leaf is at least 5 cm in front of the camera."""
+    reach = 1.3 * max(leaf.half_length_m, leaf.half_width_m)
+    return float(leaf.centre_m[2]) - reach > 0.05
 
 
 def _blade(

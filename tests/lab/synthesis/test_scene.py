@@ -145,6 +145,18 @@ def test_cover_of_an_end_hides_one_end() -> None:
     assert sorted(truth.keypoint_visibility[[0, 4]].tolist()) == [1, 2]
 
 
+def test_a_cover_never_reaches_behind_the_camera() -> None:
+    unchanged = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        fruit = place_hanging(random_fruit(rng, 0.4), (0.0, 0.0, 0.3), tilt_deg=75.0)
+        bare = Scene((fruit,))
+        covered = occlude(bare, CAMERA, 0, 0.6, rng, ends_free=False)
+        truth_of(covered, CAMERA)  # raises if anything is behind it
+        unchanged += covered is bare
+    assert unchanged > 0
+
+
 def test_a_trellis_hides_no_fruit() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)

@@ -13,8 +13,11 @@ async function answer(request) {
   const shelf = await caches.open(SHELF);
   try {
     const found = await fetch(request, { signal: AbortSignal.timeout(PATIENCE_MS) });
-    if (found.ok) shelf.put(new URL(request.url).pathname, found.clone());
-    return found;
+    if (!found.ok) return found;
+    // A file that stops halfway counts as no answer: with half a script the page would be dead.
+    const whole = new Response(await found.blob(), found);
+    shelf.put(new URL(request.url).pathname, whole.clone()).catch(() => {});
+    return whole;
   } catch (fault) {
     const kept = await shelf.match(request, { ignoreSearch: true });
     if (kept) return kept;

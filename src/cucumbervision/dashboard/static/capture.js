@@ -37,18 +37,21 @@ async function readWalk() {
   try {
     const begun_s = now_s();
     const answer = await fetch(`/api/walk?${asked}`, { signal: AbortSignal.timeout(20000) });
-    const walk = await answer.json().catch(() => ({}));
     if (!answer.ok) {
-      show($("told"), walk.error || "Not admitted: open 'Today' to log in.");
+      const { error } = await answer.json().catch(() => ({}));
+      show($("told"), error || "Not admitted: open 'Today' to log in.");
       throw new Error();
     }
+    const walk = await answer.json();
     hearClock(walk.now_s, begun_s);
     // Another round or source was chosen meanwhile: `again` asks for that.
     if (asked !== new URLSearchParams({ round: own.round, source: own.source }).toString()) return;
     localStorage.setItem("walk", JSON.stringify({ ...walk, last: null }));
     showWalk(walk);
   } catch {
-    if (!own.walk && localStorage.getItem("walk")) showWalk(JSON.parse(localStorage.getItem("walk")));
+    const kept = JSON.parse(localStorage.getItem("walk") || "null");
+    if (!own.walk && kept?.round) showWalk(kept);
+    if (!own.walk) setTimeout(readWalk, AGAIN_MS);
   } finally {
     reading = false;
     if (again) { again = false; readWalk(); }

@@ -16,9 +16,9 @@ const state = new WeakMap();
 
 async function post(path, content) {
   const answer = await fetch(path, { method: "POST", body: JSON.stringify(content), signal: AbortSignal.timeout(PATIENCE_MS) });
-  const found = await answer.json().catch(() => ({}));
-  if (!answer.ok) throw new Error(found.error || "Not admitted: reload the page.");
-  return found;
+  if (answer.ok) return answer.json();
+  const { error } = await answer.json().catch(() => ({}));
+  throw new Error(error || "Not admitted: reload the page.");
 }
 
 // What was tapped is outlined at once, and measured then: added here, or by whom it is sent to.

@@ -15,9 +15,9 @@ export async function post(path, content, patience_ms = PATIENCE_MS) {
   const answer = await fetch(path, {
     method: "POST", body: JSON.stringify(content), headers: { "content-type": "application/json" }, signal: AbortSignal.timeout(patience_ms),
   });
-  const found = await answer.json().catch(() => ({}));
-  if (!answer.ok) throw Object.assign(new Error(found.error || "Not admitted: open 'Today' to log in."), { status: answer.status });
-  return found;
+  if (answer.ok) return answer.json();
+  const { error } = await answer.json().catch(() => ({}));
+  throw Object.assign(new Error(error || "Not admitted: open 'Today' to log in."), { status: answer.status });
 }
 
 export class Presses {

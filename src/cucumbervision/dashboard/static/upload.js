@@ -5,9 +5,9 @@ const mb = (bytes) => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
 async function post(path, body) {
   const answer = await fetch(path, { method: "POST", body, signal: AbortSignal.timeout(PATIENCE_MS) });
-  const found = await answer.json().catch(() => ({}));
-  if (!answer.ok) throw Object.assign(new Error(found.error || "Not admitted: reload the page."), { answered: true, final: answer.status < 500 });
-  return found;
+  if (answer.ok) return answer.json();
+  const { error } = await answer.json().catch(() => ({}));
+  throw Object.assign(new Error(error || "Not admitted: reload the page."), { answered: true, final: answer.status < 500 });
 }
 
 async function send(files, about, tell) {

@@ -386,9 +386,9 @@ def test_a_small_nub_at_an_end_is_seen() -> None:
 
 def test_a_mask_that_fills_a_bends_hollow_does_not_fit(camera: Intrinsics) -> None:
     depth, mask = seen(arc_tube(0.25, 0.02, 0.08).moved(rotation(), (0, 0, 0.5)), camera)
-    assert fits_well(depth, mask, camera)
+    assert fits_well(measure_m6(depth, mask, camera))
     (outline, *_), _ = cv2.findContours(
         mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
     filled = cv2.fillConvexPoly(mask.astype(np.uint8), cv2.convexHull(outline), 1) > 0
-    assert not fits_well(depth, filled, camera)
+    assert not fits_well(measure_m6(depth, filled, camera))

@@ -7,6 +7,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Reason
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.boxes import box_iou
@@ -52,11 +53,28 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     dark = plain.depth_m.copy()
     left, top, right, bottom = kept[0].box.round().astype(int)
     dark[top : bottom + 1, left : right + 1] = 0
-    found = finder.find(replace(plain, depth_m=dark)).instances
+    seen = finder.find(replace(plain, depth_m=dark))
+    found = seen.instances
     drawn = [one for one in found if one.mask_source is MaskSource.SAM]
+    assert [tube is None for tube in seen.tubes] == [one in drawn for one in found]
     assert len(found) == 3
     assert [box_iou(one.box, kept[0].box) for one in drawn] == [1.0]
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+
+
+def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
+    plain: Capture, own_registry: Registry
+) -> None:
+    found = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
+    for one, tube in zip(found.instances, found.tubes, strict=True):
+        assert tube is not None
+        again = measure_fruit(plain, one).measurements[Method.M6]
+        assert tube.length_m == again.length_m
+        other = replace(tube, length_m=1.0)
+        fruit = measure_fruit(plain, one, tube=other)
+        assert list(fruit.measurements) == list(AVAILABLE)
+        assert fruit.measurements[Method.M6].length_m == 1.0
+        assert Method.M6 not in measure_fruit(plain, one, (Method.M3,), tube=other).measurements
 
 
 def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(

@@ -308,13 +308,15 @@ def measure_m6(
     return with_hidden_end(judged_fit(view, found, beyond), depth_m, intrinsics)
 
 
-def fits_well(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
-) -> bool:
-    """Return whether a tube fits a mask so well that no other mask of the fruit is needed.
+def fits_well(measured: Measurement) -> bool:
+    """Return whether a tube fits its mask so well that no other mask of the fruit is needed.
 
-    Parameters as those of `measure_m6`. A mask whose outline is rough, or that no tube covers,
-    has lost or added something.
+    A mask whose outline is rough, or that no tube covers, has lost or added something.
+
+    Parameters
+    ----------
+    measured : Measurement
+        Of `measure_m6`.
 
     Examples
     --------
@@ -324,10 +326,10 @@ def fits_well(
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     >>> depth, bar = np.full((480, 640), 0.5, np.float32), np.zeros((480, 640), bool)
     >>> bar[220:260, 200:440] = True
-    >>> fits_well(depth, bar, camera), fits_well(0 * depth, bar, camera)
-    (True, False)
+    >>> [fits_well(measure_m6(seen, bar, camera)) for seen in (depth, 0 * depth)]
+    [True, False]
     """
-    fit = measure_m6(depth_m, mask, intrinsics).fit
+    fit = measured.fit
     return (
         fit is not None
         and fit.outline_rms_px <= _SMOOTH_PX

@@ -226,6 +226,7 @@ def measure_fruit(
     models: IntervalModels | None = None,
     cut_beyond_m: float = CUT_BEYOND_M,
     ends: EndJudge | None = None,
+    tube: Measurement | None = None,
 ) -> FruitMeasurement:
     """Measure one detected fruit, choose among the methods, and compute the length's interval.
 
@@ -251,6 +252,8 @@ def measure_fruit(
     ends : callable, optional
         Tells once more which end is the stem's, along the tube (`EndClassifier.log_odds`); the
         keypoints of the result are in its order.
+    tube : Measurement, optional
+        M6 of the instance's mask in this capture, where it is known: it is not measured again.
 
     Returns
     -------
@@ -277,7 +280,10 @@ def measure_fruit(
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
-    found = run_methods(region, methods)
+    methods = set(methods)
+    found = run_methods(region, methods - {tube.method} if tube else methods)
+    if tube is not None and tube.method in methods:
+        found[tube.method] = tube
     if ends is not None:
         instance = with_tubes_ends(instance, found.get(Method.M6), capture, ends)
     turned = {method: stem_first(one, instance, capture) for method, one in found.items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.measurement.m6 import fits_well
+from cucumbervision.measurement.m6 import fits_well, measure_m6
 from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
 from cucumbervision.perception.keypoint_axis import place_keypoints
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import Measurement
     from cucumbervision.perception.networks import NetworkLoader
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
@@ -43,6 +44,8 @@ class Found:
         The classes that a detector knows.
     posed : bool
         Whether a pose network looked for keypoints.
+    tubes : tuple of Measurement or None
+        M6 of each instance's mask, where it was measured to judge the mask; empty if none was.
     """
 
     instances: tuple[Instance, ...]
@@ -51,6 +54,7 @@ class Found:
     stages: tuple[Stage, ...] = ()
     labels: tuple[str, ...] = ()
     posed: bool = False
+    tubes: tuple[Measurement | None, ...] = ()
 
 
 Find: TypeAlias = Callable[["Capture"], Found]
@@ -134,7 +138,7 @@ def make_finder(
     def find(capture: Capture) -> Found:
         found = boxes(capture)
         if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
-            found = replace(found, instances=_with_fitting_masks(capture, found.instances))
+            found = _with_fitting_masks(capture, found)
         # Masks that were given are used as they are unless a segmenter was asked for.
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
@@ -150,17 +154,20 @@ def make_finder(
     return Finder(find, networks)
 
 
-def _with_fitting_masks(capture: Capture, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
-    """Return instances with the detector's mask as theirs where a tube fits it well."""
-    kept = []
-    for one in instances:
-        mask = one.detector_mask
+def _with_fitting_masks(capture: Capture, found: Found) -> Found:
+    """Return fruit with the detector's mask as theirs where a tube fits it well, and that tube."""
+    kept: list[Instance] = []
+    tubes: list[Measurement | None] = []
+    for one in found.instances:
+        mask, tube = one.detector_mask, None
         if one.mask is None and mask is not None and mask.any():
             mask = without_flower(mask, capture.color)
-            if fits_well(capture.depth_m, mask, capture.intrinsics):
-                one = replace(one, mask=mask, mask_source=MaskSource.DETECTOR)
+            measured = measure_m6(capture.depth_m, mask, capture.intrinsics)
+            if fits_well(measured):
+                one, tube = replace(one, mask=mask, mask_source=MaskSource.DETECTOR), measured
         kept.append(one)
-    return tuple(kept)
+        tubes.append(tube)
+    return replace(found, instances=tuple(kept), tubes=tuple(tubes))
 
 
 def _placed(
@@ -173,7 +180,13 @@ def _placed(
         else one
         for one in instances
     )
-    return replace(found, instances=place_keypoints(cleaned), stages=found.stages + stages)
+    pairs = zip(found.tubes, found.instances, cleaned, strict=False)
+    return replace(
+        found,
+        instances=place_keypoints(cleaned),
+        stages=found.stages + stages,
+        tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
+    )
 
 
 def dataset_instances(capture: Capture) -> tuple[Instance, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.measurement.result import Measurement
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
@@ -344,10 +346,10 @@ class Measurer:
         """
         capture, found = detected.capture, detected.found
         fruit = [
-            self.measure_instance(capture, one)
+            self.measure_instance(capture, one, tube)
             if chosen is None or k in chosen
             else FruitMeasurement(one, {}, None, Choice.WAITING)
-            for k, one in enumerate(found.instances)
+            for k, (one, tube) in enumerate(zip_longest(found.instances, found.tubes))
         ]
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
@@ -355,8 +357,10 @@ class Measurer:
         models = () if self._finder is None else self._finder.models_of(found.stages)
         return CaptureResult(capture, tuple(fruit), tuple(refused), None, found.stages, models)
 
-    def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
-        """Measure one fruit of a capture whose depth is scaled already."""
+    def measure_instance(
+        self, capture: Capture, instance: Instance, tube: Measurement | None = None
+    ) -> FruitMeasurement:
+        """Measure one fruit of a capture whose depth is scaled already; `tube` as `Found.tubes`."""
         options = self.options
         judge = None
         # A pose network that orders its own points is not asked again.
@@ -371,6 +375,7 @@ class Measurer:
             scale_known=self.site is not None and self.site.depth_scale is not None,
             cut_beyond_m=options.cut_beyond_m,
             ends=None if judge is None else judge.log_odds,
+            tube=tube,
         )
         if self.site is not None:
             fruit = calibrated_fruit(fruit, self.site, options.length)

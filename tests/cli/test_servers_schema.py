@@ -17,3 +17,5 @@ def test_a_schema_is_one_and_names_its_version(kind: str, holds: str) -> None:
     jsonschema.Draft202012Validator.check_schema(schema)
     assert schema["properties"]["version"]["const"] == 1
     assert holds in schema["required"]
+    described = [one.get("description", "") for one in schema["$defs"].values()]
+    assert not [text for text in described if "\n" in text]

@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
+from pydantic import (
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    TypeAdapter,
+    WithJsonSchema,
+)
 from scipy.special import expit
 
 from cucumbervision.capture.frames import valid_depth
@@ -63,6 +70,14 @@ _Values = Annotated[NDArray[np.float64], *_array(5, None)]
 _Matrix = Annotated[NDArray[np.float64], *_array(12, 3, 3)]
 
 
+def _describe(schema: dict[str, Any], described: type[Any]) -> None:
+    schema["description"] = (described.__doc__ or "").partition("\n")[0]
+
+
+FIRST_LINE = ConfigDict(json_schema_extra=_describe)
+"""A class's `__pydantic_config__`: its JSON Schema has the first line of its docstring alone."""
+
+
 class Part(StrEnum):
     """Parts of a fruit that may be out of sight."""
 
@@ -111,6 +126,8 @@ class FruitPose:
     >>> round(float(np.linalg.norm(pose.cut_m - pose.stem_m)), 3)
     0.02
     """
+
+    __pydantic_config__: ClassVar = FIRST_LINE
 
     frame: str
     stem_m: Annotated[_Point, Field(description="stem end")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.geometry.threads import OneThread
+from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import (
     Choice,
     Flag,
@@ -67,6 +68,8 @@ class Failure:
     message : str
         The fault and the remedy in one line.
     """
+
+    __pydantic_config__: ClassVar = FIRST_LINE
 
     input: str
     capture: str

@@ -251,6 +251,35 @@ def test_a_list_in_tum_s_form_says_what_belongs_together(tmp_path: Path) -> None
     assert np.unique(load(tmp_path, depth_unit_m=0.001).depth_m).tolist() == [np.float32(2.25)]
 
 
+def test_a_tum_sequence_without_a_list_of_pairs_is_paired_by_time(tmp_path: Path) -> None:
+    for part in ("rgb", "depth"):
+        (tmp_path / part).mkdir()
+    for second in ("1.100", "1.133", "1.300"):
+        write_png(tmp_path / "rgb" / f"{second}.png", COLOR)
+    for second, steps in (("1.119", 2250), ("1.140", 2500), ("1.300", 3000)):
+        write_png(tmp_path / "depth" / f"{second}.png", np.full((48, 64), steps, np.uint16))
+    (tmp_path / "cam_K.txt").write_text("60 0 32 0 60 24 0 0 1")
+    stamps = {"rgb": ("1.100", "1.133", "1.300"), "depth": ("1.119", "1.140")}
+    for part, seconds in stamps.items():
+        lines = [f"{second} {part}/{second}.png" for second in seconds]
+        (tmp_path / f"{part}.txt").write_text("\n".join(["# timestamp filename", *lines]))
+    # 19 ms and 7 ms apart; the third has none within 20 ms in the list.
+    read = [ref.load() for ref in open_source(tmp_path)]
+    assert [one.name for one in read] == ["1.100", "1.133"]
+    assert [one.depth_m[0, 0] for one in read] == [np.float32(0.45), np.float32(0.5)]
+
+
+@pytest.mark.parametrize("text", ["", "soon rgb/1.1.png\n", "nan rgb/1.1.png\n"])
+def test_lists_without_times_are_no_sequence(text: str, tmp_path: Path) -> None:
+    for part in ("rgb", "depth"):
+        (tmp_path / part).mkdir()
+        write_png(tmp_path / part / "1.1.png", COLOR if part == "rgb" else DEPTH_MM)
+        (tmp_path / f"{part}.txt").write_text(text)
+    (tmp_path / "cam_K.txt").write_text("60 0 32 0 60 24 0 0 1")
+    # By their names then, in millimetres.
+    assert load(tmp_path).depth_m.max() == np.float32(0.001 * DEPTH_MM.max())
+
+
 def test_intrinsics_without_a_size_belong_to_pictures_around_their_centre(tmp_path: Path) -> None:
     write_png(tmp_path / "rgb.png", COLOR)
     write_png(tmp_path / "depth.png", DEPTH_MM)

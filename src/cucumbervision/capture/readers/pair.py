@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _LISTS = frozenset({"associations.txt", "associated.txt", "associate.txt", "assoc.txt"})
+_TIMES = ("rgb.txt", "depth.txt")
 _TUM_STEP_M = 1 / 5000
+_TUM_APART_S = 0.02  # most between a colour picture and its depth
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 
 
@@ -105,19 +107,41 @@ def match_pairs(folder: Folder) -> list[Pair]:
 
 
 def _associated(folder: Folder) -> list[Pair]:
-    """Return the pairs of an association file in TUM format: time, colour, time, depth."""
+    """Return the pairs of a TUM sequence.
+
+    By its association file (time, colour, time, depth), or without one by the times of both lists.
+    """
     names, pairs = {*folder}, []
     for at, own in folder.files.items():
-        for path in (folder.path / at / name for name in own if name.lower() in _LISTS):
-            camera = camera_file_near(folder, at)
-            for words in (line.split() for line in read_text(path).splitlines()):
-                files = [f"{at}/{word}".lstrip("/") for word in words[1::2]]
-                if len(words) == 4 and {*files} <= names:
-                    color, depth = sorted(files, key=lambda f: bool(_DEPTH_WORD.search(f)))
-                    pairs.append(
-                        Pair(folder.path / color, folder.path / depth, camera, _TUM_STEP_M)
-                    )
+        lists = [_rows(folder.path / at / name, 4) for name in own if name.lower() in _LISTS]
+        if not lists and {*_TIMES} <= {*own}:
+            lists = [_nearest_in_time(*(_rows(folder.path / at / name, 2) for name in _TIMES))]
+        camera = camera_file_near(folder, at) if lists else None
+        for words in (row for rows in lists for row in rows):
+            files = [f"{at}/{word}".lstrip("/") for word in words[1::2]]
+            if {*files} <= names:
+                color, depth = sorted(files, key=lambda f: bool(_DEPTH_WORD.search(f)))
+                pairs.append(Pair(folder.path / color, folder.path / depth, camera, _TUM_STEP_M))
     return pairs
+
+
+def _rows(path: Path, words: int) -> list[list[str]]:
+    # A line that begins with # is a comment.
+    rows = [line.split() for line in read_text(path).splitlines() if not line.startswith("#")]
+    return [row for row in rows if len(row) == words]
+
+
+def _nearest_in_time(colors: list[list[str]], depths: list[list[str]]) -> list[list[str]]:
+    """Return each colour picture's row with that of the depth picture nearest in time."""
+    from scipy.spatial import cKDTree
+
+    try:
+        at_s, depth_s = (np.array([[float(r[0])] for r in rows]) for rows in (colors, depths))
+        nearest = cKDTree(depth_s).query(at_s, distance_upper_bound=_TUM_APART_S)[1]
+    except ValueError:  # no times, or none that are finite
+        return []
+    pairs = zip(colors, np.asarray(nearest).tolist(), strict=True)
+    return [[*color, *depths[k]] for color, k in pairs if k < len(depths)]
 
 
 def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:

@@ -13,7 +13,10 @@ from scipy.special import ndtr
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.measurement.m6 import fits_well, measure_m6, view_tube
+from cucumbervision.geometry.tube import TubeShape, guess_shape
+from cucumbervision.geometry.tube_evidence import Evidence
+from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
+from cucumbervision.measurement.m6 import TubeView, fits_well, measure_m6, view_tube
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -33,6 +36,12 @@ def camera() -> Intrinsics:
 def seen(tube: Tube, camera: Intrinsics, backdrop_m: float = BACK_M) -> Picture:
     view = render(Scene.of(tube, backdrop_m=backdrop_m), camera)
     return view.depth_m.astype(np.float32), view.mask(0)
+
+
+def view_of(depth: NDArray[np.float32], mask: NDArray[np.bool_], camera: Intrinsics) -> TubeView:
+    view = view_tube(depth, mask, camera)
+    assert view is not None
+    return view
 
 
 def covered(tube: Tube, camera: Intrinsics, columns: slice, at_m: float) -> Picture:
@@ -186,6 +195,27 @@ def test_what_the_mask_caught_of_the_background_is_left_out(camera: Intrinsics) 
     lengths, _ = fitted(measure_m6(depth, wide, camera))
     # A pixel all round: 0.9 mm at either end, longer by 1/cos 50 along the axis.
     assert lengths.centreline_m == pytest.approx(0.20 + 2 * 0.0014, rel=0.015)
+
+
+def test_no_fit_starts_from_a_guess_that_runs_into_the_background(
+    camera: Intrinsics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    depth, mask = seen(arc_tube(0.20, 0.02, 0.50).moved(rotation(), (0, 0, 0.5)), camera)
+    rows, columns = (np.flatnonzero(mask.any(axis=k)) for k in (1, 0))
+    strip = slice(rows[-1] + 1, rows[-1] + 14), slice(columns[0], columns[-1] + 1)
+    mask[strip], depth[strip] = True, np.linspace(1.0, 4.5, len(columns))
+    assert guess_shape(view_of(depth, mask, camera).surface_m).length_m > 2.0
+    guesses = []
+
+    def fit(evidence: Evidence, guess: TubeShape) -> TubeFitting:
+        guesses.append(guess.length_m)
+        return fit_shape(evidence, guess)
+
+    monkeypatch.setattr("cucumbervision.measurement.m6.fit_shape", fit)
+    lengths, _ = fitted(measure_m6(depth, mask, camera))
+    assert lengths.centreline_m == pytest.approx(0.20, rel=0.02)
+    assert guesses
+    assert max(guesses) < 1.0
 
 
 def test_a_fruit_cut_by_the_frame_has_one_end(camera: Intrinsics) -> None:

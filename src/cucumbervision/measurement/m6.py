@@ -358,8 +358,7 @@ def _best_fit(view: TubeView) -> TubeFitting:
     level = near_depths(surface)
     fits = [fit_shape(evidence, guess_shape(surface, level))]
     # What lies off the plane is background, or the far part of a hook.
-    if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT:
-        fits.append(fit_shape(evidence, guess_shape(surface)))
+    more = [guess_shape(surface)] if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT else []
     first = fits[0]
     overlap = _coverage(view, first.shape)[2]
     seen = view.grid_mask & (view.grid_depth_m > 0)
@@ -370,14 +369,16 @@ def _best_fit(view: TubeView) -> TubeFitting:
         or view.sparse
     )
     if unsure:
-        fits.append(fit_shape(evidence, _flat_guess(view)))
+        more.append(_flat_guess(view))
         if view.sparse:
-            fits.append(fit_shape(evidence, _flat_guess(view, by_girth=True)))
+            more.append(_flat_guess(view, by_girth=True))
     if unsure or overlap < _FULL_OVERLAP:
         picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
         bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
         if bent is not None and (unsure or bent.length_m > first.shape.length_m):
-            fits.append(fit_shape(evidence, bent))
+            more.append(bent)
+    # A guess that runs into the background is longer than any fruit, and no step brings it back.
+    fits += [fit_shape(evidence, guess) for guess in more if guess.length_m <= _RANGE_M[1]]
     return _better(view, fits) if len(fits) > 1 else first
 
 

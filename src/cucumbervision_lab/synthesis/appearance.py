@@ -63,20 +63,18 @@ class Assets:
     leaves: tuple[NDArray[np.uint8], ...] = ()
 
 
-def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> Assets:
+def load_assets(folder: Path | None) -> Assets:
     """Load picture assets by the names of their folders.
 
     Pictures below `textures` are skins, those below `backgrounds` are backgrounds, those in a
     folder `leaves` are leaves, and `.hdr` files below a folder whose name starts with `hdri` are
-    environments. Each kind is sorted by path.
+    environments. Each kind is sorted by path. Backgrounds and leaves whose names contain a word of
+    `_SHOWS_FRUIT` are skipped: fruit in the background would have no label.
 
     Parameters
     ----------
     folder : Path, optional
         Folder of the assets; without it, the result is empty.
-    without : sequence of str
-        Skip backgrounds and leaves whose file names contain one of these words, ignoring case. The
-        default skips pictures of fruit, which would appear in the background without a label.
 
     Returns
     -------
@@ -102,9 +100,9 @@ def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> A
     bad: list[str] = []
     assets = Assets(
         _pictures(folder, "textures/**/*", _SKIN_PX, (), bad),
-        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, without, bad),
+        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, _SHOWS_FRUIT, bad),
         _environments(folder, bad),
-        _pictures(folder, "**/leaves/**/*", _LEAF_PX, without, bad),
+        _pictures(folder, "**/leaves/**/*", _LEAF_PX, _SHOWS_FRUIT, bad),
     )
     if bad:
         names = ", ".join(sorted(set(bad)))

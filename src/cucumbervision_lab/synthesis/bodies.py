@@ -87,7 +87,6 @@ def arc_tube(
     bend_radius_m: float = np.inf,
     *,
     neck: float = 0.0,
-    balls: int = _BALLS,
 ) -> Tube:
     """Create a tube bent to a circular arc, centred at the origin with its chord along x.
 
@@ -102,8 +101,6 @@ def arc_tube(
         the picture).
     neck : float
         Relative reduction of the radius at the stem end, 0 to below 1.
-    balls : int
-        Number of spheres.
 
     Returns
     -------
@@ -126,7 +123,7 @@ def arc_tube(
     >>> round(tube.centreline_m, 6)
     0.25
     """
-    share = np.linspace(0.0, 1.0, balls)
+    share = np.linspace(0.0, 1.0, _BALLS)
     taper = np.clip((share - 0.6) / 0.4, 0.0, 1.0)
     radii = radius_m * (1 - neck * taper**2 * (3 - 2 * taper))
     run = length_m - radii[0] - radii[-1]
@@ -271,7 +268,6 @@ def random_fruit(
     variety: Variety | str | None = None,
     *,
     bend_radius_m: float | None = None,
-    s_shape: bool | None = None,
     balls: int = _BALLS,
 ) -> Tube:
     """Sample a fruit of a given length.
@@ -287,8 +283,6 @@ def random_fruit(
     bend_radius_m : float, optional
         Mean radius of curvature, metres, infinite for a straight fruit; by default random, mostly
         large.
-    s_shape : bool, optional
-        Whether the fruit is S-shaped; by default with a probability of 1/8.
     balls : int
         Number of spheres.
 
@@ -316,14 +310,11 @@ def random_fruit(
         bend = rng.beta(1.0, 2.5) / sizes.bend_radius_m
     else:
         bend = 1.0 / bend_radius_m
-    to_and_fro = rng.random() < 1 / 8 if s_shape is None else s_shape
-    return bent_tube(length_m, radii, bend * _bending(rng, share, to_and_fro=to_and_fro))
+    return bent_tube(length_m, radii, bend * _bending(rng, share))
 
 
-def _bending(
-    rng: np.random.Generator, share: NDArray[np.float64], *, to_and_fro: bool
-) -> NDArray[np.float64]:
-    if to_and_fro:
+def _bending(rng: np.random.Generator, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    if rng.random() < 1 / 8:  # an S-shaped fruit
         shape = np.sin(2 * np.pi * (share - rng.uniform(-0.08, 0.08))) + rng.uniform(-0.25, 0.25)
     else:
         lean, middle = rng.uniform(-0.5, 0.5), rng.uniform(-0.35, 0.35)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision_lab.synthesis.appearance import Assets, Style
-    from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.scene import FruitTruth
     from cucumbervision_lab.synthesis.skin import Skin
 
@@ -82,9 +81,7 @@ class Frame:
     staged : Composition
         The scene.
     truth : tuple of FruitTruth
-        Ground truth of the cucumbers, in the order of `bodies`.
-    bodies : tuple of Tube
-        The cucumbers.
+        Ground truth of the cucumbers.
     exact_m : ndarray of float64, shape (H, W)
         Exact depth, metres; 0 for no object.
     depth_m : ndarray of float32, shape (H, W), optional
@@ -98,7 +95,6 @@ class Frame:
     camera: Intrinsics
     staged: Composition
     truth: tuple[FruitTruth, ...]
-    bodies: tuple[Tube, ...]
     exact_m: NDArray[np.float64]
     depth_m: NDArray[np.float32] | None
     depth_scale: float
@@ -150,13 +146,11 @@ def draw_frame(
         reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
         burst = sense(staged.scene, reader, sensor, _BURST)
         depth = fuse_burst([color] * _BURST, burst).depth_m
-    real = [k for k, cucumber in enumerate(staged.cucumber) if cucumber]
     return Frame(
         color,
         camera,
         staged,
-        tuple(truth[k] for k in real),
-        tuple(staged.scene.fruit[k] for k in real),
+        tuple(one for one, real in zip(truth, staged.cucumber, strict=True) if real),
         view.depth_m,
         depth,
         scale,
@@ -197,13 +191,11 @@ def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
     return replace(skin, base=base, tip=base, stripe=base, warts_per_cm2=0.0, neck=0.1, texture=-1)
 
 
-def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
+def extras_of(truth: FruitTruth) -> dict[str, Any]:
     """Return the metric ground truth of a fruit for `Label.extras`.
 
     Parameters
     ----------
-    body : Tube
-        The fruit, camera coordinates.
     truth : FruitTruth
         Ground truth of the fruit.
 
@@ -220,7 +212,7 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> truth, = truth_of(Scene((tube,)), Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0))
-    >>> extras = extras_of(tube, truth)
+    >>> extras = extras_of(truth)
     >>> extras["distance_m"], extras["tilt_deg"], len(extras["axis_m"])
     (0.5, 0.0, 41)
     """
@@ -228,8 +220,7 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
     run = arc_positions(axis)
     shares = np.linspace(0.0, 1.0, _AXIS_POINTS)
     even = points_along(axis, shares)
-    blossom, stem = body.poles_m
-    lean = np.degrees(np.arcsin((stem[2] - blossom[2]) / truth.chord_m))
+    lean = np.degrees(np.arcsin((axis[-1, 2] - axis[0, 2]) / truth.chord_m))
     return {
         "centreline_m": round(truth.centreline_m, 6),
         "thread_m": round(truth.thread_m, 6),

@@ -23,8 +23,7 @@ from cucumbervision_lab.datasets.splits import parse_shares
 from cucumbervision_lab.processes import each_done
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
-from cucumbervision_lab.synthesis.montage import fruitless, montage
-from cucumbervision_lab.synthesis.paste import cutouts_of, paste
+from cucumbervision_lab.synthesis.paste import cutouts_of, fruitless, montage, paste
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -120,6 +119,8 @@ _DEPTH_UNIT_M = 0.001
 
 _EXACT_UNIT_M = 0.0001
 
+_QUALITY = 92  # of the JPEG files
+
 # 70:15:15, as in the paper.
 _SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
 
@@ -145,8 +146,6 @@ class SynthOptions:
         Size, settings and depth of every frame.
     assets : str
         Folder of picture assets; empty for none.
-    quality : int
-        JPEG quality of the colour pictures, 1 to 100.
     split : str
         'train', 'val' or 'test' for all frames; empty for 70:15:15.
     paste : str
@@ -161,7 +160,6 @@ class SynthOptions:
     seed: int = 1
     frame: FrameOptions = field(default_factory=FrameOptions)
     assets: str = ""
-    quality: int = 92
     split: str = ""
     paste: str = ""
     onto: str = ""
@@ -279,7 +277,7 @@ def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
         source=ground.source,
         licence=ground.licence,
     )
-    write_jpeg(out / picture.file, color, options.quality)
+    write_jpeg(out / picture.file, color, _QUALITY)
     write_fragment(picture, _fragment(out, index))
 
 
@@ -299,7 +297,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
         count = int(rng.poisson(_PASTED))
         color, labels = paste(color, frame.exact_m, picture.labels, cutouts, count, rng)
         picture = replace(picture, labels=labels)
-    write_jpeg(out / "images" / f"{name}.jpg", color, options.quality)
+    write_jpeg(out / "images" / f"{name}.jpg", color, _QUALITY)
     if frame.depth_m is not None:
         write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, _DEPTH_UNIT_M))
         write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, _EXACT_UNIT_M))
@@ -336,7 +334,7 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
     """
     height, width = frame.color.shape[:2]
     labels = []
-    for body, truth in zip(frame.bodies, frame.truth, strict=True):
+    for truth in frame.truth:
         seen = int(truth.visible.sum())
         if not seen:
             continue
@@ -350,7 +348,7 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
                 hidden_share=round(truth.hidden_share, 4),
                 cut_off=truth.cut_off,
                 ignore=small,
-                extras=extras_of(body, truth),
+                extras=extras_of(truth),
             )
         )
     depth = frame.depth_m is not None

@@ -413,15 +413,13 @@ def dappled_shade(
     return 1 - np.float32(light.shade) * (1 - _grown(through, depth_m.shape, step))
 
 
-def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.float32]:
+def ambient_occlusion(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Compute the ambient occlusion of each pixel from the surrounding depth.
 
     Parameters
     ----------
     depth_m : ndarray of float32, shape (H, W)
         Metres.
-    strength : float
-        Strength of the occlusion; 0 for none.
 
     Returns
     -------
@@ -441,5 +439,5 @@ def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> ND
         before = np.maximum(around - near, 0) * small
         # Objects far in front occlude little of the light.
         closed += weight * before / (before + 0.010) * 0.08 / (before + 0.08)
-    opened = 1 - np.float32(0.95 * strength) * closed
+    opened = 1 - np.float32(0.95) * closed
     return _grown(cv2.erode(opened, _AROUND), depth_m.shape, step)

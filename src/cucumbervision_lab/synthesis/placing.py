@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _COARSE = 0.5  # resolution factor of the search for a leaf's size
 
 _SEARCH_STEPS = 14
+_LEAN = 0.03  # standard deviation of a string's inclination and bow, relative to the height
 
 _NEAREST = 0.4  # maximum distance of a leaf from its fruit, as a share of the fruit's distance
 
@@ -127,9 +128,7 @@ def _leaf(
     )
 
 
-def string(
-    rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015, lean: float = 0.03
-) -> Stem:
+def string(rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015) -> Stem:
     """Generate a string or stem that crosses the view vertically.
 
     Parameters
@@ -140,12 +139,10 @@ def string(
         Position at the height of the camera, metres.
     radius_m : float
         Radius, metres: 1 to 2 mm for a string, 4 to 6 mm for a main stem.
-    lean : float
-        Standard deviation of inclination and bow relative to the height.
     """
     y = np.linspace(-1.2, 1.2, 9) * z_m
-    x = x_m + rng.normal(0, lean) * y + rng.normal(0, lean) * np.cos(2 * y / z_m) * 0.3 * z_m
-    z = z_m + rng.normal(0, lean) * y
+    x = x_m + rng.normal(0, _LEAN) * y + rng.normal(0, _LEAN) * np.cos(2 * y / z_m) * 0.3 * z_m
+    z = z_m + rng.normal(0, _LEAN) * y
     return Stem(np.stack([x, y, z], axis=1), radius_m)
 
 

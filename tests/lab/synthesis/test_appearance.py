@@ -47,7 +47,6 @@ def test_backgrounds_that_say_they_show_fruit_are_passed_over(tmp_path: Path) ->
     write(tmp_path / "textures/fruit.png")
     assert len(load_assets(tmp_path).backgrounds) == 1
     assert len(load_assets(tmp_path).skins) == 1
-    assert len(load_assets(tmp_path, without=()).backgrounds) == 2
 
 
 def test_unreadable_files_are_named_and_the_rest_is_kept(tmp_path: Path) -> None:

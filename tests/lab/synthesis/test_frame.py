@@ -56,12 +56,12 @@ def test_a_camera_with_a_scale_error_reads_by_it() -> None:
 
 def test_extras_hold_the_axis_and_its_length(frames: list[Frame]) -> None:
     for frame in frames:
-        for body, truth in zip(frame.bodies, frame.truth, strict=True):
-            extras = extras_of(body, truth)
+        for truth in frame.truth:
+            extras = extras_of(truth)
             axis = np.array(extras["axis_m"])
             # 41 points of a gentle bend lose next to nothing of its length.
             assert polyline_length(axis) == pytest.approx(extras["centreline_m"], rel=2e-3)
-            assert max(extras["radius_m"]) == pytest.approx(body.radii_m.max(), rel=0.03)
+            assert max(extras["radius_m"]) == pytest.approx(truth.radius_m.max(), rel=0.03)
             assert 0 <= extras["tilt_deg"] <= 90
             ends = frame.camera.project(axis[[0, -1]])
             np.testing.assert_allclose(ends, truth.keypoints_px[[0, 4]], atol=0.05)

@@ -13,8 +13,7 @@ from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.synthesis.generate import generate, parse_options
-from cucumbervision_lab.synthesis.montage import fruitless, montage
-from cucumbervision_lab.synthesis.paste import Cutout
+from cucumbervision_lab.synthesis.paste import Cutout, fruitless, montage
 
 SIZE = (480, 360)
 

@@ -27,6 +27,7 @@ from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
+    SPLIT_FOLDERS,
     DataSet,
     Label,
     LabelledPicture,
@@ -43,9 +44,10 @@ if TYPE_CHECKING:
 
 ANNOTATIONS = "annotations.json"
 
+FRAGMENTS = "fragments"
+"""Subfolder of the labels of single pictures."""
 ROBOFLOW = "_annotations.coco.json"
 
-_FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
 _KEYPOINTS = 5
 # Raised by values of the wrong type.
 _FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)
@@ -95,7 +97,7 @@ def _find(path: Path) -> list[tuple[Path, str]]:
         return [(path / ANNOTATIONS, "")]
     found = [
         (path / folder / ROBOFLOW, split)
-        for folder, split in _FOLDERS.items()
+        for folder, split in SPLIT_FOLDERS.items()
         if (path / folder / ROBOFLOW).is_file()
     ]
     if (path / ROBOFLOW).is_file():
@@ -298,19 +300,13 @@ def _points(item: Mapping[str, Any]) -> NDArray[np.float64] | None:
     return points
 
 
-def collect_fragments(
-    folder: Path, fragments: str = "fragments", categories: tuple[str, ...] = ("cucumber",)
-) -> DataSet:
+def collect_fragments(folder: Path) -> DataSet:
     """Read the fragments of a data set in the order of their file names.
 
     Parameters
     ----------
     folder : Path
         Folder of the data set; picture names are relative to it.
-    fragments : str
-        Subfolder of the fragments.
-    categories : tuple of str
-        Class names.
 
     Returns
     -------
@@ -320,15 +316,14 @@ def collect_fragments(
     """
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
-    for file in sorted((folder / fragments).glob("*.json")):
+    for file in sorted((folder / FRAGMENTS).glob("*.json")):
         try:
             data = read_json(file)
             if not isinstance(data, dict) or not {"image", "annotations"} <= set(data):
                 raise CaptureError(
                     "is not a fragment", source=file, remedy="generate the frame again"
                 )
-            ids = {k + 1: k for k in range(len(categories))}
-            picture, bad = picture_of(data["image"], data["annotations"], ids, file)
+            picture, bad = picture_of(data["image"], data["annotations"], {1: 0}, file)
         except (CucumberVisionError, *_FAULTS) as error:
             if not isinstance(error, CucumberVisionError):
                 error = DataSetError(f"is not a fragment ({error})", source=file)
@@ -336,7 +331,7 @@ def collect_fragments(
         else:
             pictures.append(picture)
             refused.extend(bad)
-    return DataSet(folder, tuple(pictures), categories, refused=tuple(refused))
+    return DataSet(folder, tuple(pictures), refused=tuple(refused))
 
 
 _DIGITS = 3  # decimal places of pixels, far below the accuracy of labels

@@ -29,6 +29,8 @@ KEYPOINT_ORDER = "keypoint_order"
 """Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""
 
 SPLITS = ("train", "val", "test")
+SPLIT_FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
+"""The split of a folder's pictures, by its name."""
 
 Item = TypeVar("Item")
 

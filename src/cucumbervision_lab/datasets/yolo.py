@@ -21,6 +21,7 @@ from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
+    SPLIT_FOLDERS,
     SPLITS,
     DataSet,
     Label,
@@ -44,7 +45,6 @@ PICTURES = "pictures.json"
 """File next to `data.yaml` with scene, source and licence, for which YOLO has no fields."""
 
 _KEYPOINTS = 5
-_FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
     """Return the pictures listed in `data.yaml` as folders, lists or text files."""
     base = folder / str(data.get("path") or "")
     found: dict[Path, str] = {}
-    for key, split in _FOLDERS.items():
+    for key, split in SPLIT_FOLDERS.items():
         given = data.get(key)
         for entry in given if isinstance(given, list) else [given] if given else []:
             place = _resolve(str(entry), base, folder)
@@ -231,7 +231,7 @@ def _pictures_in_images(folder: Path) -> list[tuple[Path, str]]:
     for file in list_pictures(folder):
         parts = file.relative_to(folder).parts[:-1]
         if "images" in parts:
-            found.append((file, next((_FOLDERS[p] for p in parts if p in _FOLDERS), "")))
+            found.append((file, next((SPLIT_FOLDERS[p] for p in parts if p in SPLIT_FOLDERS), "")))
     return found
 
 

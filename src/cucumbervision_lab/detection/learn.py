@@ -124,7 +124,7 @@ def set_records(
     if tell is not None and names:
         tell(len(held.pictures) - len(missing))
     keep.parent.mkdir(parents=True, exist_ok=True)
-    for found in ticked(each_done(partial(_measured, held.data), missing, workers), tell):
+    for found in ticked(each_done(partial(_measured, held), missing, workers), tell):
         for record in found:
             append_record(keep, record)
         done += found
@@ -225,8 +225,7 @@ def learn_depth_vote(
     loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE)
     detector = loader.yolo(loader.registry.get("cucumber-seg").name)
     found = (
-        _candidates(scene, picture, held.data, detector)
-        for scene, picture in enumerate(held.pictures)
+        _candidates(scene, picture, held, detector) for scene, picture in enumerate(held.pictures)
     )
     fit = fit_depth_vote([one for some in ticked(found, report) for one in some])
     file.write_text(json.dumps(asdict(fit.vote), indent=1) + "\n", encoding="utf-8")

@@ -8,7 +8,7 @@ boxes were drawn and why a scene belongs to its split.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,16 +141,13 @@ class Audit:
     ----------
     photos : tuple of AuditedPhoto
         Photos ordered by collection and name.
-    sources, licences : mapping of str to str
-        Source and licence of each collection.
-    tests : mapping of str to str
-        Name of the test by collection; the default is 'loose fruit'.
+    sets : mapping of str to mapping
+        `source`, `licence` and, unless it is 'loose fruit', the name of the `test` of each
+        collection.
     """
 
     photos: tuple[AuditedPhoto, ...]
-    sources: Mapping[str, str]
-    licences: Mapping[str, str]
-    tests: Mapping[str, str] = field(default_factory=dict)
+    sets: Mapping[str, Mapping[str, str]]
 
     def in_split(self, split: str) -> tuple[AuditedPhoto, ...]:
         """Return the photos of one split, or all for ''."""
@@ -164,13 +161,14 @@ class Audit:
         str
             'negatives' for photos without fruit, 'on the plant', or the test of the collection.
         """
-        if self.tests.get(photo.collection) == FIRST:
+        named = self.sets[photo.collection].get("test", "loose fruit")
+        if named == FIRST:
             return FIRST
         if not photo.boxes:
             return "negatives"
         if photo.setting == "plant":
             return "on the plant"
-        return self.tests.get(photo.collection, "loose fruit")
+        return named
 
 
 def load_audit() -> Audit:
@@ -201,12 +199,9 @@ def read_audit(paths: Sequence[Path]) -> Audit:
 
 
 def _audit(files: Sequence[Any]) -> Audit:
-    sets = {name: entry for data in files for name, entry in data["sets"].items()}
     return Audit(
-        photos=tuple(_photo(entry) for data in files for entry in data["photos"]),
-        sources={name: entry["source"] for name, entry in sets.items()},
-        licences={name: entry["licence"] for name, entry in sets.items()},
-        tests={name: entry["test"] for name, entry in sets.items() if "test" in entry},
+        tuple(_photo(entry) for data in files for entry in data["photos"]),
+        {name: entry for data in files for name, entry in data["sets"].items()},
     )
 
 
@@ -299,8 +294,8 @@ def _picture(photo: AuditedPhoto, path: Path, folder: Path, audit: Audit) -> Lab
         labels=tuple(_label(box, photo) for box in photo.boxes),
         scene=photo.scene,
         split=photo.split,
-        source=audit.sources[photo.collection],
-        licence=audit.licences[photo.collection],
+        source=audit.sets[photo.collection]["source"],
+        licence=audit.sets[photo.collection]["licence"],
         extras={
             "setting": photo.setting,
             "collection": photo.collection,

@@ -6,12 +6,19 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
 from cucumbervision_lab.detection.outcomes import match_detections
-from cucumbervision_lab.detection.pictures import DetectedFruit, Frame, Stage, detected_fruit
+from cucumbervision_lab.detection.pictures import (
+    DetectedFruit,
+    Frame,
+    Stage,
+    detected_fruit,
+    frame_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
+    from cucumbervision_lab.datasets.labels import DataSet
 
 
 _FLOOR = 0.001
@@ -174,6 +182,14 @@ def detect_picture(
         has_masks=networks.segment is not None and networks.segment.task == "segment",
     )
     return PictureResult(frame, kept, seconds)
+
+
+def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
+    """Run the networks on every picture of a data set, without depth."""
+    return [
+        detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
+        for one in data.pictures
+    ]
 
 
 def _placed(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -16,12 +16,15 @@ from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.labels import picture_size
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
+T = TypeVar("T")
 Code = dict[str, Any]
 """A mask in pycocotools format: `size` (H, W) and compressed run lengths."""
 
@@ -228,24 +231,8 @@ _FRUIT, _ALSO_FRUIT = "cucumber", "zucchini"
 _SHOWN = 10  # files listed in an error message
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Pictures of an evaluation.
-
-    Parameters
-    ----------
-    data : DataSet
-        The data set.
-    pictures : tuple of LabelledPicture
-        Selected pictures of the data set.
-    """
-
-    data: DataSet
-    pictures: tuple[LabelledPicture, ...]
-
-
-def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -> HeldOut:
-    """Read the pictures of one split for evaluation.
+def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -> DataSet:
+    """Read the pictures of one split for evaluation, as a data set of these alone.
 
     Parameters
     ----------
@@ -291,7 +278,7 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
             source=folder,
             remedy="restore the labelled pictures",
         )
-    return HeldOut(data, chosen)
+    return replace(data, pictures=chosen)
 
 
 def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
@@ -311,7 +298,7 @@ def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
     return f"{picture.file} has {width}x{height} pixels, but its labels are for {labelled}"
 
 
-def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
+def spread(items: Sequence[T], limit: int | None) -> tuple[T, ...]:
     """Return at most `limit` evenly spaced items.
 
     Examples
@@ -320,7 +307,7 @@ def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
     ('a', 'c', 'e')
     """
     if limit is None or limit >= len(items):
-        return items
+        return tuple(items)
     return tuple(items[k] for k in np.linspace(0, len(items) - 1, limit).round().astype(int))
 
 

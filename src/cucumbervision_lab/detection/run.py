@@ -29,7 +29,6 @@ from cucumbervision_lab.detection.picture_result import (
     open_networks,
 )
 from cucumbervision_lab.detection.pictures import (
-    HeldOut,
     capture_of,
     frame_of,
     import_pycocotools,
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.pose import EndJudge, FruitPose
     from cucumbervision.measurement.result import FruitMeasurement
-    from cucumbervision_lab.benchmark.records import LengthRecord
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
@@ -96,10 +94,8 @@ class DetectionResult:
     ----------
     plan : DetectionOptions
         Options of the evaluation.
-    held_out : HeldOut
-        Evaluated pictures.
     frames : tuple of Frame
-        Labels and detections, in the same order.
+        Labels and detections.
     records : tuple of LengthRecord
         Lengths on true and on predicted masks.
     models : list of dict
@@ -111,7 +107,6 @@ class DetectionResult:
     """
 
     plan: DetectionOptions
-    held_out: HeldOut
     frames: tuple[Frame, ...]
     records: tuple[LengthRecord, ...] = ()
     models: list[dict[str, Any]] = field(default_factory=list)
@@ -178,11 +173,11 @@ def evaluate_detection(
     records: list[LengthRecord] = []
     seconds: dict[str, list[float]] = {}
     for picture in held_out.pictures:
-        color = read_color(held_out.data.path(picture))
-        capture = capture_of(picture, held_out.data, color)
+        color = read_color(held_out.path(picture))
+        capture = capture_of(picture, held_out, color)
         depth_m = None if capture is None else capture.depth_m
         focal_px = None if capture is None else capture.intrinsics.fx_px
-        frame = frame_of(picture, held_out.data, depth_m)
+        frame = frame_of(picture, held_out, depth_m)
         result = detect_picture(frame, color, networks, depth_m, focal_px)
         if picture.file in measured and capture is not None:
             found = found_by_fruit(result, networks.confidence)
@@ -199,7 +194,6 @@ def evaluate_detection(
             report("pictures", 1, len(held_out.pictures))
     return DetectionResult(
         plan,
-        held_out,
         tuple(frames),
         tuple(records),
         networks.models,

@@ -13,6 +13,7 @@ import numpy as np
 from cucumbervision.capture.pictures import read_color, write_jpeg, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import (
+    FRAGMENTS,
     collect_fragments,
     read_coco,
     write_coco,
@@ -113,7 +114,6 @@ def parse_options(
 
 _MANIFEST = "synth.json"
 
-_FRAGMENTS = "fragments"
 
 _DEPTH_UNIT_M = 0.001
 
@@ -206,7 +206,7 @@ def generate(
         progress(options.frames - len(missing))
     for _ in ticked(each_done(partial(_draw, options, out), missing, workers), progress):
         pass
-    return write_coco(collect_fragments(out, _FRAGMENTS), out)
+    return write_coco(collect_fragments(out), out)
 
 
 def _check_options(options: SynthOptions, out: Path) -> None:
@@ -221,7 +221,7 @@ def _check_options(options: SynthOptions, out: Path) -> None:
                 source=out,
                 remedy="use the same options to resume, or another folder",
             )
-        for name in ("images", _FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
+        for name in ("images", FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
             (out / name).mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(wanted, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -305,7 +305,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
 
 
 def _fragment(out: Path, index: int) -> Path:
-    return out / _FRAGMENTS / f"{index:06d}.json"
+    return out / FRAGMENTS / f"{index:06d}.json"
 
 
 def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]:

@@ -9,7 +9,6 @@ too. Requires the extra `train`.
 
 from __future__ import annotations
 
-import csv
 import re
 import shutil
 import tempfile
@@ -25,7 +24,7 @@ from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
-from cucumbervision_lab.training.checkpoint import import_ultralytics, require_layers
+from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, require_layers
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
@@ -69,51 +68,16 @@ def halve_storage(network: onnx.ModelProto) -> None:
 _OPSET = 17
 
 
-def export_yolo(
-    checkpoint: Path | str,
-    out: Path | str,
-    *,
-    size_px: int | tuple[int, int] = 640,
-    dynamic: bool = False,
-    half: bool = False,
-    input_sizes: Sequence[int] = (),
-) -> Path:
-    """Export a checkpoint's one-to-one head to ONNX with raw output.
-
-    Parameters
-    ----------
-    checkpoint : Path or str
-        A YOLO26 .pt file (detect, segment or pose), or an Ultralytics .yaml for random weights.
-    out : Path or str
-        The ONNX file to write.
-    size_px : int or tuple of int
-        Height and width of the input; multiples of the stride.
-    dynamic : bool
-        Accept any input size.
-    half : bool
-        Store the weights in half precision; inputs and outputs stay float32.
-    input_sizes : sequence of int
-        Default long sides of the input at inference, pixels; if empty, `size_px`.
-
-    Returns
-    -------
-    Path
-        `out`.
+def load_yolo(checkpoint: Path | str) -> Any:
+    """Load a YOLO26 .pt file, or random weights from an Ultralytics .yaml.
 
     Raises
     ------
     ModelError
-        If the checkpoint cannot be loaded or has no one-to-one head.
+        If the checkpoint cannot be loaded.
     MissingExtraError
         If the extra `train` is not installed.
     """
-    model = _load(checkpoint)
-    return export_model(
-        model, out, size_px=size_px, dynamic=dynamic, half=half, input_sizes=input_sizes
-    )
-
-
-def _load(checkpoint: Path | str) -> Any:
     ultralytics = import_ultralytics()
     try:
         if Path(checkpoint).suffix == ".pt":
@@ -130,16 +94,42 @@ def _load(checkpoint: Path | str) -> Any:
         ) from error
 
 
-def export_model(
+def export_yolo(
     model: Any,
     out: Path | str,
     *,
-    size_px: int | tuple[int, int] = 640,
-    dynamic: bool = False,
-    half: bool = False,
+    size_px: int = 640,
+    dynamic: bool = True,
+    half: bool = True,
     input_sizes: Sequence[int] = (),
 ) -> Path:
-    """Export a loaded `ultralytics.YOLO`; see `export_yolo`."""
+    """Export a network's one-to-one head to ONNX with raw output.
+
+    Parameters
+    ----------
+    model : ultralytics.YOLO
+        The network, from `load_yolo`.
+    out : Path or str
+        The ONNX file to write.
+    size_px : int
+        Height and width of the input; a multiple of the stride.
+    dynamic : bool
+        Accept any input size.
+    half : bool
+        Store the weights in half precision; inputs and outputs stay float32.
+    input_sizes : sequence of int
+        Default long sides of the input at inference, pixels; if empty, `size_px`.
+
+    Returns
+    -------
+    Path
+        `out`.
+
+    Raises
+    ------
+    ModelError
+        If the network has no one-to-one head.
+    """
     detect = model.model.model[-1]
     if getattr(detect, "one2one_cv2", None) is None:
         raise ModelError(
@@ -213,8 +203,6 @@ def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
 
-_SIZE_PX = 640
-
 
 def export_trained(
     source: Path,
@@ -275,21 +263,14 @@ def export_trained(
         raise TrainingError(
             "no epoch has completed yet", source=source, remedy="resume the training with --resume"
         )
-    model = _load(checkpoint)
+    model = load_yolo(checkpoint)
     if model.task not in TASKS.values() or len(model.names) != 1:
         raise TrainingError(
             f"is a {model.task} network with {len(model.names)} classes",
             source=checkpoint,
             remedy="give a segment or pose network with one class",
         )
-    path = export_model(
-        model,
-        out / f"{name}.onnx",
-        size_px=_SIZE_PX,
-        dynamic=True,
-        half=True,
-        input_sizes=input_sizes,
-    )
+    path = export_yolo(model, out / f"{name}.onnx", input_sizes=input_sizes)
     run_entries = _card_entries(source) if source.is_dir() else {}
     card = ModelCard(
         name=name,
@@ -335,10 +316,7 @@ def last_metrics(table: Path) -> dict[str, float]:
         Ultralytics' metrics such as 'mAP50(B)' (B boxes, M masks, P keypoints), 'pictures' and
         'size_px'; empty before the first validation.
     """
-    if not table.is_file():
-        return {}
-    with table.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row.get("fitness")]
+    rows = [row for row in read_rows(table) if row.get("fitness")]
     if not rows:
         return {}
     found = {

@@ -14,15 +14,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import JUDGEMENT, file_sha256
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.detection.outcomes import GroupScore, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
-from cucumbervision_lab.detection.picture_result import detect_picture, open_networks
-from cucumbervision_lab.detection.pictures import frame_of, spread
+from cucumbervision_lab.detection.picture_result import detect_set, open_networks
+from cucumbervision_lab.detection.pictures import spread
 from cucumbervision_lab.detection.run import chosen_networks
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 from cucumbervision_lab.training.export import export_trained
@@ -34,7 +33,7 @@ from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.train import TrainCallbacks, train
 
 if TYPE_CHECKING:
-    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+    from cucumbervision_lab.datasets.labels import DataSet
 
 _GAIN, _LOSS = 0.01, 0.02
 """Least gain of F1 on the greenhouse, and greatest loss on the other tests."""
@@ -167,7 +166,7 @@ def train_house(
         See `train`.
     """
     plan, options = plan or HousePlan(), options or TrainOptions()
-    _, held_out = held_out_pictures(house)
+    held_out = held_out_set(house)
     run = out / _TASK
     exists = RunState.exists(run)
     if not exists and not init.is_file():
@@ -201,12 +200,13 @@ def train_house(
     )
     if not RunState.load(run).is_done:
         return None
-    log(f"comparing both detectors on {len(held_out)} held-out pictures and on the other tests")
+    count = len(held_out.pictures)
+    log(f"comparing both detectors on {count} held-out pictures and on the other tests")
     return _compare(house, out, run, photos, plan, workers)
 
 
-def held_out_pictures(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]]:
-    """Return the data set of a greenhouse, and its held-out pictures.
+def held_out_set(house: Path) -> DataSet:
+    """Return the held-out pictures of a greenhouse's data set.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def held_out_pictures(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]
                 source=house,
                 remedy="review more stops and export the set again",
             )
-    return dataset, held_out
+    return replace(dataset, pictures=held_out)
 
 
 def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) -> Recipe:
@@ -342,21 +342,13 @@ def evaluate_detector(
     """
     networks = open_networks(*chosen_networks(network, None), None, ranked=False)
     threshold = networks.confidence
-    dataset, held_out = held_out_pictures(house)
-    test = read_coco(drawn)
     found = []
-    for name, data, pictures in (
-        ("house, held out", dataset, held_out),
-        ("drawn", test, test.pictures),
-    ):
-        frames = [
-            detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
-            for one in pictures
-        ]
+    for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):
+        frames = detect_set(data, networks)
         score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
         found.append(DetectorScore.of(name, score))
     if photos is not None:
-        result = evaluate_photos(spread(tuple(audited_photos(photos)[0]), most), networks)
+        result = evaluate_photos(spread(audited_photos(photos)[0], most), networks)
         found.append(DetectorScore.of("photos", result.scores[0][1]))
         found.append(DetectorScore.of("photos at half size", result.small[0][1]))
     return tuple(found)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import TrainingError
+from cucumbervision_lab.datasets.labels import write_text
 
 _STATE_FILE = "state.json"
 _STRIDE_PX = 32
@@ -213,10 +214,7 @@ class RunState:
 
     def save(self, run: Path) -> None:
         """Write the state to the run's folder; replaces the file atomically."""
-        run.mkdir(parents=True, exist_ok=True)
-        part = run / f"{_STATE_FILE}.part"
-        part.write_text(json.dumps(asdict(self), indent=2), encoding="utf-8")
-        part.replace(run / _STATE_FILE)
+        write_text(run / _STATE_FILE, json.dumps(asdict(self), indent=2))
 
     @classmethod
     def exists(cls, run: Path) -> bool:

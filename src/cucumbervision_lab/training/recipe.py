@@ -22,6 +22,7 @@ from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, L
 from cucumbervision_lab.datasets.polygons import DIRECTIONS, keypoints_of_mask
 from cucumbervision_lab.datasets.windows import write_sheets, write_windows
 from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.detection.pictures import spread
 from cucumbervision_lab.synthesis.colors import d435_colors
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 from cucumbervision_lab.training.plan import parse_plan
@@ -133,8 +134,7 @@ def _limit_per_scene(pictures: Sequence[LabelledPicture], most: int) -> list[Lab
         scenes[picture.scene or picture.file].append(picture)
     kept: list[LabelledPicture] = []
     for own in scenes.values():
-        places = np.unique(np.linspace(0, len(own) - 1, min(most, len(own))).round().astype(int))
-        kept += [own[k] for k in places]
+        kept += spread(own, most)
     return kept
 
 
@@ -246,7 +246,7 @@ def _montage(source: Source, built: dict[str, Path], folder: Path, workers: int)
 
 
 def _windows(source: Source, of: DataSet, folder: Path) -> DataSet:
-    held_back = _first(of, "val", source.validate)
+    held_back = spread(of.in_split("val"), source.validate)
     some = replace(of, pictures=(*of.in_split("train"), *held_back))
     sets = [
         write_windows(
@@ -282,13 +282,6 @@ def _d435_colors(source: Source, of: DataSet, folder: Path) -> DataSet:
         write_jpeg(folder / file, d435_colors(read_color(of.path(picture)), rng))
         pictures.append(replace(picture, file=file))
     return write_coco(replace(of, folder=folder, pictures=tuple(pictures)), folder)
-
-
-def _first(dataset: DataSet, split: str, count: int) -> tuple[LabelledPicture, ...]:
-    """Return `count` evenly spaced pictures of a split."""
-    own = dataset.in_split(split)
-    places = np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)
-    return tuple(own[k] for k in np.unique(places))
 
 
 _KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets", "d435-colors")

@@ -10,18 +10,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.yolo import write_yolo
 from cucumbervision_lab.detection.average_precision import IouType, average_precision
 from cucumbervision_lab.detection.photos import Photo, audited_photos, evaluate_photos
-from cucumbervision_lab.detection.picture_result import Networks, detect_picture, open_networks
-from cucumbervision_lab.detection.pictures import Stage, frame_of, read_held_out
+from cucumbervision_lab.detection.picture_result import Networks, detect_set, open_networks
+from cucumbervision_lab.detection.pictures import Stage, read_held_out
 from cucumbervision_lab.detection.run import chosen_networks
 from cucumbervision_lab.training.checkpoint import read_rows, write_rows
 from cucumbervision_lab.training.data import DATA_CARD, TASKS, data_card, write_data_file
-from cucumbervision_lab.training.export import export_yolo
+from cucumbervision_lab.training.export import export_yolo, load_yolo
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source, build_sources
 from cucumbervision_lab.training.settings import TrainOptions
@@ -248,7 +247,7 @@ class Curve:
             Recall and precision on photos, by test and at half size, at the default confidence
             threshold; mAP on synthetic frames, of boxes and of masks or keypoints.
         """
-        onnx = export_yolo(network, self.run / "curve.onnx", dynamic=True, half=True)
+        onnx = export_yolo(load_yolo(network), self.run / "curve.onnx")
         point = self._on_photos(onnx) | self._on_drawn(onnx)
         rows = [
             row for row in read_rows(self.run / "curve.csv") if int(row["pictures"]) != pictures
@@ -282,13 +281,7 @@ class Curve:
         if self._drawn is None:
             return {}
         networks = self._networks(onnx, ranked=True)
-        held_out = read_held_out(self._drawn, "test", _TEST_FRAMES)
-        frames = []
-        for picture in held_out.pictures:
-            color = read_color(held_out.data.path(picture))
-            frames.append(
-                detect_picture(frame_of(picture, held_out.data, None), color, networks).frame
-            )
+        frames = detect_set(read_held_out(self._drawn, "test", _TEST_FRAMES), networks)
         seg = self.task == "seg"
         stage = Stage.SEGMENTED if seg else Stage.POSED
         boxes = average_precision(frames, IouType.BOXES, stage)

@@ -34,7 +34,7 @@ def photo(name: str, sha1: str, split: str, *boxes: AuditedBox) -> AuditedPhoto:
 
 
 def audit_of(*photos: AuditedPhoto) -> Audit:
-    return Audit(photos, {"some": "us"}, {"some": "CC0"})
+    return Audit(photos, {"some": {"source": "us", "licence": "CC0"}})
 
 
 def test_no_scene_is_in_two_splits_and_no_photo_is_listed_twice() -> None:
@@ -192,8 +192,8 @@ def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) 
 def test_a_photos_test(collection: str, setting: str, boxed: bool, name: str) -> None:
     boxes = (AuditedBox((0, 0, 9, 9), AuditKind.CUCUMBER),) if boxed else ()
     one = AuditedPhoto("a", "0", collection, "s", setting, "test", 64, 48, boxes)
-    sets = dict.fromkeys(("old", "stall", "web"), "")
-    assert Audit((one,), sets, sets, {"old": FIRST, "stall": "market"}).test_of(one) == name
+    sets = {"old": {"test": FIRST}, "stall": {"test": "market"}, "web": {}}
+    assert Audit((one,), sets).test_of(one) == name
 
 
 def test_half_of_the_picture_ignored_is_no_longer_fully_labelled() -> None:

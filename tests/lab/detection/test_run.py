@@ -41,7 +41,7 @@ from cucumbervision_lab.detection.picture_result import (
     merge_detections,
     open_networks,
 )
-from cucumbervision_lab.detection.pictures import Frame, Stage
+from cucumbervision_lab.detection.pictures import Frame, Stage, read_held_out
 from cucumbervision_lab.detection.report import detection_tables, summarise
 from cucumbervision_lab.detection.run import (
     DetectionOptions,
@@ -203,7 +203,7 @@ def test_average_precision_and_recall(result: DetectionResult) -> None:
 
 
 def _area(result: DetectionResult) -> int:
-    label = result.held_out.pictures[0].labels[0]
+    label = read_held_out(result.plan.data).pictures[0].labels[0]
     assert label.mask_code is not None
     return label.mask_code.area_px
 
@@ -295,7 +295,7 @@ def test_photos_are_judged_by_a_command_of_their_own(
         for name, boxes in (("a", (fruit,)), ("b", ()))
         for sha1 in [sha1_of(scene.folder / "images" / f"{name}.png")]
     )
-    audit = Audit(photos, {"some": "us"}, {"some": "CC0"})
+    audit = Audit(photos, {"some": {"source": "us", "licence": "CC0"}})
     monkeypatch.setattr(photo_audit, "load_audit", lambda: audit)
     arguments = ["evaluate", "photos", str(scene.folder), "--out", str(tmp_path / "out")]
     arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]

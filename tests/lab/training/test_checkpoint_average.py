@@ -13,7 +13,7 @@ if importlib.util.find_spec("ultralytics") is None:  # its import alone would as
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision_lab.training.checkpoint import average_networks, import_ultralytics
-from cucumbervision_lab.training.export import export_yolo
+from cucumbervision_lab.training.export import load_yolo
 
 pytestmark = pytest.mark.train
 
@@ -85,6 +85,6 @@ def test_what_is_no_pair_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"loading it would run .*open, which is"):
         average_networks(first, hostile, tmp_path / "mean.pt")
     with pytest.raises(ModelError, match=r"hostile\.pt: loading it would run"):
-        export_yolo(hostile, tmp_path / "out.onnx")
+        load_yolo(hostile)
     assert not (tmp_path / "ran").exists()
     assert not (tmp_path / "mean.pt").exists()

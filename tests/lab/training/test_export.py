@@ -24,7 +24,7 @@ from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.export import export_model, export_yolo
+from cucumbervision_lab.training.export import export_yolo, load_yolo
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("_suppression")]
 
@@ -143,11 +143,15 @@ def ultralytics_export(checkpoint: Path, out: Path, nms: bool | None) -> Path:
 @pytest.fixture(scope="module")
 def exports(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("onnx")
-    out = {"one-to-one": export_yolo(checkpoint, folder / "one-to-one.onnx", size_px=SIZE_PX)}
+
+    def ours(name: str, **how: bool) -> Path:
+        return export_yolo(load_yolo(checkpoint), folder / f"{name}.onnx", size_px=SIZE_PX, **how)  # type: ignore[arg-type]
+
+    out = {"one-to-one": ours("one-to-one", dynamic=False, half=False)}
     for name, nms in (("one-to-many", None), ("end-to-end", False)):
         out[name] = ultralytics_export(checkpoint, folder / f"{name}.onnx", nms)
-    out["free"] = export_yolo(checkpoint, folder / "free.onnx", size_px=SIZE_PX, dynamic=True)
-    out["half"] = export_yolo(checkpoint, folder / "half.onnx", size_px=SIZE_PX, half=True)
+    out["free"] = ours("free", half=False)
+    out["half"] = ours("half", dynamic=False)
     return out
 
 
@@ -239,7 +243,8 @@ def test_half_storage_halves_the_file_and_moves_little(exports: dict[str, Path])
 def test_the_same_weights_give_the_same_file(
     checkpoint: Path, exports: dict[str, Path], tmp_path: Path
 ) -> None:
-    again = export_yolo(checkpoint, tmp_path / "half.onnx", size_px=SIZE_PX, half=True)
+    model = load_yolo(checkpoint)
+    again = export_yolo(model, tmp_path / "half.onnx", size_px=SIZE_PX, dynamic=False)
     assert again.read_bytes() == exports["half"].read_bytes()
 
 
@@ -266,10 +271,10 @@ def test_bad_checkpoints_are_named(tmp_path: Path) -> None:
     bad = tmp_path / "bad.pt"
     bad.write_bytes(b"no checkpoint")
     with pytest.raises(ModelError, match=r"bad\.pt: cannot load the weights"):
-        export_yolo(bad, tmp_path / "out.onnx")
+        load_yolo(bad)
     older = import_ultralytics().YOLO("yolo11n.yaml")
     with pytest.raises(ModelError, match="no one-to-one head"):
-        export_model(older, tmp_path / "out.onnx")
+        export_yolo(older, tmp_path / "out.onnx")
 
 
 def test_the_order_of_the_points_and_the_sizes_go_into_the_file(tmp_path: Path) -> None:
@@ -278,8 +283,8 @@ def test_the_order_of_the_points_and_the_sizes_go_into_the_file(tmp_path: Path) 
     orders = {}
     for order in ("", "place"):
         model.model.keypoint_order = order
-        path = export_model(
-            model, tmp_path / f"pose-{order}.onnx", size_px=SIZE_PX, dynamic=True, input_sizes=(96,)
+        path = export_yolo(
+            model, tmp_path / f"pose-{order}.onnx", size_px=SIZE_PX, input_sizes=(96,)
         )
         orders[order] = YoloDetector(path, "onnxruntime").by_place
     assert orders == {"": False, "place": True}

@@ -11,14 +11,14 @@ import pytest
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.registry import load_registry, use_network
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.training.house import (
     DetectorScore,
     HousePlan,
-    held_out_pictures,
+    held_out_set,
     house_recipe,
     train_house,
     verdict,
@@ -80,13 +80,13 @@ def test_a_source_follows_the_labels(house: Path) -> None:
 
 
 def test_a_set_that_keeps_nothing_back_is_refused(house: Path) -> None:
-    dataset, held_out = held_out_pictures(house)
-    assert [picture.split for picture in held_out] == ["val", "test"]
+    dataset = read_coco(house)
+    assert [picture.split for picture in held_out_set(house).pictures] == ["val", "test"]
     for split, what in (("train", "held out"), ("test", "for training")):
         pictures = tuple(replace(picture, split=split) for picture in dataset.pictures)
         write_coco(replace(dataset, pictures=pictures), house)
         with pytest.raises(TrainingError, match=what):
-            held_out_pictures(house)
+            held_out_set(house)
 
 
 @pytest.mark.parametrize(

@@ -30,11 +30,8 @@ def device() -> Any:
     made.register_info(rs.camera_info.serial_number, "0042")
     depth, color = made.add_sensor("Stereo Module"), made.add_sensor("RGB Camera")
     depth.add_option(rs.option.visual_preset, limits(0, 5, 1, 1), True)
-    depth.add_option(rs.option.laser_power, limits(0, 360, 30, 150), True)
-    depth.add_option(rs.option.emitter_enabled, limits(0, 1, 1, 1), True)
     color.add_option(rs.option.enable_auto_exposure, limits(0, 1, 1, 1), True)
     color.add_option(rs.option.exposure, limits(1, 10000, 1, 156), True)
-    color.add_option(rs.option.gain, limits(0, 128, 1, 64), True)
     return made
 
 
@@ -47,14 +44,12 @@ def values(device: Any) -> dict[tuple[str, str], float]:
 
 
 def test_settings_reach_their_sensors(device: Any) -> None:
-    settings = CameraSettings("high-accuracy", exposure_us=8000, gain=32, laser_mw=90)
+    settings = CameraSettings("high-accuracy", exposure_us=8000)
     apply_settings(rs, device, settings, "camera 0042")
     found = values(device)
     assert found["Stereo Module", "visual_preset"] == 3  # RS2_RS400_VISUAL_PRESET_HIGH_ACCURACY
-    assert found["Stereo Module", "laser_power"] == 90
     assert found["RGB Camera", "exposure"] == 80  # in the SDK's hundreds of microseconds
     assert found["RGB Camera", "enable_auto_exposure"] == 0
-    assert found["RGB Camera", "gain"] == 32
     apply_settings(rs, device, CameraSettings(exposure_us=0), "camera 0042")
     assert values(device) == found | {("RGB Camera", "enable_auto_exposure"): 1.0}
 
@@ -63,15 +58,22 @@ def test_what_is_not_asked_for_stays(device: Any) -> None:
     before = values(device)
     apply_settings(rs, device, CameraSettings(), "camera")
     assert values(device) == before
-    apply_settings(rs, device, CameraSettings(laser_mw=0), "camera")
-    assert values(device) == before | {("Stereo Module", "emitter_enabled"): 0.0}
+
+
+def test_a_sensor_that_is_not_there_is_said() -> None:
+    bare = rs.software_device()
+    bare.register_info(rs.camera_info.name, "Software D435")
+    with pytest.raises(CameraError, match="auto exposure cannot be set"):
+        apply_settings(rs, bare, CameraSettings(exposure_us=8000), "camera")
 
 
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        (CameraSettings(gain=500), "rgb camera's gain cannot be 500; give 0 to 128"),
-        (CameraSettings(depth_exposure_us=8000), "auto exposure cannot be set"),
+        (
+            CameraSettings(exposure_us=1e7),
+            "rgb camera's exposure cannot be 100000; give 1 to 10000",
+        ),
         (CameraSettings(preset="sharp"), "no preset is called 'sharp'; choose one of .*hand"),
     ],
 )

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
-from cucumbervision.agronomy.forecast import DetectionRates, forecast
+from cucumbervision.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import RoundError
 from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.rounds.forecasting import (
-    forecast_for,
+    forecast_today,
     fruit_states,
     growth_links,
     shared_scale_sd,
@@ -38,6 +38,12 @@ LONG = load_profile("long-cucumber")
 ROW = SimulatedRow(fruit=60, per_m=10)
 MORNING = key_of("rounds", "morning")
 NEXT = Round(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
+
+
+def forecast_of(store: Store, key: str, *, days: int) -> Forecast:
+    """Give the forecast that a round had on its own day."""
+    one = find_round(store, key)
+    return forecast_today(store, one, LONG, one.record.started_s, days=days)
 
 
 @pytest.fixture
@@ -94,11 +100,11 @@ def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     many = next(
         line.view for line in fruit_table(read_round(store, MORNING)) if line.view.views > 2
     )
-    store.unmerge(many.key, by="kim")
+    store.signed("kim").unmerge(many.key)
     rest = [line for line in fruit_table(read_round(store, MORNING)) if line.view.key != many.key]
     single = [line.view for line in rest if line.view.views == 1]
     one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
-    store.merge(one.key, other.key, by="kim")
+    store.signed("kim").merge(one.key, other.key)
     merge_round(store, MORNING)
     groups = {view.key: (view.group, view.views) for view in store.detections(MORNING)}
     assert groups[many.key] == (many.key, 1)
@@ -129,7 +135,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     assert any(by_one_view[line.view.key] != line.view.record.length_m for line in table)
     content = read_round(store, NEXT.key)
     [report] = row_reports(content)
-    said = forecast_for(store, NEXT.key, LONG, days=2)
+    said = forecast_of(store, NEXT.key, days=2)
     # All fruit there are, invented ones taken off and unseen ones added.
     assert said.house.expected[0].sum() == pytest.approx(report.count.expected, rel=0.02)
 
@@ -154,7 +160,7 @@ def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store
         detection=rates,
         scale_sd=0.01,
     )
-    found = forecast_for(store, MORNING, LONG, days=2)
+    found = forecast_of(store, MORNING, days=2)
     np.testing.assert_allclose(found.house.expected, expected.house.expected)
     np.testing.assert_allclose(found.house.high, expected.house.high)
     # 3 fruit of 0.98 / 0.675 each, and a little more since 1 / q is convex.
@@ -191,10 +197,10 @@ def test_growth_is_followed_through_three_rounds(store: Store) -> None:
 
 def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
     del row
-    picks = pick_list(forecast_for(store, MORNING, LONG, days=0))
+    picks = pick_list(forecast_of(store, MORNING, days=0))
     assert picks
     store.pick([picks[0].fruit.fruit_id])
-    left = {pick.fruit.fruit_id for pick in pick_list(forecast_for(store, MORNING, LONG, days=0))}
+    left = {pick.fruit.fruit_id for pick in pick_list(forecast_of(store, MORNING, days=0))}
     assert left == {pick.fruit.fruit_id for pick in picks[1:]}
 
 

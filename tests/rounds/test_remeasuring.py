@@ -92,11 +92,11 @@ def test_what_people_said_stays(store: Store, folder: Path) -> None:
     records = {one.number: one for one in stop.captures[0].fruit}
     rejected, corrected, picked = fruit_of(store)
     number = fruit_of(store)[corrected].record.number
-    store.set_verdict([rejected], Verdict.REJECTED, by="ana")
-    store.correct(corrected, records[number], by="ana")
-    store.pick([picked], at_s=5.0, by="ana")
-    added = store.add_fruit(first.stop_key, stop.captures[0].name, records[1], by="ana")
-    store.merge(corrected, picked, by="ana")
+    store.signed("ana").set_verdict([rejected], Verdict.REJECTED)
+    store.signed("ana").correct(corrected, records[number])
+    store.signed("ana").pick([picked], at_s=5.0)
+    added = store.signed("ana").add_fruit(first.stop_key, stop.captures[0].name, records[1])
+    store.signed("ana").merge(corrected, picked)
     before = store.corrected(MORNING)[corrected].chord_m or 0.0
     # The data set lost a mask since: that fruit is measured with its old one.
     sorted((folder / "mask_visib").iterdir())[0].unlink()

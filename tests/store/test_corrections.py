@@ -41,9 +41,9 @@ def group(store: Store, key: str) -> set[str]:
 
 
 def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]) -> None:
-    store.set_verdict(keys[:2], Verdict.ACCEPTED, by="ana")
-    store.set_verdict(keys[1:3], Verdict.REJECTED, by="bo")
-    store.set_verdict(keys[2:3], None, by="bo")
+    store.signed("ana").set_verdict(keys[:2], Verdict.ACCEPTED)
+    store.signed("bo").set_verdict(keys[1:3], Verdict.REJECTED)
+    store.signed("bo").set_verdict(keys[2:3], None)
     assert [one.verdict for one in store.detections(WALK)] == [
         Verdict.ACCEPTED,
         Verdict.REJECTED,
@@ -81,7 +81,7 @@ def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any)
     before = said(store)
     act(store, keys)
     assert said(store) != before
-    store.undo(WALK, by="ana")
+    store.signed("ana").undo(WALK)
     assert said(store) == before
     done, undone = store.log(WALK)[0], store.log(WALK)[1]
     assert (done.kind, done.by, done.undoes, done.undone) == ("undo", "ana", undone.number, False)
@@ -158,7 +158,7 @@ def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
 ) -> None:
     original = store.detection(keys[1]).original
     corrected = replace(original, length=Length(0.333), mask="45", offset_m=0.7, flags="by-hand")
-    store.correct(keys[1], corrected, by="ana")
+    store.signed("ana").correct(keys[1], corrected)
     detail = store.detection(keys[1])
     assert detail.view.record == corrected
     assert detail.original == original
@@ -178,7 +178,7 @@ def test_a_correction_is_of_the_fruit_whose_number_it_has(store: Store, keys: li
 def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys: list[str]) -> None:
     a, b, c, d = keys
     assert [one.best for one in store.detections(WALK)] == [True] * 4
-    store.merge(a, c, by="ana")
+    store.signed("ana").merge(a, c)
     store.correct(c, DetectionRecord(1, length=Length(0.2), view_score=0.9))
 
     def shown() -> list[DetectionView]:
@@ -268,8 +268,8 @@ def test_two_pages_that_mark_one_fruit_both_are_heard(
     address = store.engine.url.render_as_string(hide_password=False)
     with open_store(address) as other:
         for n in range(5):
-            store.set_verdict(keys[:1], Verdict.ACCEPTED, by=f"a{n}")
-            other.set_verdict(keys[:1], Verdict.REJECTED, by=f"b{n}")
+            store.signed(f"a{n}").set_verdict(keys[:1], Verdict.ACCEPTED)
+            other.signed(f"b{n}").set_verdict(keys[:1], Verdict.REJECTED)
     assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 10
 
@@ -279,7 +279,7 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
 ) -> None:
     before, stop = said(store), key_of(WALK, 1)
     found = DetectionRecord(1, mask="abc", length=Length(0.3), mask_source="sam")
-    added = store.add_fruit(stop, "a", found, by="ana")
+    added = store.signed("ana").add_fruit(stop, "a", found)
     *_, view = (one for one in store.detections(WALK) if one.stop_key == stop)
     assert (view.key, view.record.number, view.verdict) == (added, 3, Verdict.ACCEPTED)
     assert store.detection(added).original == replace(found, number=3)

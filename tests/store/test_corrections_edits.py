@@ -26,7 +26,7 @@ def stops(store: Store, make_stop: MakeStop) -> list[str]:
 
 def test_a_stop_is_moved_and_its_fruit_with_it(store: Store, stops: list[str]) -> None:
     store.save_merging(WALK, [], {stops[0]: Position(0.45, 0.01), stops[1]: Position(0.8, 0.01)})
-    store.place_stop(stops[0], StopPlace("4", "left", 2.0, 9, "the long leaf"), by="ana")
+    store.signed("ana").place_stop(stops[0], StopPlace("4", "left", 2.0, 9, "the long leaf"))
     moved, other = store.stops(WALK)
     assert (moved.row, moved.position_m, moved.fitted_m) == ("4", 2.0, None)
     assert (moved.step, moved.note) == (9, "the long leaf")

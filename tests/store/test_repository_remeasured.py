@@ -41,7 +41,9 @@ def test_fruit_that_are_the_same_keep_their_keys_and_what_was_said_of_them(
 
     again = with_fruit(store.stop(first.key), 0.31, 0.32, 0.33)
     same = {kept: ("a", 1), corrected: ("a", 3)}
-    store.measure_again(again, same, {corrected: DetectionRecord(3, length=Length(0.6))}, by="ana")
+    store.signed("ana").measure_again(
+        again, same, {corrected: DetectionRecord(3, length=Length(0.6))}
+    )
 
     views = {v.key: v for v in store.detections(WALK) if v.stop_key == first.key}
     assert len(views) == 3

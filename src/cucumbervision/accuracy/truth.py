@@ -247,7 +247,8 @@ def read_truth(path: Path) -> Truth:
             source=path,
             remedy="name the columns capture, fruit, length_cm (in centimetres), kind",
         )
-    _require_lines(table, path)
+    if not table.lines:
+        raise TruthError("has a head but no lines", source=path, remedy="write a line a length")
     unused = [n for n in table.columns if n and n not in {*_KNOWN, *columns}]
     read = [(line, _true_length(line, columns, path)) for line in table.lines]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -281,11 +282,6 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
         specimens=len({name for name, _, _ in repeated}),
         measurements=sum(len(x) for x in series),
     )
-
-
-def _require_lines(table: CsvTable, path: Path) -> None:
-    if not table.lines:
-        raise TruthError("has a head but no lines", source=path, remedy="write a line a length")
 
 
 def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:

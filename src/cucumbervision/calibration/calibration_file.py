@@ -32,15 +32,11 @@ class CalibratedCamera(_Frozen):
 
     serial: str | None = None
     intrinsics: CameraModel
-    intrinsics_sha256: str
 
     @classmethod
     def of(cls, intrinsics: Intrinsics, serial: str | None = None) -> CalibratedCamera:
         """Create the description of a camera."""
-        model = CameraModel.of(intrinsics)
-        text = json.dumps(model.model_dump(mode="json"), sort_keys=True)
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        return cls(serial=serial, intrinsics=model, intrinsics_sha256=digest)
+        return cls(serial=serial, intrinsics=CameraModel.of(intrinsics))
 
     def difference(self, intrinsics: Intrinsics, serial: str | None) -> str:
         """Return the difference to another camera as text; empty for the same camera.

@@ -87,9 +87,7 @@ def corrected(raw_m: ArrayLike, scale: float, offset_m: float) -> NDArray[np.flo
     return np.asarray(scale * np.asarray(raw_m, float) + offset_m, float)
 
 
-def fit_correction(
-    raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashable], level: float = LEVEL
-) -> Fit:
+def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashable]) -> Fit:
     """Choose and fit a correction by leave-one-fruit-out cross-validation.
 
     Relative errors are fitted by Huber's estimator with the same weight for every fruit. A form
@@ -102,8 +100,6 @@ def fit_correction(
         Readings and true lengths, metres, all positive and finite.
     fruit : sequence of hashable, length N
         Physical fruit of each reading; all readings of a fruit are left out together.
-    level : float
-        Level of the interval.
 
     Returns
     -------
@@ -155,20 +151,20 @@ def fit_correction(
         error_before_percent=100 * float(weights @ np.abs(raw / truth - 1)),
         error_after_percent=100 * float(weights @ np.abs(relative)),
         residual_sd_percent=100 * float(np.sqrt(weights @ centred**2)),
-        half_width=conformal_half_width(scores, member, level),
+        half_width=conformal_half_width(scores, member),
         raw_range_m=(float(raw.min()), float(raw.max())),
     )
 
 
 def conformal_half_width(
-    scores: ArrayLike, fruit: Sequence[Hashable] | NDArray[np.int64], level: float = LEVEL
+    scores: ArrayLike, fruit: Sequence[Hashable] | NDArray[np.int64]
 ) -> float | None:
-    """Return the score that a reading of a new fruit does not exceed with probability `level`.
+    """Return the score that a reading of a new fruit does not exceed with probability `LEVEL`.
 
     Hierarchical conformal prediction (Lee, Barber and Willett, 2023): each of K fruit has the
     weight 1/(K + 1), shared by its readings, and the new fruit has 1/(K + 1) at infinity, because
     captures of one fruit are not independent. With one reading per fruit, this is the k-th smallest
-    score, k = ceil(level (K + 1)).
+    score, k = ceil(LEVEL (K + 1)).
 
     Parameters
     ----------
@@ -176,8 +172,6 @@ def conformal_half_width(
         Positive errors of fruit left out of the fit.
     fruit : sequence of hashable, length N
         Physical fruit of each score.
-    level : float
-        Nominal coverage.
 
     Returns
     -------
@@ -194,7 +188,7 @@ def conformal_half_width(
     values = np.asarray(scores, float)
     names, member = np.unique([str(name) for name in fruit], return_inverse=True)
     order = np.argsort(values, kind="stable")
-    reached = np.cumsum(_weights(member)[order]) >= level * (len(names) + 1) - 1e-9
+    reached = np.cumsum(_weights(member)[order]) >= LEVEL * (len(names) + 1) - 1e-9
     if not reached.any():
         return None
     width = float(values[order][int(np.argmax(reached))])

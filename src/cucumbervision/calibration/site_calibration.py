@@ -52,9 +52,7 @@ class _Run:
     lens: LensEntry | None
 
 
-def calibrate_lengths(
-    measured: Measured, truth: Truth, name: str, level: float = LEVEL
-) -> SiteCalibration:
+def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibration:
     """Fit the correction of every method to manual lengths.
 
     Only readings of the method itself are used, not fallbacks to another method.
@@ -67,8 +65,6 @@ def calibrate_lengths(
         Manual lengths of its fruit.
     name : str
         Name of the calibration in result rows.
-    level : float
-        Level of the intervals.
 
     Returns
     -------
@@ -89,7 +85,7 @@ def calibrate_lengths(
         entry
         for kind in LengthDefinition
         for method in methods
-        if (entry := _entry(method, kind, pairs, level)) is not None
+        if (entry := _entry(method, kind, pairs)) is not None
     ]
     if not entries:
         raise CalibrationError(
@@ -233,7 +229,7 @@ def _serial(capture: Mapping[str, Any]) -> str | None:
 
 
 def _entry(
-    method: str, kind: LengthDefinition, pairs: Sequence[tuple[TrueLength, Reading]], level: float
+    method: str, kind: LengthDefinition, pairs: Sequence[tuple[TrueLength, Reading]]
 ) -> CorrectionEntry | None:
     known = [
         (one, reading, length)
@@ -249,24 +245,23 @@ def _entry(
         [length for _, _, length in known],
         [one.length_m for one, _, _ in known],
         [one.specimen for one, _, _ in known],
-        level,
     )
     return CorrectionEntry(
         method=method,
         truth_kind=kind,
         mask_sources=sorted({reading.mask_source for _, reading, _ in known}),
-        interval=_interval(fit, level),
+        interval=_interval(fit),
         **{name: value for name, value in vars(fit).items() if name != "half_width"},
     )
 
 
-def _interval(fit: Fit, level: float) -> IntervalEntry:
+def _interval(fit: Fit) -> IntervalEntry:
     width = fit.half_width
-    least = int(np.ceil(level / (1 - level) - 1e-9))
+    least = int(np.ceil(LEVEL / (1 - LEVEL) - 1e-9))
     if width is not None:
         reason = f"conformal on {fit.fruit} fruit, each left out of the fit in turn"
     elif fit.fruit < least:
-        reason = f"{100 * level:g} % needs {least} fruit, there are {fit.fruit}"
+        reason = f"{100 * LEVEL:g} % needs {least} fruit, there are {fit.fruit}"
     else:
         reason = "a fruit left out of the fit came out negative"
-    return IntervalEntry(level=level, half_width=width, reason=reason)
+    return IntervalEntry(level=LEVEL, half_width=width, reason=reason)

@@ -274,7 +274,7 @@ def parse_model(
 
     try:
         with wrap_reader_errors(source, error):
-            return cast("ModelT", _adapter(cast("Any", model)).validate_python(data))
+            return cast("ModelT", adapter(cast("Any", model)).validate_python(data))
     except error as refused:
         invalid = refused.__cause__
         if not isinstance(invalid, ValidationError):
@@ -288,7 +288,8 @@ def parse_model(
 
 
 @lru_cache(maxsize=64)
-def _adapter(model: Any) -> TypeAdapter[Any]:
+def adapter(model: Any) -> TypeAdapter[Any]:
+    """Return what validates values as a pydantic model or a dataclass."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(model)

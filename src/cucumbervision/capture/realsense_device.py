@@ -105,21 +105,13 @@ class CameraSettings:
     preset : str, optional
         Name of the depth preset in the SDK: 'high_accuracy', 'high_density', 'medium_density',
         'hand', 'default'.
-    exposure_us, gain : float, optional
-        Exposure in microseconds and gain of the colour camera, which disable automatic exposure; an
-        exposure of 0 enables it.
-    depth_exposure_us, depth_gain : float, optional
-        The same for the depth camera.
-    laser_mw : float, optional
-        Power of the projector, milliwatts; 0 switches it off.
+    exposure_us : float, optional
+        Exposure of the colour camera, microseconds, which disables automatic exposure; 0 enables
+        it.
     """
 
     preset: str | None = None
     exposure_us: float | None = None
-    gain: float | None = None
-    depth_exposure_us: float | None = None
-    depth_gain: float | None = None
-    laser_mw: float | None = None
 
 
 _COLOR_STEP_US = 100.0  # unit of the colour exposure in the SDK
@@ -144,21 +136,13 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
     CameraError
         If the camera does not support a setting, or a value is out of range.
     """
-    depth, color, o = "Stereo Module", "RGB Camera", rs.option
+    color, o = "RGB Camera", rs.option
     automatic = None if settings.exposure_us is None else float(settings.exposure_us == 0)
     exposure = settings.exposure_us / _COLOR_STEP_US if settings.exposure_us else None
-    power = settings.laser_mw
     wanted = (
-        # Apply the preset first, because it also changes other depth options.
-        (depth, o.visual_preset, _preset(rs, settings.preset, source)),
+        ("Stereo Module", o.visual_preset, _preset(rs, settings.preset, source)),
         (color, o.enable_auto_exposure, automatic),
         (color, o.exposure, exposure),
-        (color, o.gain, settings.gain),
-        (depth, o.enable_auto_exposure, None if settings.depth_exposure_us is None else 0.0),
-        (depth, o.exposure, settings.depth_exposure_us),
-        (depth, o.gain, settings.depth_gain),
-        (depth, o.emitter_enabled, None if power is None else float(power > 0)),
-        (depth, o.laser_power, power or None),
     )
     sensors = {one.get_info(rs.camera_info.name): one for one in device.query_sensors()}
     for sensor, option, value in wanted:

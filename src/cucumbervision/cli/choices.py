@@ -72,53 +72,60 @@ Burst = Annotated[
 ]
 
 
+PoseNetwork = Annotated[
+    Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE")
+]
+Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")]
+SelectorRule = Annotated[Selector, typer.Option(help="Rule that selects one method.")]
+LengthKind = Annotated[
+    LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
+]
+IntrinsicsFile = Annotated[
+    Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
+]
+DepthPicture = Annotated[
+    Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
+]
+DepthUnit = Annotated[
+    float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
+]
+Calibration = Annotated[
+    Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
+]
+CropProfileName = Annotated[
+    str,
+    typer.Option(
+        help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
+        "range are rejected."
+    ),
+]
+UpperEdge = Annotated[
+    CameraUp | None,
+    typer.Option(
+        help="The picture's edge that is up, for a camera mounted about level before hanging "
+        "fruit: the upper end is then the stem's."
+    ),
+]
+
+
 def measure_options(
     instances: Instances = "auto",
-    pose: Annotated[
-        Path | None,
-        typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
-    ] = None,
-    methods: Annotated[
-        str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")
-    ] = "",
-    selector: Annotated[
-        Selector, typer.Option(help="Rule that selects one method.")
-    ] = Selector.BEST,
-    length: Annotated[
-        LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
-    ] = LengthDefinition.CENTRELINE,
+    pose: PoseNetwork = None,
+    methods: Methods = "",
+    selector: SelectorRule = Selector.BEST,
+    length: LengthKind = LengthDefinition.CENTRELINE,
     segmenter: SegmenterName = None,
     confidence: Confidence = DEFAULT_CONFIDENCE,
-    intrinsics: Annotated[
-        Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
-    ] = None,
-    depth: Annotated[
-        Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
-    ] = None,
-    depth_unit: Annotated[
-        float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
-    ] = None,
+    intrinsics: IntrinsicsFile = None,
+    depth: DepthPicture = None,
+    depth_unit: DepthUnit = None,
     burst: Burst = 5,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
-    ] = None,
-    profile: Annotated[
-        str,
-        typer.Option(
-            help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
-            "range are rejected."
-        ),
-    ] = "long-cucumber",
+    calibration: Calibration = None,
+    profile: CropProfileName = "long-cucumber",
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     fast: Fast = False,
-    camera_up: Annotated[
-        CameraUp | None,
-        typer.Option(
-            help="The picture's edge that is up, for a camera mounted about level before hanging "
-            "fruit: the upper end is then the stem's."
-        ),
-    ] = None,
+    camera_up: UpperEdge = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
     from cucumbervision.agronomy.profiles import PACK_PROFILE, load_profile, profile_path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, cast
 
 import cv2
@@ -32,7 +32,8 @@ def fruit_pictures(
     store: Store, round_key: str, fruit: Sequence[RoundFruit]
 ) -> dict[str, Callable[[], bytes]]:
     """Return functions that draw each fruit as JPEG, by key, if its capture was kept."""
-    corrected, found = store.corrected(round_key), {}
+    corrected = store.corrected(round_key)
+    found: dict[str, Callable[[], bytes]] = {}
     read = lru_cache(4)(store.images.read_color)
     by_stop: dict[str, list[RoundFruit]] = {}
     for one in fruit:
@@ -48,22 +49,19 @@ def fruit_pictures(
                 each for each in capture.fruit if each.number == one.view.record.number
             )
             bare = replace(capture, fruit=())
-            found[one.view.key] = _maker(read, kept, record, bare)
+            found[one.view.key] = partial(_jpeg, read, kept, record, bare)
     return found
 
 
-def _maker(
+def _jpeg(
     read: Callable[[ImageRef], NDArray[np.uint8]],
     kept: ImageRef,
     record: DetectionRecord,
     capture: CaptureRecord,
-) -> Callable[[], bytes]:
-    def make() -> bytes:
-        drawn = draw_fruit(read(kept), record, capture)
-        _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-        return data.tobytes()
-
-    return make
+) -> bytes:
+    drawn = draw_fruit(read(kept), record, capture)
+    _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return data.tobytes()
 
 
 def draw_fruit(

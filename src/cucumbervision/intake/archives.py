@@ -8,7 +8,7 @@ import struct
 import unicodedata
 import zipfile
 import zlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import IO, TYPE_CHECKING, BinaryIO
 
@@ -345,9 +345,6 @@ class RecordingLimits:
     output_bytes: int = 4 * _GB
     captures: int = 2000
 
-    def __post_init__(self) -> None:
-        _require_positive(self)
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -373,18 +370,6 @@ class Limits:
         Maximum size of a JSON, YAML, XML or text file.
     recording : RecordingLimits
         Limits for `.bag` and `.db3`.
-
-    Raises
-    ------
-    ValueError
-        If a limit is not positive (`zip_depth` may be 0).
-
-    Examples
-    --------
-    >>> Limits(files=0)
-    Traceback (most recent call last):
-    ...
-    ValueError: the limit 'files' is 0, which lets nothing in
     """
 
     files: int = 500
@@ -397,13 +382,3 @@ class Limits:
     zip_depth: int = 1
     text_bytes: int = 2 * _MB
     recording: RecordingLimits = field(default_factory=RecordingLimits)
-
-    def __post_init__(self) -> None:
-        _require_positive(self)
-
-
-def _require_positive(limits: Limits | RecordingLimits) -> None:
-    for one in fields(limits):
-        value = getattr(limits, one.name)
-        if isinstance(value, int | float) and value < (0 if one.name == "zip_depth" else 1e-9):
-            raise ValueError(f"the limit '{one.name}' is {value}, which lets nothing in")

@@ -287,8 +287,11 @@ class NetworkLoader:
     input_sizes : tuple of int
         Input sizes (long sides, pixels) of detector and pose network; empty for each file's
         default.
-    models : list of dict, optional
-        Receives name, task, SHA-256 and runtime of each loaded network.
+
+    Attributes
+    ----------
+    models : list of dict
+        Name, task, SHA-256 and runtime of each loaded network.
 
     Examples
     --------
@@ -309,17 +312,21 @@ class NetworkLoader:
         full_precision: bool = False,
         most: int | None = None,
         input_sizes: tuple[int, ...] = (),
-        models: list[dict[str, Any]] | None = None,
     ) -> None:
         self.registry = registry or load_registry()
-        self.models: list[dict[str, Any]] = [] if models is None else models
+        self.models: list[dict[str, Any]] = []
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
         self._pose_confidence = pose_floor(confidence)
-        self.ends: EndClassifier | None = None
+        self._with_ends: YoloDetector | None = None
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, Segmenter] = {}
         self._begun: dict[str | None, Future[Segmenter]] = {}
+
+    @property
+    def ends(self) -> EndClassifier | None:
+        """The classifier of stem ends, which the loaded pose network holds; None without one."""
+        return None if self._with_ends is None else self._with_ends.ends
 
     def verify(self, name: str) -> dict[str, Path]:
         """Return the files of a registered network by role; each is hashed once.
@@ -360,7 +367,7 @@ class NetworkLoader:
         own = self.registry.default("ends") if network.by_place else None
         if own is not None:
             path = self.verify(own.name)["network"]
-            network.ends = self.ends = EndClassifier(path)
+            network.ends, self._with_ends = EndClassifier(path), network
             self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], network.ends)
         return network
 

@@ -342,9 +342,6 @@ class YoloDetector:
         A detection's score must exceed it, 0 to 1.
     full_precision : bool
         As for `open_network`.
-    ends : EndClassifier, optional
-        Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
-        their order.
     most : int, optional
         Largest number of detections per picture. A very low confidence gives hundreds, each with a
         full-size mask.
@@ -353,6 +350,12 @@ class YoloDetector:
         (`merge_sizes`). Empty for the file's default.
     verified : bool
         As for `open_network`.
+
+    Attributes
+    ----------
+    ends : EndClassifier or None
+        Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
+        their order.
 
     Raises
     ------
@@ -368,7 +371,6 @@ class YoloDetector:
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
         most: int | None = None,
-        ends: EndClassifier | None = None,
         input_sizes: tuple[int, ...] = (),
         *,
         verified: bool = False,
@@ -376,7 +378,8 @@ class YoloDetector:
         self._network = open_network(
             path, runtime, full_precision=full_precision, verified=verified
         )
-        self._most, self.ends = most, ends
+        self._most = most
+        self.ends: EndClassifier | None = None
         self._layout = _read_layout(self._network)
         self._confidence = confidence
         sides_px = input_sizes or self._layout.sizes_px

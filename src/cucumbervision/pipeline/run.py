@@ -92,35 +92,35 @@ class BatchOptions(LoopOptions):
     parquet: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class RunResult:
     """Result of a run.
 
     Parameters
     ----------
-    failures : list of Failure
-        What could not be read, measured or written.
-    summary : Summary
-        Counts and lengths.
-    before : int
-        How many captures an earlier run had measured.
-    notes : list of str
-        Notes: inputs that were given twice, damaged records.
-    interrupted : bool
-        Whether it ended before all was measured.
     out : Path
         Where the files are.
     records : callable
         Returns a new iterator of the captures' records, in order.
+    failures : list of Failure
+        What could not be read, measured or written.
+    summary : Summary
+        Counts and lengths.
+    notes : list of str
+        Notes: inputs that were given twice, damaged records.
+    before : int
+        How many captures an earlier run had measured.
+    interrupted : bool
+        Whether it ended before all was measured.
     """
 
-    failures: list[Failure]
-    summary: Summary
-    before: int
-    notes: list[str]
-    interrupted: bool
     out: Path
     records: Callable[[], Iterator[JournalRecord]]
+    failures: list[Failure] = field(default_factory=list)
+    summary: Summary = field(default_factory=Summary)
+    notes: list[str] = field(default_factory=list)
+    before: int = 0
+    interrupted: bool = False
 
     @property
     def captures(self) -> int:
@@ -308,22 +308,21 @@ class _Run:
     measurer: Measurer
     batch: BatchOptions
     started: datetime = field(default_factory=lambda: datetime.now(UTC))
-    summary: Summary = field(default_factory=Summary)
-    failures: list[Failure] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
     order: list[bytes] = field(default_factory=list)
-    before: int = 0
-    interrupted: bool = False
     seen: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.result = RunResult(self.out.path, self._records)
+
     def measure(self, inputs: Sequence[Path], report: Report | None) -> RunResult:
+        result = self.result
         if self.journal.damaged:
             damaged = f"{self.journal.damaged} records of the journal are damaged"
-            self.notes.append(f"{self.out.path}: {damaged}; their captures are measured again")
+            result.notes.append(f"{self.out.path}: {damaged}; their captures are measured again")
         options, site = self.measurer.options, self.measurer.site
-        paths = distinct(inputs, self.notes.append)
+        paths = distinct(inputs, result.notes.append)
         listed = each_once(
-            list_captures(paths, options.reading, self.batch.opener), self.notes.append
+            list_captures(paths, options.reading, self.batch.opener), result.notes.append
         )
         worker = FolderWorker(self.measurer, self.out)
         tasks = map(self._task, listed)
@@ -331,30 +330,22 @@ class _Run:
             step = self._take(one, outcome)
             if report is not None and step is not None:
                 report(step)
-        with Boundary(self.failures, str(self.out.path)):
+        with Boundary(result.failures, str(self.out.path)):
             self.journal.flush()
-        with Boundary(self.failures, options.instances):
+        with Boundary(result.failures, options.instances):
             self._note_instances(options.instances)
-        self.notes += self.summary.doubts()
-        about = provenance_of(options, self.summary.models, site, self.started)
-        about["notes"] = self.notes
-        self.failures += write_reports(
+        result.notes += result.summary.doubts()
+        about = provenance_of(options, result.summary.models, site, self.started)
+        about["notes"] = result.notes
+        result.failures += write_reports(
             self.out,
             self._records,
-            self.summary,
-            self.failures,
+            result.summary,
+            result.failures,
             about,
             parquet=self.batch.parquet,
         )
-        return RunResult(
-            self.failures,
-            self.summary,
-            self.before,
-            self.notes,
-            self.interrupted,
-            self.out.path,
-            self._records,
-        )
+        return result
 
     def _task(self, one: Item) -> Task | Failure:
         """Return a capture with what the journal knows of it."""
@@ -373,23 +364,23 @@ class _Run:
         record, failures, before = outcome.value, list(outcome.failures), False
         if isinstance(one, Task) and record is None and not failures:
             if not one.known:
-                self.interrupted = True
+                self.result.interrupted = True
                 return None
             record, before = self.journal.find(one.place), True
             failures += record.failures if record is not None else ()
-            self.before += 1
+            self.result.before += 1
         elif isinstance(one, Task) and record is not None:
             record, noted = replace(record, place=one.place), len(failures)
             with Boundary(failures, one.input, name):
                 self.journal.append(record)
             record = record if len(failures) == noted else None
         if record is not None:
-            self.summary.add(record.rows, record.models)
+            self.result.summary.add(record.rows, record.models)
             self.order.append(bytes.fromhex(record.place))
             capture = record.capture
             names = (str(capture["name"]), str(capture.get("source") or ""))
             self.seen.append((names, capture.get("frame")))
-        self.failures += failures
+        self.result.failures += failures
         return Step(name, record, before, tuple(failures))
 
     def _note_instances(self, instances: str) -> None:
@@ -405,9 +396,9 @@ class _Run:
                 remedy="name its pictures as the captures are called",
             )
         if missing:
-            self.notes.append(f"{path}: no fruit given for {', '.join(missing)}")
+            self.result.notes.append(f"{path}: no fruit given for {', '.join(missing)}")
         if unused and self.seen:
-            self.notes.append(f"{path}: no capture is called {', '.join(unused)}")
+            self.result.notes.append(f"{path}: no capture is called {', '.join(unused)}")
 
     def _records(self) -> Iterator[JournalRecord]:
         return self.journal.records(place.hex() for place in self.order)

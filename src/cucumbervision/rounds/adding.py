@@ -28,7 +28,7 @@ from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
-    placed_fruit,
+    placed_stop,
     pose_matrix,
     sign_of_side,
 )
@@ -412,12 +412,8 @@ class Placed:
         """
         sd_m = self.position_sd_m
         stop = stop_record("", [result], measurer, key="", position_sd_m=sd_m, images=images)
-        captures = tuple(
-            replace(one, fruit=tuple(placed_fruit(fruit, self.pose) for fruit in one.fruit))
-            for one in stop.captures
-        )
         pose = tuple(self.pose.round(9).ravel().tolist())
-        return replace(stop, captures=captures, pose=pose)
+        return replace(placed_stop(stop, self.pose), pose=pose)
 
 
 DEMONSTRATION = key_of("demonstration")

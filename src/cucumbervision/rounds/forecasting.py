@@ -17,7 +17,7 @@ from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.rounds.day_linking import SURE
-from cucumbervision.rounds.from_store import find_round, read_round
+from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.row_fruit import found_share
@@ -38,59 +38,6 @@ if TYPE_CHECKING:
 
 
 _UNKNOWN_SD = 0.08  # relative, of a length without interval
-
-
-def forecast_for(
-    store: Store,
-    round_key: str,
-    profile: CropProfile,
-    days: int = 7,
-    content: RoundContent | None = None,
-    *,
-    today_s: float | None = None,
-    picked_before_s: float = math.inf,
-) -> Forecast:
-    """Forecast a round: growth from its links to earlier rounds, classes from a profile.
-
-    Missed fruit and false positives are allowed for as the round itself shows them
-    (`detection_rates`), the error that all lengths share as its calibration does
-    (`shared_scale_sd`).
-
-    Parameters
-    ----------
-    store : Store
-        Where the round is.
-    round_key : str
-        The round.
-    profile : CropProfile
-        Classes, and growth before any link.
-    days : int
-        Days ahead; 0 for today alone.
-    content : RoundContent, optional
-        What `from_store.read_round` gave of the round, where it was read already.
-    today_s : float, optional
-        Day 0, seconds since 1970: fruit are aged to it. By default the day of the round.
-    picked_before_s : float
-        Fruit that were picked later than that still count, as on the morning of a day.
-
-    Raises
-    ------
-    ForecastError
-        If nothing can be forecast.
-    """
-    content = content or read_round(store, round_key)
-    table = fruit_table(content)
-    day = find_round(store, round_key).record.started_s / DAY_S
-    states = fruit_states(table, day, profile, picked_before_s)
-    return forecast(
-        states,
-        fit_growth(growth_links(store, round_key, content), GrowthPrior.of(profile)),
-        profile,
-        days,
-        today=None if today_s is None else max(today_s / DAY_S, day),
-        detection=detection_rates(row_reports(content), table),
-        scale_sd=shared_scale_sd(store.artifacts(round_key).values()),
-    )
 
 
 def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> DetectionRates:
@@ -375,30 +322,37 @@ def forecast_today(
     days: int = 7,
     picked_before_s: float = math.inf,
 ) -> Forecast:
-    """Forecast a round from today on, for all pages, files and commands.
+    """Forecast a round from today on: growth from its links, classes from a profile.
 
-    For a round that is too old for a forecast of today, day 0 is the day of its walk.
+    Missed fruit and false positives are allowed for as the round itself shows them
+    (`detection_rates`), the error that all lengths share as its calibration does
+    (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day of
+    its walk.
 
     Parameters
     ----------
     store, one, profile, now_s, content
         As `read_today` takes them.
-    days, picked_before_s
-        As `forecast_for` takes them.
+    days : int
+        Days ahead; 0 for today alone.
+    picked_before_s : float
+        Fruit that were picked later than that still count, as on the morning of a day.
 
     Raises
     ------
     ForecastError
         If nothing can be forecast.
     """
-    return forecast_for(
-        store,
-        one.key,
+    content = content or read_round(store, one.key)
+    table = fruit_table(content)
+    return forecast(
+        fruit_states(table, one.record.started_s / DAY_S, profile, picked_before_s),
+        fit_growth(growth_links(store, one.key, content), GrowthPrior.of(profile)),
         profile,
         days,
-        content,
-        today_s=day_0_s(one, now_s),
-        picked_before_s=picked_before_s,
+        today=day_0_s(one, now_s) / DAY_S,
+        detection=detection_rates(row_reports(content), table),
+        scale_sd=shared_scale_sd(store.artifacts(one.key).values()),
     )
 
 

@@ -158,30 +158,11 @@ NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 _NEVER = -1e3
 
 _GATE_SD = 4.0
-
-
-@dataclass(frozen=True)
-class MergeSettings:
-    """How to merge.
-
-    Parameters
-    ----------
-    seen_again : float
-        Share of a fruit's views that the captures which could show it do show.
-    seen_across : float
-        The same for captures from the other aisle, most of whose view leaves hide.
-    across_m, across_sd_m : float
-        How far apart the cameras of the two aisles are, into the row, metres: the sum of both
-        distances to the same fruit.
-    passes : int
-        Rounds of assignment and estimation.
-    """
-
-    seen_again: float = 0.9
-    seen_across: float = 0.3
-    across_m: float = 1.4
-    across_sd_m: float = 0.3
-    passes: int = 4
+_PASSES = 4  # of assignment and estimation
+_SEEN_AGAIN = 0.9  # share of a fruit's views that the captures which could show it do show
+_SEEN_ACROSS = 0.3  # the same for captures from the other aisle, most of whose view leaves hide
+# Between the cameras of the two aisles, into the row: the sum of both distances to the same fruit.
+_ACROSS_M, _ACROSS_SD_M = 1.4, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +212,6 @@ class Merged:
 def merge_row(
     stops: RowStops,
     views: RowViews,
-    settings: MergeSettings | None = None,
     by_hand: ByHand | None = None,
 ) -> Merged:
     """Merge the views of one row into fruit.
@@ -246,8 +226,6 @@ def merge_row(
         The stops of both sides.
     views : RowViews
         Their detections.
-    settings : MergeSettings, optional
-        How to merge.
     by_hand : ByHand, optional
         Corrections by hand, which are kept.
 
@@ -266,7 +244,7 @@ def merge_row(
     >>> merge_row(stops, views).cluster.tolist()
     [0, 0]
     """
-    settings, by_hand = settings or MergeSettings(), by_hand or ByHand()
+    by_hand = by_hand or ByHand()
     crowd = Crowd.of(views, _views_per_m(stops, views))
     start = prior_stops(stops)
     i, j = _candidates(start, views)
@@ -277,17 +255,17 @@ def merge_row(
     mirrored = _mirrored(stops, views, crowd)
     fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     if len(np.unique(stops.side)) > 1:
-        stops = _set_across(stops, _vote_across(fitted, stops, views, crowd, settings))
+        stops = _set_across(stops, _vote_across(fitted, stops, views, crowd))
         fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     cluster: Ints = np.arange(len(views))
-    for _ in range(settings.passes):
-        i, j, ratio = _rated(fitted, stops, views, crowd, settings, by_hand)
+    for _ in range(_PASSES):
+        i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
         cluster = sweep(views, i, j, ratio, cluster)
         cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
         a, b = cluster_pairs(cluster)
         m = np.bincount(cluster, minlength=len(views))[cluster[a]]
         fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
-    i, j, ratio = _rated(fitted, stops, views, crowd, settings, by_hand)
+    i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
     cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
@@ -314,12 +292,19 @@ def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
     return i[other], j[other]
 
 
+def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, Floats]:
+    """Return how far views j are from views i, shape (K, 3), and the variance of that."""
+    s, t = views.stop[i], views.stop[j]
+    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
+    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    return gap, variance
+
+
 def _rated(
     fitted: FittedStops,
     stops: RowStops,
     views: RowViews,
     crowd: Crowd,
-    settings: MergeSettings,
     by_hand: ByHand,
 ) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
@@ -329,12 +314,10 @@ def _rated(
     i, j = np.minimum(i, j), np.maximum(i, j)
     _, once = np.unique(i * len(views) + j, return_index=True)
     i, j = i[once], j[once]
-    s, t = views.stop[i], views.stop[j]
-    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
-    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    gap, variance = _gaps(fitted, views, i, j)
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
-    across = stops.side[s] != stops.side[t]
-    ratio += np.log(np.where(across, settings.seen_across, settings.seen_again))
+    across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
+    ratio += np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
     codes = i * len(views) + j
     for pairs, value in ((by_hand.same, _HELD), (by_hand.apart, _NEVER)):
         ordered = np.sort(pairs, axis=1)
@@ -343,22 +326,20 @@ def _rated(
 
 
 def _vote_across(
-    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd, settings: MergeSettings
+    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
 ) -> tuple[float, float]:
     """Find how far apart the cameras of the two aisles are: by pairs alike in all but depth."""
     i, j = _candidates(fitted, views)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     i, j = i[across], j[across]
-    s, t = views.stop[i], views.stop[j]
-    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
-    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    gap, variance = _gaps(fitted, views, i, j)
     found = np.abs(gap[:, DEPTH])
     gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
-    tried = settings.across_m + settings.across_sd_m * np.linspace(-3, 3, 121)
+    tried = _ACROSS_M + _ACROSS_SD_M * np.linspace(-3, 3, 121)
     fit = -0.5 * (found[:, None] - tried) ** 2 / depth_variance[:, None]
     score = np.log1p(np.exp(np.minimum(ratio[:, None] + fit, 20.0))).sum(axis=0)
-    score -= 0.5 * ((tried - settings.across_m) / settings.across_sd_m) ** 2
+    score -= 0.5 * ((tried - _ACROSS_M) / _ACROSS_SD_M) ** 2
     weight = np.exp(score - score.max())
     weight /= weight.sum()
     middle = float(weight @ tried)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.store.records import DetectionRecord
+    from cucumbervision.store.records import DetectionRecord, StopRecord
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
@@ -251,3 +251,12 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
         return fruit
     offset_m, sd_m = (round(float(values[0]), 5) for values in found)
     return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)
+
+
+def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
+    """Return a stop whose fruit have their offsets along the row from the camera's pose."""
+    captures = tuple(
+        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
+        for one in stop.captures
+    )
+    return replace(stop, captures=captures)

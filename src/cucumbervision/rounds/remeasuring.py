@@ -23,7 +23,7 @@ from cucumbervision.pipeline.batch import (
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
-from cucumbervision.rounds.poses import placed_fruit, stored_pose
+from cucumbervision.rounds.poses import placed_fruit, placed_stop, stored_pose
 from cucumbervision.rounds.stop_records import (
     fruit_record,
     instance_of,
@@ -204,9 +204,5 @@ def _stop_of(
 ) -> StopRecord:
     """Return what is saved of a stop that was measured again: its place is as it was."""
     new = stop_record(stop.round_key, found, measurer, key=stop.key, images=store.images)
-    pose = stored_pose(stop.pose, stop.side)
-    captures = tuple(
-        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
-        for one in new.captures
-    )
-    return replace(stop, captures=captures, artifacts=new.artifacts, failures=new.failures)
+    new = placed_stop(new, stored_pose(stop.pose, stop.side))
+    return replace(stop, captures=new.captures, artifacts=new.artifacts, failures=new.failures)

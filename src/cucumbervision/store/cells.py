@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from pydantic import TypeAdapter
 from sqlalchemy import insert, select
 from sqlalchemy.dialects import postgresql, sqlite
 
+from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.measurement.result import (
     IntervalBasis,
@@ -108,12 +107,8 @@ def detection_from_json(values: Mapping[str, Any]) -> DetectionRecord:
     >>> detection_from_json(record_json(fruit)) == fruit
     True
     """
-    return _reader_of_detections().validate_python(values)
-
-
-@lru_cache(maxsize=1)
-def _reader_of_detections() -> TypeAdapter[DetectionRecord]:
-    return TypeAdapter(DetectionRecord)
+    record: DetectionRecord = adapter(DetectionRecord).validate_python(values)
+    return record
 
 
 def decoding(connection: Connection) -> AbstractContextManager[None]:

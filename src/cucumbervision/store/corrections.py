@@ -74,36 +74,37 @@ class StopPlace:
 class Corrections(Database):
     """Corrections of fruit, stops and rounds. Each method returns its number in the log.
 
-    `by` names the person. All raise `StoreError` where a detection, stop or round is not there.
+    The log names who the store is signed by (`Database.signed`). All raise `StoreError` where a
+    detection, stop or round is not there.
     """
 
-    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None, *, by: str = "") -> int:
+    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None) -> int:
         """Accept or reject detections; None takes the verdict away."""
         kinds = {Verdict.ACCEPTED: "accept", Verdict.REJECTED: "reject", None: "clear"}
         with self.writing() as connection:
             found = find_detections(connection, fruit)
-            action = _log(connection, kinds[verdict], by, found)
+            action = _log(connection, kinds[verdict], found)
             _mark(connection, action, found, "verdict", verdict)
         return action
 
-    def pick(self, fruit: Sequence[str], *, at_s: float | None = None, by: str = "") -> int:
+    def pick(self, fruit: Sequence[str], *, at_s: float | None = None) -> int:
         """Record that fruit were picked at a time, by default now."""
         details = {"at_s": time.time() if at_s is None else at_s}
         with self.writing() as connection:
             found = find_detections(connection, fruit)
-            action = _log(connection, "pick", by, found, details)
+            action = _log(connection, "pick", found, details)
             _mark(connection, action, found, "picked", "picked", details)
         return action
 
-    def unpick(self, fruit: Sequence[str], *, by: str = "") -> int:
+    def unpick(self, fruit: Sequence[str]) -> int:
         """Record that fruit were not picked."""
         with self.writing() as connection:
             found = find_detections(connection, fruit)
-            action = _log(connection, "unpick", by, found)
+            action = _log(connection, "unpick", found)
             _mark(connection, action, found, "picked", None)
         return action
 
-    def correct(self, key: str, record: DetectionRecord, *, by: str = "") -> int:
+    def correct(self, key: str, record: DetectionRecord) -> int:
         """Replace a measurement by one with a corrected mask; the first one is kept.
 
         Raises
@@ -119,11 +120,11 @@ class Corrections(Database):
                     f"fruit {key} has another number than {record.number}",
                     remedy="measure the fruit that the mask belongs to",
                 )
-            action = _log(connection, "correct", by, found)
+            action = _log(connection, "correct", found)
             _mark(connection, action, found, "mask", "corrected", record_json(record))
         return action
 
-    def merge(self, first: str, second: str, *, by: str = "") -> int:
+    def merge(self, first: str, second: str) -> int:
         """Record that two detections of a round are one fruit, with all that each is merged with.
 
         Earlier decisions that separated the two groups end.
@@ -131,7 +132,7 @@ class Corrections(Database):
         with self.writing() as connection:
             a, b = find_detections(connection, [first, second])
             groups = [_group_of(connection, one) for one in (a, b)]
-            action = _link(connection, LinkKind.SAME, [(first, second)], "merge", by)
+            action = _link(connection, LinkKind.SAME, [(first, second)], "merge")
             some, others = (
                 [one.id for one in find_detections(connection, sorted(group))] for group in groups
             )
@@ -141,7 +142,7 @@ class Corrections(Database):
             _end(connection, LinkLine, action, parted)
         return action
 
-    def unmerge(self, key: str, *, by: str = "") -> int:
+    def unmerge(self, key: str) -> int:
         """Record that a detection is another fruit than all that it is merged with.
 
         Raises
@@ -155,45 +156,45 @@ class Corrections(Database):
             if not others:
                 raise StoreError(f"fruit {found.key} is merged with none", remedy="see its group")
             pairs = [(found.key, other) for other in others]
-            return _link(connection, LinkKind.APART, pairs, "unmerge", by)
+            return _link(connection, LinkKind.APART, pairs, "unmerge")
 
-    def link_growth(self, earlier: str, later: str, *, by: str = "") -> int:
+    def link_growth(self, earlier: str, later: str) -> int:
         """Record that a fruit of a later round is this fruit of an earlier one."""
         with self.writing() as connection:
-            return _link(connection, LinkKind.GROWTH, [(earlier, later)], "link-growth", by)
+            return _link(connection, LinkKind.GROWTH, [(earlier, later)], "link-growth")
 
-    def unlink_growth(self, earlier: str, later: str, *, by: str = "") -> int:
+    def unlink_growth(self, earlier: str, later: str) -> int:
         """Record that two fruit of different rounds are not one."""
         with self.writing() as connection:
-            return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth", by)
+            return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth")
 
-    def place_stop(self, key: str, place: StopPlace, *, by: str = "") -> int:
+    def place_stop(self, key: str, place: StopPlace) -> int:
         """Set where a stop was taken, and its name; its fitted position is discarded."""
         with self.writing() as connection:
             after = asdict(place)
             row, stop = after.pop("row"), _line(connection, StopLine, key)
             after["row_id"] = row if row is None else row_id_of(connection, stop.round_id, row)
-            return _edit(connection, StopLine, stop, "place-stop", after, by)
+            return _edit(connection, StopLine, stop, "place-stop", after)
 
-    def delete_stop(self, key: str, *, by: str = "") -> int:
+    def delete_stop(self, key: str) -> int:
         """Take a stop with all its fruit out of every list."""
         with self.writing() as connection:
             stop = _line(connection, StopLine, key)
-            return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True}, by)
+            return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True})
 
-    def rename_round(self, key: str, name: str, *, by: str = "") -> int:
+    def rename_round(self, key: str, name: str) -> int:
         """Rename a round."""
         with self.writing() as connection:
             found = _line(connection, RoundLine, key)
-            return _edit(connection, RoundLine, found, "rename-round", {"name": name}, by)
+            return _edit(connection, RoundLine, found, "rename-round", {"name": name})
 
-    def delete_round(self, key: str, *, by: str = "") -> int:
+    def delete_round(self, key: str) -> int:
         """Take a round with all its stops out of the list of rounds."""
         with self.writing() as connection:
             found = _line(connection, RoundLine, key)
-            return _edit(connection, RoundLine, found, "delete-round", {"deleted": True}, by)
+            return _edit(connection, RoundLine, found, "delete-round", {"deleted": True})
 
-    def undo(self, round_key: str | None = None, *, number: int | None = None, by: str = "") -> int:
+    def undo(self, round_key: str | None = None, *, number: int | None = None) -> int:
         """Undo an action: the round's newest that has not been undone, or the one named.
 
         Raises
@@ -216,7 +217,6 @@ class Corrections(Database):
                 made = log_action(
                     connection,
                     "undo",
-                    by,
                     action.round_id,
                     action.fruit,
                     {"kind": action.kind},
@@ -231,7 +231,7 @@ class Corrections(Database):
                 raise _blocked_by_later(action.id) from None
         return made
 
-    def restore_round(self, key: str, *, by: str = "") -> int:
+    def restore_round(self, key: str) -> int:
         """Put a deleted round back into the list of rounds.
 
         Raises
@@ -249,7 +249,7 @@ class Corrections(Database):
             number = connection.execute(deleted).scalar()
         if number is None:
             raise StoreError(f"round {key} is not deleted", remedy="see the list of rounds")
-        return self.undo(number=number, by=by)
+        return self.undo(number=number)
 
 
 class DetectionId(NamedTuple):
@@ -286,10 +286,10 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     return [found[key] for key in wanted]
 
 
-def mark_added(connection: Connection, key: str, by: str, *, accept: bool = True) -> int:
+def mark_added(connection: Connection, key: str, *, accept: bool = True) -> int:
     """Log that a fruit was added by hand, and accept it; it counts until that is undone."""
     found = find_detections(connection, [key])
-    action = _log(connection, "add", by, found)
+    action = _log(connection, "add", found)
     _mark(connection, action, found, ADDED, "by-hand")
     if accept:
         _mark(connection, action, found, "verdict", Verdict.ACCEPTED)
@@ -308,12 +308,12 @@ def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
 
 
 def _link(
-    connection: Connection, kind: LinkKind, pairs: Sequence[tuple[str, str]], name: str, by: str
+    connection: Connection, kind: LinkKind, pairs: Sequence[tuple[str, str]], name: str
 ) -> int:
     """Link or separate pairs by hand; earlier links of a pair, in either order, end."""
     keys = list(dict.fromkeys(key for pair in pairs for key in pair))
     fruit = {row.key: row for row in find_detections(connection, keys)}
-    action = _log(connection, name, by, list(fruit.values()), {"kind": str(kind)})
+    action = _log(connection, name, list(fruit.values()), {"kind": str(kind)})
     for pair in pairs:
         first, second = (fruit[checked_key(key, "fruit")] for key in pair)
         within = first.round_id == second.round_id
@@ -371,11 +371,10 @@ def _blocked_by_later(number: int) -> StoreConflictError:
 def _log(
     connection: Connection,
     kind: str,
-    by: str,
     fruit: Sequence[DetectionId],
     details: dict[str, Any] | None = None,
 ) -> int:
-    return log_action(connection, kind, by, fruit[-1].round_id, [one.key for one in fruit], details)
+    return log_action(connection, kind, fruit[-1].round_id, [one.key for one in fruit], details)
 
 
 def _mark(
@@ -428,13 +427,11 @@ def _line(connection: Connection, table: Any, key: str) -> Any:
     return found
 
 
-def _edit(
-    connection: Connection, table: Any, line: Any, kind: str, after: dict[str, Any], by: str
-) -> int:
+def _edit(connection: Connection, table: Any, line: Any, kind: str, after: dict[str, Any]) -> int:
     before = {name: getattr(line, name) for name in after}
     details = {"table": table.__tablename__, "key": line.key, "before": before, "after": after}
     round_id = line.id if table is RoundLine else line.round_id
-    number = log_action(connection, kind, by, round_id, details=details)
+    number = log_action(connection, kind, round_id, details=details)
     change_line(connection, details)
     return number
 
@@ -442,19 +439,15 @@ def _edit(
 def log_action(
     connection: Connection,
     kind: str,
-    by: str,
     round_id: int | None,
     fruit: Sequence[str] = (),
     details: dict[str, Any] | None = None,
     **cells: Any,
 ) -> int:
-    """Add a line to the log and return its number.
-
-    `by` names who did it; without it, who the store is signed by (`Database.signed`).
-    """
+    """Add a line to the log, by who the store is signed by, and return its number."""
     said = {
         "at_s": time.time(),
-        "by": by or connection.get_execution_options().get(SIGNED_BY, ""),
+        "by": connection.get_execution_options().get(SIGNED_BY, ""),
         "kind": kind,
         "fruit": list(fruit),
         "details": details or {},

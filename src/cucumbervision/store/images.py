@@ -26,7 +26,6 @@ DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds
 THUMBNAIL_PX = 320
 _THUMBNAIL_QUALITY = 80
 _STARTED_S = 5.0  # a file that is younger may not be locked yet
-_SUFFIXES = (".png", ".jpg")
 
 
 class ImageStore:
@@ -108,10 +107,8 @@ class ImageStore:
         Raises
         ------
         StoreError
-            If the folder cannot be written, or the suffix is another.
+            If the folder cannot be written.
         """
-        if suffix not in _SUFFIXES:
-            raise StoreError(f"'{suffix}' pictures are not stored", remedy="give .png or .jpg")
         sha256 = hashlib.sha256(data).hexdigest()
         ref = ImageRef(sha256, suffix, len(data), width_px, height_px)
         path = self.path(ref)

@@ -85,8 +85,8 @@ _FIRST_CAPTURE = aliased(CaptureLine)
 class Queries(Database):
     """What a store can be asked. Each method sees the database as it was when it began."""
 
-    def rounds(self, house: str | None = None, *, deleted: bool = False) -> list[RoundView]:
-        """Return the rounds, the newest first; those of one house where one is named.
+    def rounds(self, *, deleted: bool = False) -> list[RoundView]:
+        """Return the rounds, the newest first.
 
         `deleted` gives those that were deleted instead.
         """
@@ -100,8 +100,6 @@ class Queries(Database):
             select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
         ).order_by(RoundLine.started_s.desc(), RoundLine.id.desc())
         query = query.where(RoundLine.deleted == deleted)
-        if house is not None:
-            query = query.where(RoundLine.house == house)
         with self.reading() as connection:
             rows = cells_of(connection, query)
             return [RoundView(Round(*row[:6]), *row[6:]) for row in rows]

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, func, insert, or_, select, update
+from sqlalchemy import and_, delete, func, insert, or_, select, update
 
+from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import (
     cells_by_name,
+    cells_of,
     columns_of,
+    decoding,
+    insert_all,
     insert_new,
     round_id_of,
     row_id_of,
@@ -20,6 +24,7 @@ from cucumbervision.store.check import change, seal_stops, with_hash
 from cucumbervision.store.corrections import (
     MEASURE_AGAIN,
     Corrections,
+    find_detections,
     lock_rounds,
     log_action,
     mark_added,
@@ -28,9 +33,10 @@ from cucumbervision.store.corrections import (
 )
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
 from cucumbervision.store.images import ImageStore
-from cucumbervision.store.merging import Merging
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.queries import Queries
 from cucumbervision.store.records import (
+    JointRecord,
     Round,
     Saved,
     StopRecord,
@@ -44,6 +50,7 @@ from cucumbervision.store.schema import (
     ROUND_CELLS,
     CaptureLine,
     DetectionLine,
+    JointLine,
     LinkLine,
     Mark,
     RoundLine,
@@ -57,12 +64,15 @@ from cucumbervision.store.stop_content import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from sqlalchemy import Connection
 
+    from cucumbervision.store.links import LinkRecord, Position
     from cucumbervision.store.records import DetectionRecord
 
+_LISTED_NAMES = ("key", "first", "views", "reason", "record")
+_LISTED = columns_of(JointLine, _LISTED_NAMES)
 _STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
 
@@ -121,7 +131,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     return Store(engine, images)
 
 
-class Store(Queries, Corrections, Merging):
+class Store(Queries, Corrections):
     """An open store; `open_store` makes it. Any number of threads may use one.
 
     Each method is one transaction: what it writes is there whole or not at all, and on the disk
@@ -197,8 +207,6 @@ class Store(Queries, Corrections, Merging):
         stop: StopRecord,
         same: Mapping[str, tuple[str, int]],
         corrected: Mapping[str, DetectionRecord],
-        *,
-        by: str = "",
     ) -> int:
         """Replace what was measured at a stop; logged, and not to be undone.
 
@@ -213,8 +221,6 @@ class Store(Queries, Corrections, Merging):
             Capture and number that a fruit has now, by its key.
         corrected : mapping of str to DetectionRecord
             As measured now with its corrected mask, by its key.
-        by : str
-            Name of the person.
 
         Raises
         ------
@@ -243,11 +249,9 @@ class Store(Queries, Corrections, Merging):
             seal_stops(connection, StopLine.id.in_((aside, line.id)))
             gone = sorted(old.keys() - same.keys())
             details = {"key": stop.key, "gone": gone}
-            return log_action(connection, MEASURE_AGAIN, by, line.round_id, list(same), details)
+            return log_action(connection, MEASURE_AGAIN, line.round_id, list(same), details)
 
-    def add_fruit(
-        self, stop_key: str, capture: str, record: DetectionRecord, *, by: str = ""
-    ) -> str:
+    def add_fruit(self, stop_key: str, capture: str, record: DetectionRecord) -> str:
         """Add a fruit that was not found; logged. Return its key.
 
         It is accepted, unless it is flagged as doubtful.
@@ -260,8 +264,6 @@ class Store(Queries, Corrections, Merging):
             Where it was seen: the stop, and the capture's name in it.
         record : DetectionRecord
             As it was measured; it gets the capture's next number.
-        by : str
-            Name of the person.
 
         Raises
         ------
@@ -290,8 +292,109 @@ class Store(Queries, Corrections, Merging):
             numbered = replace(record, number=number)
             add_detections(connection, capture_id, round_id, [key], [numbered])
             seal_stops(connection, StopLine.key == stop_key)
-            mark_added(connection, key, by, accept="doubtful" not in record.flags.split())
+            mark_added(connection, key, accept="doubtful" not in record.flags.split())
         return key
+
+    def save_merging(
+        self,
+        round_key: str,
+        links: Sequence[LinkRecord],
+        positions: Mapping[str, Position] | None = None,
+    ) -> int:
+        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions.
+
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
+        """
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            lock_rounds(connection, [round_id])
+            _forget_links(connection, LinkKind.SAME, (round_id, round_id))
+            in_round = StopLine.round_id == round_id
+            nowhere = {"fitted_m": None, "fitted_sd_m": None}
+            change(connection, StopLine, in_round, **nowhere)
+            for key, position in (positions or {}).items():
+                values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
+                if change(connection, StopLine, and_(in_round, StopLine.key == key), **values) != 1:
+                    raise StoreError(
+                        f"stop {key} is not in round {round_key}", remedy="see stops()"
+                    )
+            return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
+
+    def save_growth(self, earlier: str, later: str, links: Sequence[LinkRecord]) -> int:
+        """Replace the links of `LinkKind.GROWTH` between two rounds.
+
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
+        """
+        with self.writing() as connection:
+            rounds = round_id_of(connection, earlier), round_id_of(connection, later)
+            lock_rounds(connection, rounds)
+            _forget_links(connection, LinkKind.GROWTH, rounds)
+            return _add_links(connection, LinkKind.GROWTH, links, rounds)
+
+    def save_joint(
+        self, round_key: str, records: Sequence[JointRecord], keep: Collection[str]
+    ) -> None:
+        """Add joint measurements of a round; of the older ones only those of some keys stay."""
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            lock_rounds(connection, [round_id])
+            there = select(JointLine.key).where(JointLine.round_id == round_id)
+            stays = {*keep, *(one.key for one in records)}
+            gone = [key for key in connection.execute(there).scalars() if key not in stays]
+            for key in gone:
+                connection.execute(delete(JointLine).where(JointLine.key == key))
+            for one in records:
+                methods = [asdict(method) for method in one.record.methods] if one.record else []
+                drawing = {"methods": methods, "poses": {k: list(v) for k, v in one.poses.items()}}
+                cells = {
+                    "key": one.key,
+                    "round_id": round_id,
+                    "first": one.first,
+                    "views": one.views,
+                    "reason": one.reason,
+                    "record": one.record and record_json(replace(one.record, methods=())),
+                    "drawing": drawing,
+                }
+                insert_new(connection, JointLine, with_hash(JointLine, cells), "key")
+
+    def joint(self, round_key: str) -> dict[str, JointRecord]:
+        """Return a round's joint measurements by their keys, without paths and poses."""
+        query = (
+            select(*_LISTED)
+            .join(RoundLine, RoundLine.id == JointLine.round_id)
+            .where(RoundLine.key == round_key)
+        )
+        with self.reading() as connection:
+            rows = cells_of(connection, query)
+            with decoding(connection):
+                return {row[0]: _joint_of(row) for row in rows}
+
+    def joint_drawing(self, round_key: str, key: str) -> JointRecord:
+        """Return one joint measurement with everything: the tube's path, and the cameras' poses.
+
+        Raises
+        ------
+        StoreError
+            If it is not there.
+        """
+        query = (
+            select(*_LISTED, JointLine.drawing)
+            .join(RoundLine, RoundLine.id == JointLine.round_id)
+            .where(and_(RoundLine.key == round_key, JointLine.key == key))
+        )
+        with self.reading() as connection:
+            rows = cells_of(connection, query)
+            if not rows:
+                raise StoreError(f"joint measurement {key} is not there", remedy="merge again")
+            with decoding(connection):
+                *cells, drawing = rows[0]
+                return _joint_of(cells, drawing)
 
 
 def _conflict(what: str, key: str) -> StoreConflictError:
@@ -357,3 +460,69 @@ def _carry_over(
         if key in corrected:
             details = record_json(corrected[key])
             change(connection, Mark, active, value="corrected", details=details)
+
+
+def _joint_of(row: Sequence[Any], drawing: Mapping[str, Any] | None = None) -> JointRecord:
+    """Return a joint measurement from its cells; with its drawing, which lists leave out."""
+    values = dict(zip(_LISTED_NAMES, row, strict=True))
+    if drawing is not None:
+        values["poses"] = drawing["poses"]
+        if values["record"] is not None:
+            values["record"] = {**values["record"], "methods": drawing["methods"]}
+    joint: JointRecord = adapter(JointRecord).validate_python(values)
+    return joint
+
+
+def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+    """Remove the links that an algorithm made between two rounds, or within one."""
+    connection.execute(
+        delete(LinkLine).where(
+            LinkLine.kind == str(kind),
+            LinkLine.action_id.is_(None),
+            LinkLine.ended_by_id.is_(None),
+            LinkLine.first_round_id == rounds[0],
+            LinkLine.second_round_id == rounds[1],
+        )
+    )
+
+
+def _add_links(
+    connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
+) -> int:
+    if not links:
+        return 0
+    keys = sorted({key for link in links for key in (link.first, link.second)})
+    found = dict(zip(keys, find_detections(connection, keys), strict=True))
+    decided = _decided_pairs(connection, rounds)
+    lines = {}
+    for link in links:
+        first, second = found[link.first], found[link.second]
+        between = (first.round_id, second.round_id)
+        if between != rounds or first.id == second.id or link.kind != kind:
+            raise StoreError(
+                f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
+                remedy="link two fruit of the rounds named, the earlier first",
+            )
+        pair = frozenset((first.id, second.id))
+        if pair not in decided:
+            cells = {
+                "kind": str(kind),
+                "first_id": first.id,
+                "second_id": second.id,
+                "first_round_id": rounds[0],
+                "second_round_id": rounds[1],
+                "score": link.score,
+            }
+            lines[pair] = with_hash(LinkLine, cells)
+    insert_all(connection, LinkLine, list(lines.values()))
+    return len(lines)
+
+
+def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
+    query = select(LinkLine.first_id, LinkLine.second_id).where(
+        LinkLine.action_id.is_not(None),
+        LinkLine.ended_by_id.is_(None),
+        LinkLine.first_round_id.in_(rounds),
+        LinkLine.second_round_id.in_(rounds),
+    )
+    return {frozenset((first, second)) for first, second in connection.execute(query)}

@@ -176,50 +176,34 @@ class DetectionFilter:
 
     Parameters
     ----------
-    row, side, stop_key, method : str, optional
-        Of that row, side, stop, or measured by that method.
+    row, stop_key : str, optional
+        Of that row or stop.
     verdict : Verdict, optional
         So marked.
-    picked : bool, optional
-        Picked, or not yet.
-    measured : bool, optional
-        With a length, or without.
-    min_length_m, max_length_m : float, optional
-        From and up to that length; fruit without a length are left out then.
+    min_length_m : float, optional
+        From that length, metres; fruit without a length are left out then.
     best : bool
         Only the representative view of each fruit: every fruit once.
     """
 
     row: str | None = None
-    side: str | None = None
     stop_key: str | None = None
-    method: str | None = None
     verdict: Verdict | None = None
-    picked: bool | None = None
-    measured: bool | None = None
     min_length_m: float | None = None
-    max_length_m: float | None = None
     best: bool = False
 
     def keeps(self, fruit: DetectionView) -> bool:
         """Return whether a fruit belongs into the list."""
-        record, length = fruit.record, fruit.record.length_m
         wanted = (
             (self.row, fruit.row),
-            (self.side, fruit.side),
             (self.stop_key, fruit.stop_key),
-            (self.method, record.method),
             (self.verdict, fruit.verdict),
-            (self.picked, fruit.picked_s is not None),
-            (self.measured, length is not None),
         )
         if any(want is not None and want != has for want, has in wanted):
             return False
-        if self.best and not fruit.best:
+        if self.min_length_m is not None and (fruit.record.length_m or 0.0) < self.min_length_m:
             return False
-        if self.min_length_m is not None and (length is None or length < self.min_length_m):
-            return False
-        return self.max_length_m is None or (length is not None and length <= self.max_length_m)
+        return fruit.best or not self.best
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     groups : mapping of str to typer.Typer
         Its command groups; `evaluate` gets two commands and `models` one.
     """
-    from cucumbervision_lab.cli import benchmark, data, evaluate, synth, train
+    from cucumbervision_lab.cli import data, evaluate, synth, train
 
-    program.command("benchmark")(benchmark.benchmark)
+    program.command("benchmark")(evaluate.benchmark)
     program.command("synth")(synth.synth)
     program.add_typer(data.app, name="data")
     program.add_typer(train.app, name="train")

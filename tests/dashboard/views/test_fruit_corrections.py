@@ -74,7 +74,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
         # As if the detector had missed one fruit of each picture.
         last = {view.capture: view for view in store.detections(WALK)}
         missed = {name: store.detection(view.key) for name, view in last.items()}
-        store.set_verdict([view.key for view in last.values()], Verdict.REJECTED, by="nobody")
+        store.signed("nobody").set_verdict([view.key for view in last.values()], Verdict.REJECTED)
     variables = {"CUCUMBERVISION_TOKEN": TOKEN, "HOME": str(tmp_path)}
     address = start_server(tmp_path, "--login", "--store", str(path), **variables)
     begun_s, page = time.time(), new_page()

@@ -78,7 +78,7 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
         )
     if len(parts) > _DEEPEST:
         raise UploadError(
-            f"has a file in more than {_DEEPEST} folders, one in the other",
+            f"nests more than {_DEEPEST} folders",
             source=archive,
             remedy="pack the captures' folder alone",
         )

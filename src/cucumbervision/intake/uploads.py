@@ -295,7 +295,9 @@ class _Intake:
                         self._check(file, shown)
                     elif depth == self.limits.zip_depth:
                         raise UploadError(
-                            "is a zip too deep in others", source=shown, remedy="unpack it first"
+                            "is nested too deep in other zips",
+                            source=shown,
+                            remedy="unpack it first",
                         )
                     else:
                         inner = file.rename(file.with_name(f" {file.name}"))

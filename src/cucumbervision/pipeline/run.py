@@ -334,7 +334,7 @@ class _Run:
             self.journal.flush()
         with Boundary(result.failures, options.instances):
             self._note_instances(options.instances)
-        result.notes += result.summary.doubts()
+        result.notes += result.summary.unit_hints()
         about = provenance_of(options, result.summary.models, site, self.started)
         about["notes"] = result.notes
         result.failures += write_reports(

@@ -80,12 +80,12 @@ class Summary:
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
 
-    def doubts(self) -> list[str]:
+    def unit_hints(self) -> list[str]:
         """Return likely explanations if all lengths are impossible; otherwise nothing.
 
         Examples
         --------
-        >>> Summary(refused_cm=[148.0, 180.0], fruit=2).doubts()[0]
+        >>> Summary(refused_cm=[148.0, 180.0], fruit=2).unit_hints()[0]
         'no fruit has a possible length (median 164 cm): is one step of depth really 1 mm? ...'
         """
         if not self.refused_cm or self.lengths_cm:

@@ -31,7 +31,7 @@ SURE = 0.8  # probability from which a link counts for growth
 _FREEDOM = 4.0
 _PASSES = 6
 _BELIEF_STEPS = 40
-_PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
+_PRIOR_LINKS = 20.0  # weight of the prior of swinging, in links
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +261,7 @@ def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
 def _fit(
     knots: Floats, a: Floats, b: Floats, pairs: tuple[Ints, Ints], noise: Floats, voted: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimate the shifts of all stretches from the links, neighbours alike but for some jumps."""
+    """Estimate the shifts of all stretches from the links, smooth but for some jumps."""
     i, j = pairs
     count = len(knots)
     basis = np.stack([np.interp(a[i, ALONG], knots, line) for line in np.eye(count)], axis=1)

@@ -22,9 +22,9 @@ from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_s
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Floats, Ints, RowViews
 
-_UNLIKE = -8.0  # what a pair counts that is not among the likely ones
+_UNLIKE = -8.0  # log likelihood ratio of a pair that is no candidate
 
-_HELD = 40.0  # what a pair counts that was merged by hand
+_HELD = 40.0  # log likelihood ratio of a pair that was merged by hand
 
 
 def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
@@ -155,7 +155,7 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
 
 NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 
-_NEVER = -1e3
+_NEVER = -1e3  # log likelihood ratio of a pair that was separated by hand
 
 _GATE_SD = 4.0
 _PASSES = 4  # of assignment and estimation
@@ -328,7 +328,7 @@ def _rated(
 def _vote_across(
     fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
 ) -> tuple[float, float]:
-    """Find how far apart the cameras of the two aisles are: by pairs alike in all but depth."""
+    """Estimate how far apart the two aisles' cameras are, from pairs alike in all but depth."""
     i, j = _candidates(fitted, views)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     i, j = i[across], j[across]
@@ -355,7 +355,7 @@ def _set_across(stops: RowStops, across: tuple[float, float]) -> RowStops:
 
 
 def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]:
-    """Name sides whose views fit together far better with offsets turned round."""
+    """Return the sides whose views agree far better if their offsets are mirrored."""
     found = []
     for side in np.unique(stops.side).tolist():
         support = []
@@ -371,7 +371,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
 
 
 def _numbered(cluster: Ints, along: Floats) -> Ints:
-    """Return clusters numbers along the row, from 0."""
+    """Return the clusters numbered along the row, from 0."""
     names, at = np.unique(cluster, return_inverse=True)
     middle = np.bincount(at, along) / np.bincount(at)
     rank = np.empty(len(names), np.int64)

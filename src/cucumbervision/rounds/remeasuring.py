@@ -148,8 +148,8 @@ def measure_stop_again(
     stop = store.stop(key)
     views = store.detections(stop.round_key, DetectionFilter(stop_key=key))
     links = [one for one in store.links(stop.round_key) if one.by_hand]
-    said_of = {end for link in links for end in (link.first, link.second)}
-    said_of |= {
+    decided = {end for link in links for end in (link.first, link.second)}
+    decided |= {
         one.key for one in views if one.verdict or one.corrected or one.picked_s is not None
     }
     by_hand = store.corrected(stop.round_key)
@@ -161,7 +161,7 @@ def measure_stop_again(
             raise CucumberVisionError(result.error.message, source=taken.name)
         own = {one.number: one for one in taken.fruit}
         before = {one.key: own[one.record.number] for one in views if one.capture == taken.name}
-        result, numbers = _with_old(result, before, said_of, measurer)
+        result, numbers = _with_old(result, before, decided, measurer)
         same |= {one: (taken.name, number) for one, number in numbers.items()}
         for one in by_hand.keys() & numbers.keys():
             fruit = measurer.measure_instance(
@@ -177,7 +177,7 @@ def measure_stop_again(
 def _with_old(
     result: CaptureResult,
     before: Mapping[str, DetectionRecord],
-    said_of: set[str],
+    decided: set[str],
     measurer: Measurer,
 ) -> tuple[CaptureResult, dict[str, int]]:
     """Return a result with fruit that must not be lost, and the numbers of old fruit by key."""
@@ -193,7 +193,7 @@ def _with_old(
         for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             if overlap[i, j] >= _SAME_BOX:
                 numbers[keys[i]] = int(j) + 1
-    for key in sorted(said_of & (old.keys() - numbers.keys())):
+    for key in sorted(decided & (old.keys() - numbers.keys())):
         fruit.append(measurer.measure_instance(result.capture, old[key]))
         numbers[key] = len(fruit)
     return replace(result, fruit=tuple(fruit)), numbers

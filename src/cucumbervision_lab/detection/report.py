@@ -291,7 +291,7 @@ def pose_table(readings: pd.DataFrame) -> Table:
     heads = ["fruit", "n", "swapped (%):.1", "stem end median (mm):.1", "90th percentile:.1"]
     heads += ["direction median (deg):.1", "90th:.1", "cut in 90 % (%):.0"]
     comment = (
-        f"At {_NEAR_M[0]:g} to {_NEAR_M[1]:g} m if not said otherwise. Distances of fruit whose "
+        f"At {_NEAR_M[0]:g} to {_NEAR_M[1]:g} m unless stated otherwise. Distances of fruit whose "
         "ends are not swapped, hidden ends included. The last column: how often the true place "
         "to cut lies in its ellipsoid of 90 %."
     )

@@ -185,8 +185,7 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     for name in sorted({stop.row or "" for stop in content.stops}):
         stops = [stop for stop in content.stops if (stop.row or "") == name]
         views = [view for view in kept if (view.row or "") == name]
-        row = _row(name, stops, views, content.cameras)
-        yield replace(row, false=content.false)
+        yield _row(name, stops, views, content)
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
@@ -201,8 +200,9 @@ def _row(
     name: str,
     stops: Sequence[StopView],
     fruit: Sequence[DetectionView],
-    cameras: Mapping[str, CameraAt],
+    content: RoundContent,
 ) -> StoredRow:
+    cameras = content.cameras
     sides = tuple(sorted({stop.side or "" for stop in stops}))
     if len(sides) > 2:
         raise RoundError(
@@ -247,7 +247,7 @@ def _row(
     accepted = np.array([view.verdict is Verdict.ACCEPTED for view in known], bool)
     unplaced = len(fruit) - len(known)
     return StoredRow(
-        name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, USUAL
+        name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, content.false
     )
 
 

@@ -172,26 +172,26 @@ class Corrections(Database):
         """Set where a stop was taken, and its name; its fitted position is discarded."""
         with self.writing() as connection:
             after = asdict(place)
-            row, stop = after.pop("row"), _line(connection, StopLine, key)
+            row, stop = after.pop("row"), line_of(connection, StopLine, key)
             after["row_id"] = row if row is None else row_id_of(connection, stop.round_id, row)
             return _edit(connection, StopLine, stop, "place-stop", after)
 
     def delete_stop(self, key: str) -> int:
         """Take a stop with all its fruit out of every list."""
         with self.writing() as connection:
-            stop = _line(connection, StopLine, key)
+            stop = line_of(connection, StopLine, key)
             return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True})
 
     def rename_round(self, key: str, name: str) -> int:
         """Rename a round."""
         with self.writing() as connection:
-            found = _line(connection, RoundLine, key)
+            found = line_of(connection, RoundLine, key)
             return _edit(connection, RoundLine, found, "rename-round", {"name": name})
 
     def delete_round(self, key: str) -> int:
         """Take a round with all its stops out of the list of rounds."""
         with self.writing() as connection:
-            found = _line(connection, RoundLine, key)
+            found = line_of(connection, RoundLine, key)
             return _edit(connection, RoundLine, found, "delete-round", {"deleted": True})
 
     def undo(self, round_key: str | None = None, *, number: int | None = None) -> int:
@@ -404,21 +404,17 @@ MEASURE_AGAIN = "measure-again"
 """The kind of action that measures a stop again: the one that is not undone."""
 
 
-def stop_line(connection: Connection, key: str) -> Any:
-    """Return all cells of a stop that was not deleted, and keep others from changing it.
+_TABLES: dict[str, Any] = {"stops": StopLine, "rounds": RoundLine}
+
+
+def line_of(connection: Connection, table: Any, key: str) -> Any:
+    """Return all cells of a stop or round that was not deleted, and keep others from changing it.
 
     Raises
     ------
     StoreError
         If it is not there.
     """
-    return _line(connection, StopLine, key)
-
-
-_TABLES: dict[str, Any] = {"stops": StopLine, "rounds": RoundLine}
-
-
-def _line(connection: Connection, table: Any, key: str) -> Any:
     what = "stop" if table is StopLine else "round"
     query = select(*table.__table__.columns).where(table.key == checked_key(key, what))
     found = connection.execute(query.with_for_update(key_share=True)).one_or_none()

@@ -460,7 +460,7 @@ def _actions_of(
         select(
             *columns_of(Action, ("id", "at_s", "by", "kind")),
             RoundLine.key,
-            *columns_of(Action, ("fruit", "details", "undoes_id")),
+            *columns_of(Action, ("fruit", "details")),
             undo.id,
         )
         .outerjoin(RoundLine, RoundLine.id == Action.round_id)
@@ -471,7 +471,7 @@ def _actions_of(
     if round_key is not None:
         query = query.where(RoundLine.key == checked_key(round_key, "round"))
     return [
-        record_of(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
+        record_of(ActionView, *row[:5], tuple(row[5]), row[6], row[7] is not None)
         for row in cells_of(connection, query)
     ]
 

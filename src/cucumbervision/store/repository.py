@@ -25,11 +25,11 @@ from cucumbervision.store.corrections import (
     MEASURE_AGAIN,
     Corrections,
     find_detections,
+    line_of,
     lock_rounds,
     log_action,
     mark_added,
     original_name,
-    stop_line,
 )
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
 from cucumbervision.store.images import ImageStore
@@ -231,7 +231,7 @@ class Store(Queries, Corrections):
         sha256 = content_sha256(stop)
         known = {now: key for key, now in same.items()}
         with self.writing() as connection:
-            line = stop_line(connection, stop.key)
+            line = line_of(connection, StopLine, stop.key)
             lock_rounds(connection, [line.round_id])
             aside, old = _put_aside(connection, line)
             keys = [

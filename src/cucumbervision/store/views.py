@@ -228,8 +228,6 @@ class ActionView:
         Keys of the fruit.
     details : mapping
         What else belongs to it.
-    undoes : int, optional
-        The line that this one took back.
     undone : bool
         Whether a later line took this one back.
     """
@@ -241,7 +239,6 @@ class ActionView:
     round_key: str | None
     fruit: tuple[str, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
-    undoes: int | None = None
     undone: bool = False
 
 

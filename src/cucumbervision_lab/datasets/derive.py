@@ -195,7 +195,7 @@ _FORMATS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect")
 _TASKS = {"yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
 
 
-def parse_keep(words: Sequence[str]) -> dict[int | str, str]:
+def parse_keep(words: Sequence[str]) -> dict[str, str]:
     """Parse 'old=new' pairs of class names.
 
     Raises
@@ -208,7 +208,7 @@ def parse_keep(words: Sequence[str]) -> dict[int | str, str]:
     >>> parse_keep(["0=cucumber", "zucchini=cucumber"])
     {'0': 'cucumber', 'zucchini': 'cucumber'}
     """
-    kept: dict[int | str, str] = {}
+    kept: dict[str, str] = {}
     for word in words:
         old, sign, new = word.partition("=")
         if not (sign and old.strip() and new.strip()):
@@ -222,7 +222,7 @@ def convert_dataset(
     out: Path,
     form: str,
     *,
-    keep: Mapping[int | str, str] | None = None,
+    keep: Mapping[str, str] | None = None,
     source: str = "",
     licence: str = "",
     link: bool = True,

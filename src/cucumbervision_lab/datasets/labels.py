@@ -215,15 +215,15 @@ class DataSet:
         return tuple(p for p in self.pictures if p.split == split)
 
 
-def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
+def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
     """Rename and merge classes, and remove all others.
 
     Parameters
     ----------
     dataset : DataSet
         Data set to change; labels of removed classes become background.
-    keep : mapping of int or str to str
-        New name by index or name of each class to keep; classes with the same new name are merged.
+    keep : mapping of str to str
+        New name by name, or number from 0, of each class to keep; classes with the same new name are merged.
 
     Raises
     ------
@@ -241,14 +241,14 @@ def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
     >>> kept.categories, len(kept.pictures[0].labels)
     (('cucumber',), 1)
     """
-    names, wanted = dataset.categories, {str(k): v for k, v in keep.items()}
-    unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
+    names = dataset.categories
+    unknown = [k for k in keep if k not in names and not (k.isdecimal() and int(k) < len(names))]
     if unknown:
         raise DataSetError(
             f"unknown class {', '.join(unknown)}", remedy=f"use one of {', '.join(names)}"
         )
-    categories = tuple(dict.fromkeys(wanted.values()))
-    kept = {k: wanted.get(name, wanted.get(str(k))) for k, name in enumerate(names)}
+    categories = tuple(dict.fromkeys(keep.values()))
+    kept = {k: keep.get(name, keep.get(str(k))) for k, name in enumerate(names)}
     index = {k: categories.index(new) for k, new in kept.items() if new is not None}
     pictures = tuple(
         replace(

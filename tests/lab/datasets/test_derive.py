@@ -61,7 +61,7 @@ def test_classes_by_number_or_name(make_set: MakeSet) -> None:
     assert kept.categories == ("cucumber",)
     assert [x.category for x in kept.pictures[0].labels] == [0, 0]
     with pytest.raises(DataSetError, match=r"unknown class 3; use one of leaf"):
-        keep_classes(named, {3: "cucumber"})
+        keep_classes(named, {"3": "cucumber"})
     with pytest.raises(DataSetError, match="invalid class mapping"):
         parse_keep(["cucumber"])
 

@@ -223,7 +223,8 @@ def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
     dataset : DataSet
         Data set to change; labels of removed classes become background.
     keep : mapping of str to str
-        New name by name, or number from 0, of each class to keep; classes with the same new name are merged.
+        New name by name, or number from 0, of each class to keep; classes with the same new name
+        are merged.
 
     Raises
     ------

@@ -19,6 +19,6 @@ def test_the_examples_give_what_the_page_says() -> None:
 
 def test_what_the_page_calls_exists() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    called = set(re.findall(r"store\.(\w+)\(", text))
+    called = set(re.findall(r"store(?:\.signed\(\"\w+\"\))?\.(\w+)\(", text))
     assert called >= {"save_stop", "undo"}
     assert [name for name in called if not hasattr(Store, name)] == []

@@ -119,17 +119,68 @@ def test_back_and_reload_come_to_the_same_place(
     page.context.close()
 
 
-def test_a_tap_on_the_map_is_answered_within_the_screen(
+def middle(place: Any) -> tuple[float, float]:
+    box = place.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_a_tap_on_the_map_is_answered_beside_the_finger(
     address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
 ) -> None:
     page = new_page(*SIZES["phone"], has_touch=True)
     page.goto(f"{address[0]}/map?round={TODAY}")
-    page.locator(".mark-symbol.role-mark path").first.tap()
-    page.get_by_role("button", name="This is a fruit").wait_for()
-    page.wait_for_function(
-        "document.querySelector('.st-key-answer').getBoundingClientRect().bottom <= innerHeight + 1"
-    )
-    page.context.close()
+    marks, card = page.locator("svg.map path"), page.locator(".card:visible")
+    marks.first.wait_for()
+    before, size = marks.count(), marks.first.bounding_box()
+    assert min(size["width"], size["height"]) >= 24
+    marks.first.tap()
+    card.locator("img").wait_for()
+    x, y = middle(marks.first)
+    box = card.bounding_box()
+    assert box["x"] <= x <= box["x"] + box["width"]
+    assert min(abs(box["y"] - y), abs(box["y"] + box["height"] - y)) < 40
+    assert 0 <= box["y"] <= box["y"] + box["height"] <= SIZES["phone"][1]
+    card.get_by_role("button", name="Not a fruit").tap()
+    card.get_by_text("Marked: not a fruit.").wait_for()
+    assert marks.count() == before - 1
+    page.get_by_role("button", name="Undo").tap()
+    card.get_by_text("Marked: not a fruit.").wait_for(state="hidden")
+    assert marks.count() == before
+    card.get_by_role("button", name="Open").tap()
+    page.get_by_role("button", name="All fruit").wait_for()
+    assert "/results?" in page.url
+
+
+def test_two_fingers_zoom_the_map_and_one_moves_it(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    page.goto(f"{address[0]}/map?round={TODAY}")
+    drawn = page.locator("svg.map").first
+    drawn.locator("path").first.wait_for()
+    touch = page.context.new_cdp_session(page)
+
+    def fingers(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def view() -> list[float]:
+        return [float(part) for part in drawn.get_attribute("viewBox").split()]
+
+    whole, (x, y) = view(), middle(drawn)
+    fingers("touchStart", (x - 30, y), (x + 30, y))
+    for apart in (40, 50, 60):
+        fingers("touchMove", (x - apart, y), (x + apart, y))
+    fingers("touchEnd")
+    zoomed = view()
+    assert zoomed[2] == pytest.approx(whole[2] / 2, rel=0.1)
+    fingers("touchStart", (x, y))
+    for moved in (10, 20, 30):
+        fingers("touchMove", (x + moved, y))
+    fingers("touchEnd")
+    assert view()[0] < zoomed[0]
+    assert view()[2] == zoomed[2]
+    assert page.locator(".card:visible").count() == 0
 
 
 @pytest.mark.parametrize("size", SIZES)

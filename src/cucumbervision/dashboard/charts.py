@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 # all else that a page does; channels are named for the same reason, where a string would do.
 disable_debug_mode()
 
-_MARKS = {"seen": "circle", "picked": "cross", "simulated": "diamond"}  # on the map
+MAP_PX = 1000, 560
+"""Width and height of a row's map, in its own pixels."""
 
-
-_MARK_PX2 = 460  # a circle of 24 pixels, which a thumb hits
+_MAP_EDGE_PX = 50
+# Of viridis: from dark to light with the length.
+_STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")
 
 
 _MANY = 40  # fruit from which narrow bars say more than they scatter
@@ -125,40 +127,74 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     return chart
 
 
-def map_chart(
+def map_picture(
     lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
-) -> alt.Chart:
-    """Return the fruit of one row and side by position and height; scales fit all that is shown."""
-    if by_length:
-        field, title = "length:Q", f"Length [{units.name}]"
-        scale = alt.Scale(scheme="viridis", domain=_ends(shown, "length"))
-    else:
-        field, title, scale = "class:N", None, _class_colors(x["class"] for x in shown)
-    tooltip = [
-        alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
-        alt.Tooltip("class:N", title="Class"),
-        alt.Tooltip("along:Q", title="Along the row [m]", format=".2f"),
-    ]
-    chart: alt.Chart = (
-        alt.Chart(_data(lines))
-        .mark_point(filled=True, size=_MARK_PX2, strokeWidth=2.5)
-        .encode(
-            fillOpacity=alt.condition("datum.views > 1", alt.value(0.85), alt.value(0.15)),
-            x=alt.X("along:Q", title="Along the row [m]", scale=_scale(shown, "along")),
-            y=alt.Y("height:Q", title="Height [m]", scale=_scale(shown, "height")),
-            fill=alt.Fill(field, title=title, scale=scale, legend=_BELOW),
-            stroke=alt.Stroke(field, title=title, scale=scale, legend=_BELOW),
-            shape=alt.Shape(
-                "mark:N",
-                scale=alt.Scale(domain=list(_MARKS), range=list(_MARKS.values())),
-                legend=None,
-            ),
-            tooltip=tooltip,
-        )
-        .properties(height=300)
-        .add_params(alt.selection_point(name="fruit", fields=["key"], toggle=False))
-    )
-    return chart
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the fruit of one row and side as layers of a picture of `MAP_PX`, and its grid.
+
+    Parameters
+    ----------
+    lines : list of dict
+        The fruit, as `round_tables.map_lines` gives them.
+    shown : list of dict
+        All that are shown, which the scales fit.
+    by_length : bool
+        A layer for every step of the length; else one a class.
+    """
+    ends = {name: _ends(shown, name) for name in ("along", "height")}
+
+    def place(name: str, value: float) -> float:
+        (low, high), size = ends[name], MAP_PX[name == "height"]
+        share = (value - low) / max(high - low, 0.1)
+        across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
+        return round(size - across if name == "height" else across, 1)
+
+    layers: dict[str, dict[str, Any]] = {}
+    for line in sorted(lines, key=lambda one: one["length"] or 0.0):
+        name, color = _length_step(line["length"], units) if by_length else _class(line["class"])
+        layer = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
+        mark = {
+            "kind": "mark",
+            "points": [place("along", line["along"]), place("height", line["height"])],
+            "key": line["key"],
+            "mark": line["mark"],
+            "once": line["views"] == 1,
+            "says": line["says"],
+        }
+        layer["shapes"].append(mark)
+    grid = {
+        name: [(place(of, at), f"{at:g} m") for at in _round_values(*ends[of])]
+        for name, of in (("across", "along"), ("up", "height"))
+    }
+    return list(layers.values()), grid
+
+
+def _class(name: str) -> tuple[str, str]:
+    return name, class_color(name)
+
+
+def _length_step(length: float | None, units: Units) -> tuple[str, str]:
+    """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
+    if length is None:
+        return "not measured", _OTHERS["class unsure"]
+    step = 5 if units.name == "cm" else 2
+    number = int(length // step)
+    name = f"{number * step} to {(number + 1) * step} {units.name}"
+    return name, _STEP_COLORS[min(max(number - 1, 0), len(_STEP_COLORS) - 1)]
+
+
+def _round_values(low: float, high: float) -> list[float]:
+    """Return round values between two ends, at most ten.
+
+    Examples
+    --------
+    >>> _round_values(-0.31, 0.42), _round_values(0.2, 23.9)
+    ([-0.2, 0.0, 0.2, 0.4], [5.0, 10.0, 15.0, 20.0])
+    """
+    steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+    step = next((s for s in steps if (high - low) / s <= 5), 100.0)
+    first, last = math.ceil(low / step), math.floor(high / step)
+    return [round(k * step, 1) for k in range(first, last + 1)]
 
 
 def _data(lines: list[dict[str, Any]]) -> Any:
@@ -166,14 +202,9 @@ def _data(lines: list[dict[str, Any]]) -> Any:
     return pa.Table.from_pylist(lines)
 
 
-def _ends(lines: list[dict[str, Any]], name: str) -> list[float]:
+def _ends(lines: list[dict[str, Any]], name: str) -> tuple[float, float]:
     known = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
-    return [min(known), max(known)]
-
-
-def _scale(lines: list[dict[str, Any]], name: str) -> alt.Scale:
-    low, high = _ends(lines, name)
-    return alt.Scale(domain=[low - 0.05, high + 0.05], nice=False)
+    return min(known), max(known)
 
 
 def forecast_chart(found: Forecast) -> alt.LayerChart:

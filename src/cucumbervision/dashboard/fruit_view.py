@@ -18,7 +18,7 @@ from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.perception.mask_codes import decode_rle
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -404,6 +404,8 @@ def picture(
     place: Mapping[str, str] | None = None,
     adds: bool = False,
     outcome: tuple[object, str] = ("", ""),
+    content: dict[str, object] | None = None,
+    on: Mapping[str, Callable[[], None]] | None = None,
 ) -> Any:
     """Draw a picture that takes clicks, which Streamlit's own does not.
 
@@ -433,6 +435,10 @@ def picture(
         Whether a point or box adds a fruit; else it is returned.
     outcome : tuple of object and str
         The last correction, and what became of it, which is said over the picture.
+    content : dict, optional
+        'grid' and 'opened' of a row's map, which has marks in the place of a picture.
+    on : mapping of str to callable, optional
+        What is called for 'tapped' and 'judged' of a map.
 
     Returns
     -------
@@ -455,7 +461,9 @@ def picture(
         "adds": adds,
         "job": outcome[0],
         "told": outcome[1],
+        "map": content,
     }
     # The page reads the values itself; a callback makes the component send them.
-    callbacks = {f"on_{name}_change": lambda: None for name in _MARKS}
+    acts = {**dict.fromkeys(_MARKS, lambda: None), **(on or {})}
+    callbacks = {f"on_{name}_change": act for name, act in acts.items()}
     return component("picture")(key=key, data=data, **callbacks)

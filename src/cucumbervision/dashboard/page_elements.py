@@ -139,6 +139,12 @@ def link(page: str, label: str, **parts: str) -> None:
         )
 
 
+def leave_for(page: str, **parts: str) -> None:
+    """Open another page of the round."""
+    if found := st.session_state.get("pages", {}).get(page):
+        st.switch_page(found, query_params=here(**parts))
+
+
 def here(**parts: str) -> dict[str, str]:
     """Return what an address says: the round that is open, and what else is named."""
     opened = st.session_state.get("round")

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.grades import grade
-from cucumbervision.dashboard.words import grade_name, row_name
+from cucumbervision.dashboard.words import (
+    grade_name,
+    grade_words,
+    length_words,
+    metres_words,
+    row_name,
+)
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.fruit_table import hanging_lengths_m, round_figures
 
@@ -102,17 +108,30 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
     return [
         {
             "key": view.key,
-            "row": row_name(view.row) + (f", {view.side}" if view.side else ""),
+            "row": row_and_side(view),
             "along": round(max(view.along_m, 0.0), 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
             "class": grade_name(graded.grades[view.key]),
+            "says": map_words(view, graded, units),
             "views": view.views,
             "mark": _mark_of(view),
         }
         for view in graded.fruit
         if view.along_m is not None
     ]
+
+
+def row_and_side(view: DetectionView) -> str:
+    """Return what the map calls the row and side of a fruit."""
+    return row_name(view.row) + (f", {view.side}" if view.side else "")
+
+
+def map_words(view: DetectionView, graded: GradedRound, units: Units) -> str:
+    """Return what the map says of a fruit: its place, length and class."""
+    known = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
+    place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
+    return ", ".join([f"{place}: {length_words(view.record, units)}", *known])
 
 
 def _mark_of(view: DetectionView) -> str:

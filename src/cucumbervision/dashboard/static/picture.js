@@ -1,4 +1,4 @@
-// A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with.
+// A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with; or the map of a row, whose marks are tapped.
 const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
   "": "Pinch or + and − to zoom, then drag to move; Ctrl and wheel with a mouse.",
@@ -10,7 +10,7 @@ const HINTS = {
 };
 const NAMES = { ruler: "Ruler", point: "Redraw by tap", box: "Redraw by box", brush: "Brush", erase: "Rubber" };
 const DRAGGED = ["box", "brush", "erase"];
-const NEAREST = 20, BRUSH = 13;
+const NEAREST = 20, BRUSH = 13, MARK_PX = 12; // the radius of a mark, which a thumb hits
 const PATIENCE_MS = 120000;
 const state = new WeakMap();
 
@@ -44,9 +44,9 @@ function make(name, attributes, parent) {
   return node;
 }
 
-function text(svg, words, x, y, size, anchor = "start") {
+function text(svg, words, x, y, size, anchor = "start", ink = "#fff", edge = "#000") {
   const node = make("text", {
-    x, y, "font-size": size, "font-family": "sans-serif", fill: "#fff", stroke: "#000",
+    x, y, "font-size": size, "font-family": "sans-serif", fill: ink, stroke: edge,
     "stroke-width": size / 5, "stroke-linejoin": "round", "font-weight": 600, "paint-order": "stroke", "text-anchor": anchor,
   }, svg);
   node.textContent = words;
@@ -78,9 +78,40 @@ function place(parent, nodes) {
   });
 }
 
-function drawLayer(svg, layer, unit) {
+const MARKS = {
+  picked: (x, y, r) => `M${x - r} ${y - r}L${x + r} ${y + r}M${x - r} ${y + r}L${x + r} ${y - r}`,
+  simulated: (x, y, r) => `M${x - r} ${y}L${x} ${y - r}L${x + r} ${y}L${x} ${y + r}Z`,
+  seen: (x, y, r) => `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`,
+};
+
+function drawMark(svg, shape, color, px, isOpen) {
+  const picked = shape.mark === "picked", r = (picked ? 0.8 : 1) * MARK_PX * px;
+  const node = make("path", {
+    d: MARKS[shape.mark](...shape.points, r), "data-key": shape.key, fill: color, "fill-opacity": shape.once ? 0.15 : 0.85,
+    stroke: isOpen ? "#000" : color, "stroke-width": (picked ? 7 : 2.5) * px, "pointer-events": "all",
+  }, svg);
+  make("title", {}, node).textContent = shape.says;
+}
+
+function drawGrid(svg, grid, { x, y, w, h }, px) {
+  const line = { stroke: "#d0d5d1", "stroke-width": px };
+  for (const [at, words] of grid.across) {
+    make("line", { x1: at, x2: at, y1: y, y2: y + h, ...line }, svg);
+    text(svg, words, at, y + h - 4 * px, 13 * px, "middle", "#22262e", "#fff");
+  }
+  for (const [at, words] of grid.up) {
+    make("line", { x1: x, x2: x + w, y1: at, y2: at, ...line }, svg);
+    text(svg, words, x + 3 * px, at - 3 * px, 13 * px, "start", "#22262e", "#fff");
+  }
+}
+
+function drawLayer(svg, layer, unit, own) {
   for (const shape of layer.shapes) {
     const points = shape.points;
+    if (shape.kind === "mark") {
+      drawMark(svg, shape, layer.color, own.px, own.card === shape.key);
+      continue;
+    }
     if (shape.kind === "dot") {
       make("circle", { cx: points[0], cy: points[1], r: 4 * unit, fill: layer.color, stroke: "#000", "stroke-width": 1.5 * unit }, svg);
       continue;
@@ -118,18 +149,21 @@ function drawBar(svg, bar, view, unit) {
 
 function draw(root, data, own) {
   const svg = root.querySelector("svg");
-  const { x, y, w } = own.view, h = (w * data.height) / data.width;
-  const unit = own.unit = w / Math.min(900, 1.35 * (svg.getBoundingClientRect().width || 900)); // words are read on a phone too
+  const { x, y, w } = own.view, h = (w * data.height) / data.width, box = svg.getBoundingClientRect(), wide = box.width || 900;
+  const unit = own.unit = w / Math.min(900, 1.35 * wide); // words are read on a phone too
+  own.px = Math.max(w / wide, h / (box.height || wide));
   svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
   // A finger on a picture that nobody zoomed scrolls the page.
   svg.style.touchAction = DRAGGED.includes(own.tool) || own.zoomed ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
   svg.classList.toggle("drawing", own.tool !== "");
+  svg.classList.toggle("map", Boolean(data.map));
   svg.replaceChildren();
   const names = Object.keys(data.images);
   if (!names.includes(own.image)) own.image = names[0];
-  make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
-  for (const layer of data.layers) if (own.on[layer.name]) drawLayer(svg, layer, unit);
+  if (data.map) drawGrid(svg, data.map.grid, { x, y, w, h }, own.px);
+  else make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
+  for (const layer of data.layers) if (own.on[layer.name]) drawLayer(svg, layer, unit, own);
   if (own.tool === "ruler") drawRuler(svg, own.ends, data.rulerText, unit);
   if (own.tool === "box" && own.drag) {
     const [x1, y1, x2, y2] = own.drag;
@@ -142,6 +176,39 @@ function draw(root, data, own) {
     make("polyline", { points: painted.join(" "), fill: "none", stroke: ink, "stroke-opacity": 0.5, "stroke-width": 2 * BRUSH * unit, "stroke-linecap": "round", "stroke-linejoin": "round" }, svg);
   }
   if (data.bar) drawBar(svg, data.bar, { x, y, w, h }, unit);
+  if (data.map) putCard(root, data, own);
+}
+
+// What is said of a mark stands beside it, and inside the picture's sides.
+function putCard(root, data, own) {
+  const card = root.querySelector(".card"), svg = root.querySelector("svg");
+  const shape = data.layers.flatMap((layer) => layer.shapes).find((one) => one.key === own.card);
+  if (shape) own.at = shape.points;
+  card.hidden = !own.card;
+  if (card.hidden) return;
+  const at = new DOMPoint(...(own.at || [own.view.x, own.view.y])).matrixTransform(svg.getScreenCTM());
+  const seen = root.querySelector(".seen").getBoundingClientRect(), own_px = card.getBoundingClientRect();
+  const below = at.y - seen.top + MARK_PX + 6, above = below - own_px.height - 2 * MARK_PX - 12;
+  card.style.left = `${Math.max(0, Math.min(at.x - seen.left - own_px.width / 2, seen.width - own_px.width))}px`;
+  card.style.top = `${below + seen.top + own_px.height > innerHeight && above + seen.top > 0 ? above : below}px`;
+}
+
+// A mark that was tapped is answered at once by what the map knows of it, then by its picture and what it was marked.
+function card(root, data, own, again, send) {
+  const { opened } = data.map, node = root.querySelector(".card"), [image, words, acts] = ["img", "p", ".chips"].map((name) => node.querySelector(name));
+  const shape = data.layers.flatMap((layer) => layer.shapes).find((one) => one.key === own.card);
+  const isKnown = opened && opened.key === own.card;
+  image.hidden = !(isKnown && opened.picture);
+  if (!image.hidden) image.src = opened.picture;
+  words.textContent = isKnown ? opened.says : shape?.says || "";
+  const judge = (act) => () => send("judged", { key: own.card, act });
+  const close = () => { own.card = null; again(); send("tapped", ""); };
+  place(acts, [
+    chip("This is a fruit", isKnown && opened.verdict === "accepted", "", judge("accepted")),
+    chip("Not a fruit", isKnown && opened.verdict === "rejected", "", judge("rejected")),
+    chip("Open", false, "", judge("open")), chip("Close", false, "", close),
+  ]);
+  putCard(root, data, own);
 }
 
 // Where the picture opens: on the fruit, with as much about it as is needed to know where it is.
@@ -206,12 +273,18 @@ export default function (component) {
   if (own.stale) Object.assign(own, { stale: false, draft: [] });
   if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [], painted: null });
   own.view = own.view || opening(data);
+  const opened = data.map?.opened?.key;
+  if (own.opened !== opened) Object.assign(own, { opened, card: opened });
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;
   const svg = root.querySelector("svg");
   const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
   own.redraw = redraw;
   if (!own.sized) (own.sized = new ResizeObserver(() => own.redraw())).observe(svg);
-  const again = () => { redraw(); chips(root, data, own, again); };
+  const again = () => {
+    redraw();
+    chips(root, data, own, again);
+    if (data.map) card(root, data, own, again, setTriggerValue);
+  };
   const send = (kind, value) => prompt(data, own, kind, value, redraw, setTriggerValue);
   const raw = (event) => {
     const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
@@ -279,6 +352,12 @@ export default function (component) {
   };
   svg.onclick = (event) => {
     if (own.moved) return;
+    if (data.map) {
+      own.card = event.target.dataset.key;
+      again();
+      if (own.card) root.querySelector(".card").scrollIntoView({ block: "nearest" });
+      setTriggerValue("tapped", own.card || "");
+    }
     if (own.tool === "point") send("point", at(event));
     if (own.tool !== "ruler") return;
     own.ends = own.ends.length === 1 ? [own.ends[0], at(event)] : [at(event)];

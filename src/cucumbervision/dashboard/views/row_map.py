@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.charts import map_chart
+from cucumbervision.dashboard.charts import MAP_PX, map_picture
+from cucumbervision.dashboard.fruit_view import picture
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.round_tables import map_lines
+from cucumbervision.dashboard.round_tables import map_lines, map_words, row_and_side
 from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.dashboard.words import (
     count_words,
     counted,
-    grade_words,
     length_words,
     metres_words,
     plain,
@@ -36,10 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, RoundView
 
 _ROWS_AT_ONCE = 4
-_SHORT_M = 2.0  # of which all is shown
-# Beside the mark that was tapped, also where the chart fills a phone's screen.
-_SHOW_ANSWER = """<script>setTimeout(() => document.querySelector('.st-key-answer')
-?.scrollIntoView({block: 'nearest'}), 300);</script>"""
 
 
 @page_elements.of_round
@@ -68,59 +63,82 @@ def _map(one: RoundView) -> None:
     chosen = where.pills(
         "Rows and sides", rows, default=rows[:_ROWS_AT_ONCE], selection_mode="multi"
     )
-    if not chosen:
-        st.info("Choose a row.", icon=":material/map:")
-        return
     for report in resources.rows_of(one):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report.count)}")
-    shown = _part([line for line in lines if line["row"] in chosen])
-    found = _opened(one)
-    for row in [row for row in rows if row in chosen]:
-        st.caption(plain(row))
-        here = [line for line in shown if line["row"] == row]
-        chart = map_chart(here, shown, units, by_length=colored == "Length")
-        event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
-        tapped = [str(x["key"]) for x in event["selection"].get("fruit", [])]
-        is_new = _choose(f"{one.key}_{row}", tapped)
-        if is_new:
-            found = _opened(one)
-        if found is not None and any(line["key"] == found.fruit.key for line in here):
-            _fruit(one, graded, found)
-            found = None
-            if is_new:
-                st.html(_SHOW_ANSWER, unsafe_allow_javascript=True)
+    opened = _opened(one)
+    named = None if opened is None else row_and_side(opened.fruit)
+    drawn = [row for row in rows if row in chosen or row == named]
+    shown = [line for line in lines if line["row"] in drawn]
+    abreast = st.columns(min(2, max(len(drawn), 1)))
+    for number, row in enumerate(drawn):
+        with abreast[number % len(abreast)]:
+            st.caption(plain(row))
+            here = [line for line in shown if line["row"] == row]
+            layers, grid = map_picture(here, shown, units, by_length=colored == "Length")
+            found = opened if row == named else None
+            _row(one, row, layers, {"grid": grid, "opened": found and _answer(graded, found)})
     st.caption(
-        "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, hollow if "
+        "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale if "
         "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
         "camera."
     )
     _doubtful(graded)
-    if found is not None:  # of a row, or a part of it, that is not shown
-        _fruit(one, graded, found)
+    button(st, "Undo", "undo", _undo, one)
+    if fault := st.session_state.pop("map_fault", None):
+        st.warning(plain(fault), icon=":material/error:")
+    if opened is not None:
+        _same(opened)
 
 
-def _part(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Draw the choice of a part of the rows, which is drawn as wide as all; return its fruit."""
-    end_m = math.ceil(max(line["along"] for line in lines))
-    if end_m <= _SHORT_M:
-        return lines
-    part = st.slider("From and to, metres along the row", 0, end_m, (0, end_m), key="map_part")
-    return [line for line in lines if part[0] <= line["along"] <= part[1]]
+def _row(
+    one: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+) -> None:
+    """Draw a row's map; a tap is answered beside the mark, where the fruit is judged too."""
+    key = f"map_{one.key}_{row}"
+
+    def tapped() -> None:
+        page_elements.name_in_address("fruit", st.session_state[key].tapped or None)
+
+    def judged() -> None:
+        asked = st.session_state[key].judged
+        found = around(resources.store(), one.key, asked["key"])
+        if found is not None and asked["act"] != "open":
+            keys = [view.key for view in found.views]
+            verdict = Verdict(asked["act"])
+            _do(partial(resources.store().set_verdict, keys, verdict))
+
+    told = picture(
+        key,
+        {},
+        MAP_PX,
+        layers=layers,
+        title=f"Map of {row}",
+        content=content,
+        on={"tapped": tapped, "judged": judged},
+    )
+    if told.judged and told.judged["act"] == "open":
+        page_elements.leave_for("results", fruit=told.judged["key"])
+
+
+def _answer(graded: GradedRound, found: FruitContext) -> dict[str, Any]:
+    """Return what is said of a fruit beside its mark."""
+    fruit, units = found.fruit, resources.settings().units
+    marked = {
+        None: "",
+        Verdict.ACCEPTED: ". Marked: a fruit.",
+        Verdict.REJECTED: ". Marked: not a fruit.",
+    }
+    return {
+        "key": fruit.key,
+        "picture": resources.thumbnail_of(fruit),
+        "says": map_words(fruit, graded, units) + marked[fruit.verdict],
+        "verdict": fruit.verdict,
+    }
 
 
 def _opened(one: RoundView) -> FruitContext | None:
     key = st.query_params.get("fruit")
     return around(resources.store(), one.key, key) if key else None
-
-
-def _choose(chart: str, keys: Sequence[str]) -> bool:
-    """Use a tap on a mark once, as a later choice elsewhere is kept; return whether it is new."""
-    taps = st.session_state.setdefault("map_taps", {})
-    is_new = bool(keys) and taps.get(chart) != keys[0]
-    if is_new:
-        taps[chart] = keys[0]
-        page_elements.name_in_address("fruit", keys[0])
-    return is_new
 
 
 def _doubtful(graded: GradedRound) -> None:
@@ -140,14 +158,9 @@ def _doubtful(graded: GradedRound) -> None:
     button(go, "Show the least certain", "visibility", look)
 
 
-def _fruit(one: RoundView, graded: GradedRound, found: FruitContext) -> None:
-    units, fruit = resources.settings().units, found.fruit
-    grade = grade_words(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
-    place = f"{row_name(fruit.row)}, {fruit.side or ''}, {metres_words(fruit.along_m)}"
-    with st.container(key="answer"):
-        st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
-        _judge(one, found)
-    store = resources.store()
+def _same(found: FruitContext) -> None:
+    """Draw the views of a fruit, its neighbours and those of other days, to be told apart."""
+    fruit, store = found.fruit, resources.store()
     apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
     seen = f"Seen {counted(len(found.views), 'time', 'times')}"
     _pictures(fruit.key, seen, found.views, apart)
@@ -156,25 +169,6 @@ def _fruit(one: RoundView, graded: GradedRound, found: FruitContext) -> None:
     for day, is_earlier in ((found.earlier, True), (found.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
-
-
-def _judge(one: RoundView, found: FruitContext) -> None:
-    store = resources.store()
-    keys = [view.key for view in found.views]
-    with st.container(horizontal=True):
-        accept, reject = (
-            partial(store.set_verdict, keys, x) for x in (Verdict.ACCEPTED, Verdict.REJECTED)
-        )
-        button(st, "This is a fruit", "check", _do, accept, key=f"accept_{found.fruit.key}")
-        button(st, "Not a fruit", "delete", _do, reject, key=f"reject_{found.fruit.key}")
-    with st.container(horizontal=True):
-        page_elements.link("results", "Open", fruit=found.fruit.key)
-        button(st, "Undo", "undo", _undo, one)
-    if found.fruit.verdict is not None:
-        accepted = found.fruit.verdict is Verdict.ACCEPTED
-        st.caption("Marked: a fruit." if accepted else "Marked: not a fruit.")
-    if fault := st.session_state.pop("map_fault", None):
-        st.warning(plain(fault), icon=":material/error:")
 
 
 def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None:

@@ -42,7 +42,7 @@ def sure(centreline_m: float, half: float) -> GradingTraits:
         (0.2499, "II", "class II: centreline length 25.0 cm is in [20, 25)"),
         (0.25, "I", "class I: centreline length 25.0 cm is in [25, 35)"),
         (0.3499, "I", "class I"),
-        (0.35, OUT_OF_GRADE, "out of grade: centreline length 35.0 cm is 35 or more"),
+        (0.35, OUT_OF_GRADE, "too long: centreline length 35.0 cm is 35 or more"),
     ],
 )
 def test_classes_of_the_paper_hold_their_lower_end(

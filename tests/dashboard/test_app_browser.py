@@ -5,6 +5,7 @@ Each test stands by itself: any of them may be the first that the server sees.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import zipfile
@@ -21,6 +22,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.store.repository import open_store
 
 REDRAWS = 40  # what each of them would leave behind is found by the second
+NEWS = 1000  # an hour of them on the capture page, where every one is drawn
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
 # One server and one browser, and no limit that a busy machine could reach.
@@ -70,35 +72,34 @@ class Dashboard:
 
 @pytest.fixture(scope="module")
 def served(
-    tmp_path_factory: pytest.TempPathFactory,
-    start_server: Callable[..., str],
-    new_page: Callable[[], Any],
-) -> Dashboard:
+    tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., str]
+) -> tuple[str, Path]:
+    """The address of a server on a fresh machine, and its store."""
     folder = tmp_path_factory.mktemp("browser")
+    store, replay = folder / "house.db", example_captures()
+    return start_server(folder, "--store", str(store), "--replay", str(replay)), store
+
+
+@pytest.fixture
+def dashboard(served: tuple[str, Path], new_page: Callable[[], Any]) -> Iterator[Dashboard]:
+    """The results of the bundled captures; asks that nothing failed, nor left this machine."""
     named = os.environ.get("CUCUMBERVISION_ARTEFACTS")
     artefacts = Path(named) if named else None
     if artefacts is not None:
         artefacts.mkdir(parents=True, exist_ok=True)
-    store, replay = folder / "house.db", example_captures()
-    address = start_server(folder, "--store", str(store), "--replay", str(replay))
-    page, hosts, faults = new_page(), set[str](), list[str]()
+    (address, store), page, hosts, faults = served, new_page(), set[str](), list[str]()
     page.on("request", lambda r: hosts.add(r.url.split("/")[2]) if "//" in r.url else None)
     page.on("pageerror", lambda error: faults.append(str(error)))
-    return Dashboard(page, address, store, artefacts, hosts, faults)
-
-
-@pytest.fixture
-def dashboard(served: Dashboard) -> Iterator[Dashboard]:
-    """The results of the bundled captures; asks that nothing failed, nor left this machine."""
-    served.page.goto(f"{served.address}/results")
+    page.goto(f"{address}/results")
+    opened = Dashboard(page, address, store, artefacts, hosts, faults)
     # Eight fruit in the three bundled captures; the page follows while they are being measured.
-    shown = served.page.get_by_test_id("stMetricValue").first
+    shown = page.get_by_test_id("stMetricValue").first
     shown.filter(has_text=re.compile(r"^([89]|[1-9]\d+)$")).wait_for()
-    served.page.get_by_text("tap one to open it").wait_for()
-    served.quiet()
-    yield served
-    assert {host.split(":")[0] for host in served.hosts} == {"127.0.0.1"}
-    assert served.faults == []
+    page.get_by_text("tap one to open it").wait_for()
+    opened.quiet()
+    yield opened
+    assert {host.split(":")[0] for host in hosts} == {"127.0.0.1"}
+    assert faults == []
 
 
 def test_a_fresh_machine_shows_a_round(dashboard: Dashboard) -> None:
@@ -126,6 +127,40 @@ def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: D
     assert max(nodes[1:]) == nodes[0]
     page.locator(".fruit button").first.click()
     page.locator("svg.view").wait_for()
+
+
+def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:
+    page, stops, news = dashboard.page, dashboard.stops(), list[Any]()
+    walk: dict[str, Any] = {}
+
+    def renamed(route: Any) -> None:
+        if not walk:
+            walk.update(route.fetch().json())
+        walk["now_s"] += 1.0
+        walk["last"]["name"] = f"Stop {walk['now_s']}"  # so that all of it is drawn again
+        route.fulfill(json=walk)
+
+    page.route("**/api/walk?*", renamed)
+    page.route_web_socket("**/api/news?*", news.append)
+    page.goto(f"{dashboard.address}/capture")
+    page.locator("svg.view").first.wait_for()
+    nodes = list[int]()
+    for number in range(NEWS):
+        known = page.locator("#where").inner_text()
+        told = {"version": str(number), "now_s": 0.0, "waiting": 0, "jobs": []}
+        news[-1].send(json.dumps(told))
+        page.wait_for_function(
+            "known => document.getElementById('where').textContent !== known", arg=known
+        )
+        if number in (1, NEWS - 1):
+            page.wait_for_timeout(500)
+            nodes.append(page.evaluate("document.querySelectorAll('*').length"))
+    assert nodes[0] == nodes[1]
+    page.unroute_all()
+    page.locator("button.take:enabled").click()
+    page.get_by_label("Presses").get_by_text("saved").first.wait_for()
+    page.goto(f"{dashboard.address}/capture")
+    page.locator("#where").get_by_text(f"Stop {stops + 1}: row", exact=False).wait_for()
 
 
 def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> None:

@@ -125,7 +125,7 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
     press("Undo")
     assert view().verdict is None
     press("Undo")
-    assert "nothing to undo" in said(test)
+    assert "Nothing to undo" in said(test)
 
 
 def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:

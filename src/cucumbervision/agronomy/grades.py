@@ -255,7 +255,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     if chances and chances[name] <= BORDERLINE:
         verdict = GradeStatus.BORDERLINE
         likeliest = sorted(chances.items(), key=lambda item: -item[1])[:2]
-        text = ", ".join(f"{what} {100 * share:.0f} %" for what, share in likeliest)
+        names = {OUT_OF_GRADE: "no class"}
+        text = ", ".join(f"{names.get(k, k)} {100 * share:.0f} %" for k, share in likeliest)
         rules = (f"borderline: {text}", *rules)
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances:
@@ -306,9 +307,9 @@ def _length_rule(profile: CropProfile, length_cm: float, at: int) -> str:
     text = f"{profile.length} length {length_cm:.1f} cm is"
     why = _why(profile, "classes")
     if at == 0:
-        return f"{OUT_OF_GRADE}: {text} under {edges[0]:g}{why}"
+        return f"too short: {text} under {edges[0]:g}{why}"
     if at == len(edges):
-        return f"{OUT_OF_GRADE}: {text} {edges[-1]:g} or more{why}"
+        return f"too long: {text} {edges[-1]:g} or more{why}"
     name = profile.classes[profile.outcome_of_bin[at]].name
     return f"class {name}: {text} in [{edges[at - 1]:g}, {edges[at]:g}){why}"
 

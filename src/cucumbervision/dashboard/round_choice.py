@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.words import plain, round_name
+from cucumbervision.dashboard.words import plain, round_name, sentence
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.merge_and_link import delete_round
 from cucumbervision.store.records import Round
@@ -66,7 +66,7 @@ def _begin() -> None:
 
 def _change(one: RoundView | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
-        st.warning(plain(fault), icon=":material/error:")
+        st.warning(sentence(fault), icon=":material/error:")
     if one is not None:
         name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}")
         st.button(

@@ -37,6 +37,18 @@ def plain(text: object) -> str:
     return _LINE_STARTS.sub(r"\1\\.", _MARKS.sub(r"\\\1", words))
 
 
+def sentence(text: object) -> str:
+    """Return a text as `plain` does, beginning with a capital.
+
+    Examples
+    --------
+    >>> sentence("nothing to undo")
+    'Nothing to undo'
+    """
+    words = plain(text)
+    return words[:1].upper() + words[1:]
+
+
 def grade_name(grade: Grade) -> str:
     """Return the class that a fruit counts in: 'class I', 'too short', 'class unsure'.
 

@@ -357,8 +357,8 @@ def _action_to_undo(connection: Connection, number: int | None, round_key: str |
         query = query.where(Action.round_id == round_id_of(connection, round_key))
     found = connection.execute(query.order_by(Action.id.desc()).limit(1)).one_or_none()
     if found is None:
-        which = "nothing" if number is None else f"no action {number}"
-        raise StoreError(f"there is {which} to undo", remedy="see the log")
+        what = "nothing to undo" if number is None else f"there is no action {number} to undo"
+        raise StoreError(what, remedy="see the log")
     return found
 
 

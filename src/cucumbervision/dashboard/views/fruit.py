@@ -30,6 +30,7 @@ from cucumbervision.dashboard.words import (
     plain,
     remarks,
     round_day,
+    sentence,
     step_words,
 )
 from cucumbervision.errors import CucumberVisionError
@@ -106,8 +107,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         delta_color="off",
         delta_arrow="off",
     )
-    name = grade_words(found)
-    st.markdown(f"**{plain(name[0].upper() + name[1:])}**")
+    st.markdown(f"**{sentence(grade_words(found))}**")
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
@@ -119,7 +119,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if words := remarks(record, units):
-        st.caption(plain(words[0].upper() + words[1:] + "."))
+        st.caption(sentence(f"{words}."))
     with st.expander("Details", icon=":material/list:"):
         for rule in found.rules:
             st.caption(plain(rule))
@@ -154,7 +154,7 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
         button(st, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("undo_fault", None):
-        st.info(plain(fault))
+        st.info(sentence(fault))
 
 
 def _undo(one: RoundView) -> None:

@@ -21,6 +21,7 @@ from cucumbervision.dashboard.words import (
     plain,
     round_day,
     row_name,
+    sentence,
     step_words,
 )
 from cucumbervision.errors import CucumberVisionError
@@ -85,7 +86,7 @@ def _map(one: RoundView) -> None:
     _doubtful(graded)
     button(st, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("map_fault", None):
-        st.warning(plain(fault), icon=":material/error:")
+        st.warning(sentence(fault), icon=":material/error:")
     if opened is not None:
         _same(opened)
 

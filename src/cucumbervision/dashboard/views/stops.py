@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.words import counted, plain, stop_name
+from cucumbervision.dashboard.words import counted, sentence, stop_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.merge_and_link import move_stop
 from cucumbervision.rounds.walking import sides_of
@@ -109,7 +109,7 @@ def _do(round_key: str, act: Callable[[], int]) -> None:
 def _undo_button(round_key: str) -> None:
     acts: list[int] = st.session_state.get(f"stop_acts_{round_key}", [])
     if fault := st.session_state.pop("stop_fault", None):
-        st.warning(plain(fault), icon=":material/error:")
+        st.warning(sentence(fault), icon=":material/error:")
     button(
         st,
         "Undo",

@@ -141,7 +141,7 @@ def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: 
         route.fulfill(json=walk)
 
     page.route("**/api/walk?*", renamed)
-    page.route_web_socket("**/api/news?*", news.append)
+    page.route_web_socket("**/api/news?*", lambda line: news.append(line))
     page.goto(f"{dashboard.address}/capture")
     page.locator("svg.view").first.wait_for()
     nodes = list[int]()

@@ -11,10 +11,13 @@ import time
 import tomllib
 from dataclasses import dataclass
 from enum import StrEnum
-from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import urlencode, urlsplit
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
 from cucumbervision.errors import AccessError
 from cucumbervision.service.server import is_loopback
@@ -212,39 +215,42 @@ class AccessGuard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
-        }
-        query = dict(parse_qsl(scope.get("query_string", b"").decode("latin-1")))
+        request = HTTPConnection(scope)
+        query = dict(request.query_params)
         is_link = scope.get("method") == "GET" and self._is_token(query.pop("token", ""))
         if self._login is Login.TOKEN and is_link:
-            await self._redirect(scope["path"], query, send)
-        elif self._admits(scope, headers):
+            # The token goes into a cookie, and out of the address.
+            place = f"/{scope['path'].lstrip('/')}" + (f"?{urlencode(query)}" if query else "")
+            answer: Response = RedirectResponse(place, 303, _HEADERS)
+            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="lax")
+            await answer(scope, receive, send)
+        elif self._admits(request):
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await _answer(send, 403, self._refusal, {})
+            answer = PlainTextResponse(self._refusal, 403, {**_HEADERS, "connection": "close"})
+            await answer(scope, receive, send)
 
-    def _admits(self, scope: MutableMapping[str, Any], headers: Mapping[str, str]) -> bool:
-        path, host = scope["path"], headers.get("host", "")
-        origin = headers.get("origin")
+    def _admits(self, request: HTTPConnection) -> bool:
+        path, host = request.scope["path"], request.headers.get("host", "")
+        origin = request.headers.get("origin")
         if any(unused in path for unused in _UNUSED):
             return False
         if path.startswith(_OWN) and origin is not None and urlsplit(origin).netloc != host:
             return False
         if self._login is Login.TOKEN:
-            return self._is_token(_cookie(headers, COOKIE))
+            return self._is_token(request.cookies.get(COOKIE, ""))
         if self._login is Login.OIDC:
-            return self._is_logged_in(scope, headers)
+            return self._is_logged_in(request)
         names = [host, *([] if origin is None else [urlsplit(origin).netloc])]
         return all(is_loopback(urlsplit(f"//{name}").hostname or "?") for name in names)
 
-    def _is_logged_in(self, scope: MutableMapping[str, Any], headers: Mapping[str, str]) -> bool:
-        if not scope["path"].startswith(_OWN):
+    def _is_logged_in(self, request: HTTPConnection) -> bool:
+        if not request.scope["path"].startswith(_OWN):
             return True
-        session = _cookie(headers, TICKET)
-        is_admitted, scope["viewer"] = _viewers.get(session, (None, ""))
+        session = request.cookies.get(TICKET, "")
+        is_admitted, request.scope["viewer"] = _viewers.get(session, (None, ""))
         return is_admitted is not None and is_admitted()
 
     def _is_token(self, given: str) -> bool:
@@ -258,36 +264,13 @@ class AccessGuard:
             return "Log in first."
         return "This dashboard is open on its own machine only, at http://localhost."
 
-    async def _redirect(
-        self, path: str, query: Mapping[str, str], send: Callable[..., Any]
-    ) -> None:
-        """Put the token into a cookie, and take it out of the address."""
-        place = f"/{path.lstrip('/')}" + (f"?{urlencode(query)}" if query else "")
-        cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Lax"
-        await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
-
-
-def _cookie(headers: Mapping[str, str], name: str) -> str:
-    found = SimpleCookie(headers.get("cookie", "")).get(name)
-    return "" if found is None else found.value
-
 
 def _with_headers(send: Callable[..., Any]) -> Callable[..., Any]:
     """Return what sends an answer with headers by which no other site can frame or misread it."""
-    more = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
 
     async def send_all(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message["headers"], *more]}
+            MutableHeaders(scope=message).update(_HEADERS)
         await send(message)
 
     return send_all
-
-
-async def _answer(
-    send: Callable[..., Any], status: int, text: str, headers: Mapping[str, str]
-) -> None:
-    every = {"content-type": "text/plain", "connection": "close", **_HEADERS, **headers}
-    head = [(name.encode(), value.encode()) for name, value in every.items()]
-    await send({"type": "http.response.start", "status": status, "headers": head})
-    await send({"type": "http.response.body", "body": text.encode()})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
@@ -29,56 +30,10 @@ if TYPE_CHECKING:
     from streamlit.navigation.page import StreamlitPage
 
 # Streamlit forgets the input of a page that is left; these are kept for its return.
-_KEPT_INPUTS = (
-    "round",
-    *("color_by", "list_page", "pick_row"),
-)
+_KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _SESSION_CHECK_S = 10.0
 
-_STYLE = """<style>
-.stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
-  min-height: 3rem; }
-.st-key-nav { gap: 2px; border-bottom: 1px solid #d6dad7; padding-bottom: 4px; }
-.st-key-nav a { min-height: 40px; padding: 0 9px; align-items: center; }
-.st-key-nav p { font-size: 0.94rem; }
-.st-key-nav a > span:has([data-testid="stIconMaterial"]) { display: none; }
-a[data-testid="stPageLink-NavLink"] { min-height: 44px; align-items: center; }
-.stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
-[data-testid="stButtonGroup"] button { min-height: 2.75rem; }
-.stNumberInput button { min-width: 2.75rem; }
-.stCheckbox label { min-height: 44px; align-items: center; }
-[role="tab"] { min-height: 44px; min-width: 44px; justify-content: center; }
-[data-testid="stTooltipIcon"] button { min-height: 40px; min-width: 40px; margin: -8px 0; }
-[data-testid="stElementToolbar"], [data-testid="stHeaderActionElements"] { display: none; }
-[data-testid="stTable"] { overflow-x: auto; }
-a.load { display: flex; min-height: 3rem; align-items: center; justify-content: center;
-  border-radius: 8px; background: #1B7837; color: #fff !important; text-decoration: none; }
-.st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
-.st-key-about a span:has([data-testid="stIconMaterial"]) { display: none; }
-.st-key-about p { font-size: 0.88rem; color: #565d68; }
-.block-container { padding-top: 0.4rem; padding-bottom: 5.5rem; }
-[data-testid="stCaptionContainer"], [data-testid="stCaptionContainer"] p {
-  color: #565d68 !important; opacity: 1 !important; }
-@media (max-width: 640px) {
-  .block-container { padding-left: 0.6rem; padding-right: 0.6rem; }
-  .st-key-nav a { padding: 0 6px; }
-  .stMain:has(.st-key-fruit_head) .st-key-rounds { display: none; }
-  .st-key-fruit_head { gap: 4px; }
-  .st-key-fruit_head button { padding: 0 8px; }
-  .st-key-fruit_head kbd { display: none; }
-  [data-testid="stTable"] :is(td, th) { padding: 6px 8px 6px 0; }
-  .st-key-rounds [data-testid="stHorizontalBlock"] { gap: 8px; }
-  .st-key-rounds [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
-  .st-key-rounds [data-testid="stColumn"]:first-child { min-width: 100%; } }
-@media (max-width: 1000px) {
-  .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
-  .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
-    min-width: 100%; } }
-@media print {
-  header, .stButton, .st-key-noprint, .st-key-about,
-  [data-testid="stToolbar"] { display: none !important; }
-  .block-container { padding: 0 !important; } }
-</style>"""
+_STYLE = Path(__file__).with_name("static") / "pages.css"
 
 
 def main() -> None:

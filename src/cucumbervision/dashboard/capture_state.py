@@ -25,6 +25,7 @@ from cucumbervision.store.views import DetectionFilter, Verdict
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.dashboard.routes import SentFruit
     from cucumbervision.dashboard.shutter import Pressed
     from cucumbervision.store.records import StopRecord
     from cucumbervision.store.repository import Store
@@ -173,12 +174,7 @@ def take_back(store: Store, key: str) -> str:
     return "The last stop was deleted. 'Undo' on the row map brings it back"
 
 
-def outline(
-    stop_key: str,
-    name: str,
-    point: tuple[float, float] | None,
-    box: tuple[float, float, float, float] | None,
-) -> dict[str, Any]:
+def outline(asked: SentFruit) -> dict[str, Any]:
     """Return the outlines of what lies at a point or in a box, to be seen before it is measured.
 
     Raises
@@ -186,22 +182,16 @@ def outline(
     InstancesError
         If there is nothing.
     """
-    _, capture = _picture_of(stop_key, name)
+    _, capture = _picture_of(asked)
     measurer = resources.measurer()
     job = resources.worker().submit(
-        "Outlining the fruit", lambda _: measurer.mask_of(capture, point, box)
+        "Outlining the fruit", lambda _: measurer.mask_of(capture, asked.point, asked.box)
     )
     job.wait()
     return {"outline": mask_outline(job.result)}
 
 
-def add_fruit(
-    store: Store,
-    stop_key: str,
-    name: str,
-    point: tuple[float, float] | None,
-    box: tuple[float, float, float, float] | None,
-) -> dict[str, Any]:
+def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     """Outline and measure the fruit at a point or in a box; return it with words for people.
 
     Raises
@@ -209,11 +199,11 @@ def add_fruit(
     InstancesError
         If there is none, or it is there already.
     """
-    record, capture = _picture_of(stop_key, name)
+    record, capture = _picture_of(asked)
     options, measurer = resources.settings().options, resources.measurer()
 
     def work(_: Job) -> str:
-        mask = measurer.mask_of(capture, point, box)
+        mask = measurer.mask_of(capture, asked.point, asked.box)
         return measurer.add(store, record, capture, mask, options)
 
     job = resources.worker().submit("Measuring the fruit", work)  # its networks serve one at a time
@@ -221,10 +211,10 @@ def add_fruit(
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
 
 
-def _picture_of(stop_key: str, name: str) -> tuple[StopRecord, Capture]:
+def _picture_of(asked: SentFruit) -> tuple[StopRecord, Capture]:
     store = resources.store()
-    record = store.stop(stop_key)
-    taken = next((one for one in record.captures if one.name == name), None)
+    record = store.stop(asked.stop)
+    taken = next((one for one in record.captures if one.name == asked.capture), None)
     if taken is None:
         raise StoreError("this picture is not there any more", remedy="reload the page")
     return record, stored_capture(store.images, taken, record)

@@ -18,6 +18,14 @@ from cucumbervision.errors import CucumberVisionError
 KEPT = 20  # finished jobs whose results are still held
 
 
+def fault_of(future: Future[Any]) -> str:
+    """Return why work failed, for people; empty where it did not, or goes on."""
+    error = future.exception() if future.done() else None
+    if error is None or isinstance(error, CucumberVisionError):
+        return str(error or "")
+    return f"{type(error).__name__}: {error}"
+
+
 @dataclass
 class Job:
     """One piece of work and its progress.
@@ -59,17 +67,7 @@ class Job:
     @property
     def error(self) -> str:
         """Why it failed; empty if it did not."""
-        error = self.future.exception() if self.future.done() else None
-        if error is None or isinstance(error, CucumberVisionError):
-            return str(error or "")
-        return f"{type(error).__name__}: {error}"
-
-    @property
-    def share(self) -> float:
-        """How much of it is done, 0 to 1."""
-        if self.finished and not self.error:
-            return 1.0
-        return min(self.done / self.total, 1.0) if self.total else 0.0
+        return fault_of(self.future)
 
     def step(self, note: str = "") -> None:
         """Count one step, and note what went wrong with it."""
@@ -95,8 +93,8 @@ class Worker:
     --------
     >>> with Worker() as worker:
     ...     job = worker.submit("adding", lambda job: 1 + 1)
-    ...     job.wait(), job.share, job.result
-    (True, 1.0, 2)
+    ...     job.wait(), job.result
+    (True, 2)
     """
 
     def __init__(self) -> None:

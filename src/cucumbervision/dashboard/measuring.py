@@ -146,8 +146,8 @@ class SharedMeasurer:
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, drawn_by, None, keypoints
         )
-        corrected = self._placed(capture, detail.stop, instance, record.number, options)
-        return store.correct(detail.view.key, corrected)
+        found = self.with_options(options).measure_instance(capture, instance)
+        return store.correct(detail.view.key, _placed(capture, detail.stop, found, record.number))
 
     def add(
         self,
@@ -190,29 +190,11 @@ class SharedMeasurer:
         _refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
         found = self.with_options(options).measure_instance(capture, instance)
-        fruit = self._record(capture, stop, found, 1)
+        fruit = _placed(capture, stop, found, 1)
         if is_doubtful(found, capture):
             flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
             fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
-
-    def _placed(
-        self,
-        capture: Capture,
-        stop: StopRecord,
-        instance: Instance,
-        number: int,
-        options: MeasureOptions,
-    ) -> DetectionRecord:
-        """Measure a fruit of a stored capture, with its offset along the row."""
-        fruit = self.with_options(options).measure_instance(capture, instance)
-        return self._record(capture, stop, fruit, number)
-
-    def _record(
-        self, capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
-    ) -> DetectionRecord:
-        record = fruit_record(NumberedFruit(capture, number, fruit))
-        return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
     def _sam(self) -> Segmenter:
         with self._lock:
@@ -221,6 +203,14 @@ class SharedMeasurer:
 
                 self._segmenter = open_segmenter(prompt="box", registry=self._registry)
             return self._segmenter
+
+
+def _placed(
+    capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
+) -> DetectionRecord:
+    """Return a fruit of a stored capture, with its offset along the row."""
+    record = fruit_record(NumberedFruit(capture, number, fruit))
+    return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
 
 def measure_waiting(

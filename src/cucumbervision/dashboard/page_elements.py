@@ -13,7 +13,8 @@ from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.round_choice import choose_round
-from cucumbervision.dashboard.words import plain, step_words
+from cucumbervision.dashboard.words import plain, sentence, step_words
+from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,6 +45,42 @@ def button(
     place.button(label, icon=icon, on_click=act, args=args, **options)
 
 
+def do(round_key: str, act: Callable[[], int]) -> bool:
+    """Correct a round and remember that for `draw_undo`; return whether it was done."""
+    try:
+        st.session_state.setdefault(f"acts_{round_key}", []).append(act())
+    except CucumberVisionError as error:
+        st.session_state["fault"] = str(error)
+        return False
+    return True
+
+
+def draw_undo(round_key: str, *, own: bool) -> None:
+    """Draw a button that takes back what was done last, and what kept a correction from being done.
+
+    Parameters
+    ----------
+    round_key : str
+        The round.
+    own : bool
+        What this viewer did by `do`, while there is any left; else the newest of the round.
+    """
+
+    def undo() -> None:
+        acts: list[int] = st.session_state.get(f"acts_{round_key}", []) if own else []
+        number = acts[-1] if acts else None
+        try:
+            resources.undo(None if number else round_key, number=number)
+        except CucumberVisionError as error:
+            st.session_state["fault"] = str(error)
+        else:
+            del acts[-1:]
+
+    button(st, "Undo", "undo", undo)
+    if fault := st.session_state.pop("fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
+
+
 def table(lines: list[dict[str, Any]]) -> None:
     """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
     said = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
@@ -51,9 +88,13 @@ def table(lines: list[dict[str, Any]]) -> None:
 
 
 def fruit_list(
-    key: str, label: str, fruit: list[dict[str, Any]], words: str, on_taps: Callable[[], None]
+    key: str,
+    label: str,
+    fruit: list[dict[str, Any]],
+    words: str,
+    on_taps: Callable[[], None] | None = None,
 ) -> None:
-    """Draw fruit to be tapped off.
+    """Draw fruit to be tapped off, or to be opened: the address names the one that was tapped.
 
     Parameters
     ----------
@@ -65,20 +106,16 @@ def fruit_list(
     words : str
         Stand over the list, after how many are picked.
     on_taps : callable
-        Called with every tap, before anything is drawn, so that all totals count it.
+        Called with every tap, before anything is drawn, so that all totals count it; None for
+        fruit to be opened.
     """
-    data = {"fruit": fruit, "words": words, "label": label, "opens": False}
-    component("fruitlist")(key=key, data=data, on_taps_change=on_taps)
-
-
-def open_fruit(key: str, label: str, fruit: list[dict[str, Any]], words: str) -> None:
-    """Draw fruit to be opened, as `fruit_list`; the address names the one that was tapped."""
 
     def opened() -> None:
         name_in_address("fruit", st.session_state[key].opened)
 
-    data = {"fruit": fruit, "words": words, "label": label, "opens": True}
-    component("fruitlist")(key=key, data=data, on_opened_change=opened)
+    data = {"fruit": fruit, "words": words, "label": label, "opens": on_taps is None}
+    tapped = {"on_opened_change": opened} if on_taps is None else {"on_taps_change": on_taps}
+    component("fruitlist")(key=key, data=data, **tapped)
 
 
 def pictures(

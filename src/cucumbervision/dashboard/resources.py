@@ -306,12 +306,19 @@ def news(round_key: str) -> dict[str, Any]:
 
 def _version(one: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a page of the round would."""
-    newest = store().log(one.key, limit=1)
-    counts = one.stops, one.fruit, one.last_s, newest[0].number if newest else 0
+    return (*_measured_version(one), store().newest_action(one.key))
+
+
+def _measured_version(one: RoundView) -> tuple[object, ...]:
+    counts = one.stops, one.fruit, one.last_s
     return (one.key, *counts, _mergings()[one.key], profile_of(one)[0])
 
 
 _OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
+_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
+    DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px),
+    JointRecord: lambda joint: joint.key,
+}
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
@@ -353,8 +360,7 @@ def forecast_of(one: RoundView) -> Forecast:
 def _unpicked_version(one: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a round's list of picks would, but for what is picked of it."""
     newest = store().newest_action(one.key, without=("pick", "unpick"))
-    counts = one.stops, one.fruit, one.last_s, newest
-    return (one.key, *counts, _mergings()[one.key], profile_of(one)[0], midnight_s(time.time()))
+    return (*_measured_version(one), newest, midnight_s(time.time()))
 
 
 @st.cache_resource(
@@ -379,11 +385,7 @@ def _capture_widths(stop_key: str) -> dict[str, int]:
     return {one.name: one.width_px for one in store().stop(stop_key).captures}
 
 
-@st.cache_resource(
-    show_spinner=False,
-    max_entries=400,
-    hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
-)
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
 def thumbnail_of(view: DetectionView) -> str | None:
     """Return a fruit's thumbnail as a data URL; None where none was kept."""
     if view.thumbnail is None:
@@ -398,14 +400,7 @@ def joint_of(round_key: str, key: str) -> JointRecord:
     return store().joint_drawing(round_key, key)
 
 
-@st.cache_resource(
-    show_spinner=False,
-    max_entries=400,
-    hash_funcs={
-        DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px),
-        JointRecord: lambda joint: joint.key,
-    },
-)
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
 def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | None:
     """Return a fruit cut out of its picture as a data URL; None where none was kept.
 

@@ -192,15 +192,13 @@ def _undo(request: Request, content: bytes) -> Any:
 @_answer
 def _add_fruit(request: Request, content: bytes) -> Any:
     sent = SentFruit.model_validate_json(content)
-    return capture_state.add_fruit(
-        _store_of(request), sent.stop, sent.capture, sent.point, sent.box
-    )
+    return capture_state.add_fruit(_store_of(request), sent)
 
 
 @_answer
 def _outline(request: Request, content: bytes) -> Any:  # noqa: ARG001
     sent = SentFruit.model_validate_json(content)
-    return capture_state.outline(sent.stop, sent.capture, sent.point, sent.box)
+    return capture_state.outline(sent)
 
 
 @_answer

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cucumbervision.dashboard.camera_feed import FAR_S, picture_gone
-from cucumbervision.errors import CameraError, CucumberVisionError
+from cucumbervision.dashboard.jobs import fault_of
+from cucumbervision.errors import CameraError
 from cucumbervision.rounds.adding import round_for_capture
 from cucumbervision.rounds.walking import last_step, unless_taken
 from cucumbervision.store.records import key_of
@@ -68,10 +69,7 @@ class Pressed:
     @property
     def error(self) -> str:
         """Why there is no capture; empty where there is one, or will be."""
-        error = self.kept.exception() if self.kept.done() else None
-        if error is None or isinstance(error, CucumberVisionError):
-            return str(error or "")
-        return f"{type(error).__name__}: {error}"
+        return fault_of(self.kept)
 
     @property
     def moved(self) -> Stop | None:

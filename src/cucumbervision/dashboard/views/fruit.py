@@ -20,7 +20,7 @@ from cucumbervision.dashboard.fruit_view import (
     scale_bar,
     stop_layers,
 )
-from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.page_elements import button, draw_undo
 from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
     grade_words,
@@ -152,16 +152,7 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     with st.container(horizontal=True):
         words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
-        button(st, "Undo", "undo", _undo, one)
-    if fault := st.session_state.pop("undo_fault", None):
-        st.info(sentence(fault))
-
-
-def _undo(one: RoundView) -> None:
-    try:
-        resources.undo(one.key)
-    except CucumberVisionError as error:
-        st.session_state["undo_fault"] = str(error)
+        draw_undo(one.key, own=False)
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
@@ -248,30 +239,31 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
 
 def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
     """Return the other fruit of the picture as a layer, so that one that was added is seen."""
-    view = detail.view
-    views = resources.store().detections(view.round_key, DetectionFilter(stop_key=view.stop_key))
     others = [
         one
-        for one in views
-        if one.capture == view.capture
-        and one.key != view.key
-        and one.verdict is not Verdict.REJECTED
+        for one in _of_picture(detail.view)
+        if one.key != detail.view.key and one.verdict is not Verdict.REJECTED
     ]
     names = dict.fromkeys((one.key for one in others), "Other fruit")
     return stop_layers(detail.capture, others, names, resources.settings().units)
 
 
+def _of_picture(view: DetectionView) -> list[DetectionView]:
+    """Return all fruit of the picture that a view is of."""
+    only = DetectionFilter(stop_key=view.stop_key)
+    return [
+        one
+        for one in resources.store().detections(view.round_key, only)
+        if one.capture == view.capture
+    ]
+
+
 def _accept_others(detail: DetectionDetail) -> None:
-    view, store = detail.view, resources.store()
+    view = detail.view
 
     def accept() -> None:
-        others = [
-            one.key
-            for one in store.detections(view.round_key, DetectionFilter(stop_key=view.stop_key))
-            if one.capture == view.capture and one.verdict is None
-        ]
-        if others:
-            store.set_verdict(others, Verdict.ACCEPTED)
+        if others := [one.key for one in _of_picture(view) if one.verdict is None]:
+            resources.store().set_verdict(others, Verdict.ACCEPTED)
 
     st.button(
         "Accept the rest of this picture",

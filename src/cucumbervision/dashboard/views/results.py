@@ -156,7 +156,7 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     shown = page_elements.page_of(fruit, "list_page", _LINES)
     lines = [_line(graded, view) for view in shown]
     words = f"{len(fruit)} fruit: tap one to open it"
-    page_elements.open_fruit("fruit_list", "Fruit of this round", lines, words)
+    page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
     page_elements.choose_page(fruit, "list_page", _LINES)
 
 

@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import MAP_PX, map_picture
 from cucumbervision.dashboard.fruit_view import picture
-from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.page_elements import button, do, draw_undo
 from cucumbervision.dashboard.round_tables import map_lines, map_words, row_and_side
 from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.dashboard.words import (
@@ -21,10 +21,8 @@ from cucumbervision.dashboard.words import (
     plain,
     round_day,
     row_name,
-    sentence,
     step_words,
 )
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.fruit_table import around, least_sure_first
 from cucumbervision.store.views import Verdict
 
@@ -41,13 +39,19 @@ _ROWS_AT_ONCE = 4
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    above = st.container()
+    maps, undo, views = st.container(), st.container(), st.container()
     list_stops(one)  # before the rest, which a stop on a third side keeps from being drawn
-    with above:
-        _map(one)
+    with undo:
+        draw_undo(one.key, own=True)
+    with maps:
+        opened = _opened(one)
+        _maps(one, opened)
+    with views:
+        if opened is not None:
+            _same(opened)
 
 
-def _map(one: RoundView) -> None:
+def _maps(one: RoundView, opened: FruitContext | None) -> None:
     units = resources.settings().units
     graded = resources.graded_round(one)
     lines = map_lines(graded, units)
@@ -66,7 +70,6 @@ def _map(one: RoundView) -> None:
     )
     for report in resources.rows_of(one):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report.count)}")
-    opened = _opened(one)
     named = None if opened is None else row_and_side(opened.fruit)
     drawn = [row for row in rows if row in chosen or row == named]
     shown = [line for line in lines if line["row"] in drawn]
@@ -84,11 +87,6 @@ def _map(one: RoundView) -> None:
         "camera."
     )
     _doubtful(graded)
-    button(st, "Undo", "undo", _undo, one)
-    if fault := st.session_state.pop("map_fault", None):
-        st.warning(sentence(fault), icon=":material/error:")
-    if opened is not None:
-        _same(opened)
 
 
 def _row(
@@ -106,7 +104,7 @@ def _row(
         if found is not None and asked["act"] != "open":
             keys = [view.key for view in found.views]
             verdict = Verdict(asked["act"])
-            _do(partial(resources.store().set_verdict, keys, verdict))
+            do(one.key, partial(resources.store().set_verdict, keys, verdict))
 
     told = picture(
         key,
@@ -164,9 +162,9 @@ def _same(found: FruitContext) -> None:
     fruit, store = found.fruit, resources.store()
     apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
     seen = f"Seen {counted(len(found.views), 'time', 'times')}"
-    _pictures(fruit.key, seen, found.views, apart)
+    _pictures(fruit, seen, found.views, apart)
     same = ("Same fruit", "merge", partial(store.merge, fruit.key))
-    _pictures(fruit.key, "Fruit nearby", found.near, same)
+    _pictures(fruit, "Fruit nearby", found.near, same)
     for day, is_earlier in ((found.earlier, True), (found.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
@@ -177,7 +175,7 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
     def link(key: str) -> int:
         if day.linked is not None:
-            _do(partial(part, day.linked.key))
+            do(fruit.round_key, partial(part, day.linked.key))
         pair = (key, fruit.key) if is_earlier else (fruit.key, key)
         return store.link_growth(*pair)
 
@@ -188,12 +186,12 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
     when = round_day(day.round.record.started_s)
     if day.linked is not None:
         act = ("Different fruit", "link_off", part)
-        _pictures(fruit.key, f"The same fruit on {when}", [day.linked], act)
-    _pictures(fruit.key, f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
+        _pictures(fruit, f"The same fruit on {when}", [day.linked], act)
+    _pictures(fruit, f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
 
 
 def _pictures(
-    of: str,
+    of: DetectionView,
     title: str,
     views: Sequence[DetectionView],
     act: tuple[str, str, Callable[[str], int]] | None,
@@ -210,26 +208,8 @@ def _pictures(
 
     def draw(view: DetectionView) -> None:
         if act is not None:
-            label, icon, do = act
-            button(st, label, icon, _do, partial(do, view.key), key=f"{label}_{of}_{view.key}")
+            label, icon, change = act
+            name = f"{label}_{of.key}_{view.key}"
+            button(st, label, icon, do, of.round_key, partial(change, view.key), key=name)
 
     page_elements.pictures(views, words, draw)
-
-
-def _do(act: Callable[[], int]) -> None:
-    """Do what was tapped, and remember its number for 'Undo'."""
-    try:
-        st.session_state.setdefault("map_acts", []).append(act())
-    except CucumberVisionError as error:
-        st.session_state["map_fault"] = str(error)
-
-
-def _undo(one: RoundView) -> None:
-    acts: list[int] = st.session_state.setdefault("map_acts", [])
-    number = acts[-1] if acts else None
-    try:
-        resources.undo(None if number else one.key, number=number)
-    except CucumberVisionError as error:
-        st.session_state["map_fault"] = str(error)
-    else:
-        del acts[-1:]

@@ -8,9 +8,8 @@ import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.words import counted, sentence, stop_name
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.dashboard.page_elements import button, do
+from cucumbervision.dashboard.words import counted, stop_name
 from cucumbervision.rounds.merge_and_link import move_stop
 from cucumbervision.rounds.walking import sides_of
 
@@ -18,9 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cucumbervision.store.views import RoundView, StopView
-
-CORRECTING = "correcting_stop"
-"""Key of what opens over a page to change a stop; what is done in it closes it."""
 
 
 def list_stops(one: RoundView) -> None:
@@ -42,8 +38,6 @@ def list_stops(one: RoundView) -> None:
         )
         if chosen in stops:
             change_stop(stops[chosen], sides_of(stops.values()))
-        else:
-            _undo_button(one.key)
 
 
 def _words(stop: StopView) -> str:
@@ -84,49 +78,15 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
     def remove() -> int:
         return store.delete_stop(stop.key)
 
-    save, delete, undo = st.columns(3)
+    save, delete = st.columns(2)
     for where, label, icon, act in (
         (save, "Save", "save", move),
         (delete, "Delete this stop", "delete", remove),
     ):
         button(where, label, icon, _do, stop.round_key, act, key=f"{label}_{stop.key}")
-    with undo:
-        _undo_button(stop.round_key)
 
 
 def _do(round_key: str, act: Callable[[], int]) -> None:
-    """Do it, find the round's fruit anew, and remember what was done."""
-    acts: list[int] = st.session_state.setdefault(f"stop_acts_{round_key}", [])
-    try:
-        acts.append(act())
-    except CucumberVisionError as error:
-        st.session_state["stop_fault"] = str(error)
-    else:
+    """Do it, and find the round's fruit anew."""
+    if do(round_key, act):
         resources.merge(round_key)
-        st.session_state[CORRECTING] = False
-
-
-def _undo_button(round_key: str) -> None:
-    acts: list[int] = st.session_state.get(f"stop_acts_{round_key}", [])
-    if fault := st.session_state.pop("stop_fault", None):
-        st.warning(sentence(fault), icon=":material/error:")
-    button(
-        st,
-        "Undo",
-        "undo",
-        _undo,
-        acts,
-        disabled=not acts,
-        key=f"stop_undo_{round_key}",
-    )
-
-
-def _undo(acts: list[int]) -> None:
-    if not acts:  # pressed again before the page was drawn anew
-        return
-    try:
-        resources.undo(number=acts[-1])
-    except CucumberVisionError as error:
-        st.session_state["stop_fault"] = str(error)
-    else:
-        acts.pop()

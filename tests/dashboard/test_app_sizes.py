@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -117,6 +118,25 @@ def test_back_and_reload_come_to_the_same_place(
     page.go_forward()
     picture.wait_for()
     page.context.close()
+
+
+def test_a_keyboard_is_three_stops_from_the_list(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["desktop"])
+    page.goto(f"{address[0]}/?round={TODAY}")
+    first = page.locator(".fruit button").first
+    first.wait_for()
+    for _ in range(3):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.className") == "skip":
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_url("**#list")
+    page.keyboard.press("Space")
+    page.locator('.fruit button[aria-pressed="true"]').first.wait_for()
+    page.keyboard.press("Space")
+    page.get_by_text(re.compile(r"^0 of \d+ picked")).wait_for()
 
 
 def middle(place: Any) -> tuple[float, float]:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 # Streamlit forgets the input of a page that is left; these are kept for its return.
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _SESSION_CHECK_S = 10.0
+_WITH_FRUIT = ("Today", "Results")  # a keyboard comes to their lists at once
 
 _STYLE = Path(__file__).with_name("static") / "pages.css"
 
@@ -51,7 +52,7 @@ def main() -> None:
             resources.prepare()
             page_elements.keep_address()
             read_address()
-            _draw_navigation(pages)
+            _draw_navigation(pages, chosen)
             _draw_log_out(login)
             keep_inputs()
             context = get_script_run_ctx()
@@ -96,7 +97,9 @@ def _leave_for_capture() -> None:
     page_elements.go(f"/capture?{urlencode(page_elements.here())}")
 
 
-def _draw_navigation(pages: list[StreamlitPage]) -> None:
+def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
+    if chosen.title in _WITH_FRUIT:
+        st.html('<a class="skip" href="#list">To the fruit</a>')
     with st.container(horizontal=True, key="nav", gap="small"):
         for one in pages[:-1]:
             st.page_link(one, label=one.title, query_params=page_elements.here())

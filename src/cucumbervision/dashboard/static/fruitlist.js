@@ -16,6 +16,11 @@ export default function (component) {
   state.set(root, own);
   const list = root.querySelector(".fruit");
   list.setAttribute("aria-label", data.label);
+  if (!own.heard) {
+    root.host.id = "list"; // where the link at the page's top leads
+    own.heard = () => { if (location.hash === "#list") list.querySelector("button")?.focus(); };
+    addEventListener("hashchange", own.heard);
+  }
   const isPicked = (one) => (one.key in own.mine ? own.mine[one.key] : one.picked);
   const total = () => {
     const done = data.fruit.filter(isPicked).length;

@@ -14,6 +14,7 @@ function left(job) {
 function draw() {
   const lost = own.root.querySelector(".lost"), work = own.root.querySelector(".work"), [job] = own.news?.jobs || [];
   lost.hidden = !own.lost;
+  document.documentElement.toggleAttribute("data-lost", own.lost); // what Streamlit says of it is not shown
   lost.textContent = own.lost ? "Connection to the camera computer lost; trying again." : "";
   work.hidden = !job || own.lost;
   if (!job) { own.begun.clear(); return; }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -60,13 +61,7 @@ def walk(round_key: str, source: str) -> dict[str, Any]:
         "round": one.key if one else "",
         "home": home,
         "source": source,
-        "place": {
-            "row": place.row,
-            "side": place.side,
-            "position_m": place.position_m,
-            "step_m": place.step_m,
-            "back": place.back,
-        },
+        "place": asdict(place),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
         "waiting": len(waiting),

@@ -294,7 +294,7 @@ async def _preview(socket: WebSocket) -> None:
             seen = resources.feed(kind).preview()
         except CucumberVisionError as error:
             return _framed({"state": "absent", "message": str(error)}) if shown.fails() else None
-        return encoded(kind, seen) if shown.changes(seen) else None
+        return encoded(seen) if shown.changes(seen) else None
 
     await _send_changes(socket, look, _LOOK_S)
 
@@ -332,17 +332,13 @@ class Shown:
         return changed
 
 
-def encoded(kind: str, seen: Preview) -> bytes:
+@lru_cache(maxsize=4)  # one for all viewers
+def encoded(seen: Preview) -> bytes:
     """Return a preview as a message: the header's length, the header as JSON, colour, depth.
 
     Two JPEGs follow the header where there is a picture; it gives the first one's length.
     """
-    return _encoded(kind, seen.number, seen.state, seen)
-
-
-@lru_cache(maxsize=4)  # one for all viewers
-def _encoded(kind: str, number: int, state: str, seen: Preview) -> bytes:  # noqa: ARG001
-    header: dict[str, Any] = {"state": state, "message": seen.message}
+    header: dict[str, Any] = {"state": seen.state, "message": seen.message}
     capture, quality = seen.capture, seen.quality
     if capture is None:
         return _framed(header)

@@ -526,7 +526,7 @@ def test_every_page_opens_on_500_stops(
             marks = [
                 mark["key"]
                 for one in drawn
-                for layer in json.loads(one.json)["layers"]
+                for layer in json.loads(one.proto.json)["layers"]
                 for mark in layer["shapes"]
             ]
             assert len(set(marks)) == len(marks) == 2500

@@ -126,6 +126,38 @@ def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1
     )
 
 
+def sky_map(
+    rng: np.random.Generator, light: Light, assets: Assets
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return the environment of a light, and its directions.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Random generator, for a generated sky.
+    light : Light
+        The light; its sun is not included.
+    assets : Assets
+        Assets that `light.environment` refers to.
+
+    Returns
+    -------
+    sky : ndarray of float32, shape (H, W, 3)
+        Radiance, equirectangular, the top row up; white matt ground under it has a radiance of 1.
+    frame : ndarray of float64, shape (3, 3)
+        Rows: right, forward and up of the environment, in camera coordinates.
+    """
+    if light.environment >= 0 and assets.environments:
+        sky = assets.environments[light.environment % len(assets.environments)]
+        sky = np.minimum(sky, _PEAK * sky.mean())
+        # Automatic white balance removes most of the sky's colour.
+        sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
+    else:
+        sky = _drawn_sky(rng, light)
+    level = float(irradiance(harmonics(sky), np.array([[0.0, 0.0, 1.0]])).mean()) / np.pi
+    return np.asarray(sky / level, np.float32), _world(light)
+
+
 def _triple(values: NDArray[np.float64]) -> Vector:
     x, y, z = (float(v) for v in values)
     return x, y, z
@@ -143,17 +175,8 @@ def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightM
     assets : Assets
         Assets that `light.environment` refers to.
     """
-    if light.environment >= 0 and assets.environments:
-        sky = assets.environments[light.environment % len(assets.environments)]
-        sky = np.minimum(sky, _PEAK * sky.mean())
-        # Automatic white balance removes most of the sky's colour.
-        sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
-    else:
-        sky = _drawn_sky(rng, light)
+    sky, frame = sky_map(rng, light, assets)
     nine = harmonics(sky)
-    level = float(irradiance(nine, np.array([[0.0, 0.0, 1.0]])).mean()) / np.pi
-    sky, nine = sky / level, nine / level
-    frame = _world(light)
     line = (np.arange(_MAP, dtype=np.float32) + 0.5) * (2 / _MAP) - 1
     x, y = np.meshgrid(line, line)
     beyond = np.maximum(np.hypot(x, y), 1.0)

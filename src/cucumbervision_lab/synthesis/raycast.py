@@ -552,11 +552,29 @@ def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> N
     innermost = 1 - leaf.lobe - leaf.teeth - (_NOTCH if leaf.teeth else 0)
     inside = np.asarray(square <= innermost**2)
     unsure = ~inside & (square <= (1 + leaf.lobe + leaf.teeth) ** 2)
-    angle = np.arctan2(q[unsure], p[unsure])
-    rim = 1 + leaf.lobe * np.cos(_LOBES * angle)
-    if leaf.teeth:
-        # Triangle wave, and a notch at the stalk (180 degrees).
-        rim += leaf.teeth * (4 * np.abs((_TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
-        rim -= _NOTCH * np.exp(-(((np.pi - np.abs(angle)) / _NOTCH_RAD) ** 2))
+    rim = leaf_rim(np.arctan2(q[unsure], p[unsure]), leaf.lobe, leaf.teeth)
     inside[unsure] = square[unsure] <= rim * rim
     return inside
+
+
+def leaf_rim(angle: NDArray[np.float64], lobe: float, teeth: float) -> NDArray[np.float64]:
+    """Return the distance of a leaf's edge from its centre, in half axes.
+
+    Parameters
+    ----------
+    angle : ndarray of float64
+        Direction from the centre, radians, 0 at the tip.
+    lobe, teeth : float
+        See `Leaf`.
+
+    Examples
+    --------
+    >>> leaf_rim(np.array([0.0, np.pi / 5]), 0.1, 0.0).round(3).tolist()
+    [1.1, 0.9]
+    """
+    rim = 1 + lobe * np.cos(_LOBES * angle)
+    if teeth:
+        # Triangle wave, and a notch at the stalk (180 degrees).
+        rim += teeth * (4 * np.abs((_TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
+        rim -= _NOTCH * np.exp(-(((np.pi - np.abs(angle)) / _NOTCH_RAD) ** 2))
+    return np.asarray(rim)

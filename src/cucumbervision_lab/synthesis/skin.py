@@ -91,10 +91,13 @@ class SkinMaps:
         Linear RGB.
     relief : ndarray of float32, shape (A, C, 3)
         Slope along and around the fruit (metres per metre), and gloss, 0 to 1.
+    height_m : ndarray of float32, shape (A, C)
+        Height of warts and ridges, metres.
     """
 
     albedo: NDArray[np.float32]
     relief: NDArray[np.float32]
+    height_m: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -282,7 +285,9 @@ def skin_maps(
     color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.4 * wax)
     gloss = np.clip(skin.gloss * (1 - 0.9 * wax) * (1 + 0.15 * fine), 0, 1)
     relief = np.stack([*_slopes(height, row_m, column_m), gloss], axis=-1)
-    return SkinMaps(np.clip(color, 0.002, 0.9), relief.astype(np.float32))
+    return SkinMaps(
+        np.clip(color, 0.002, 0.9), relief.astype(np.float32), height.astype(np.float32)
+    )
 
 
 def _ground(

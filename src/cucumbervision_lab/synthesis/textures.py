@@ -30,7 +30,7 @@ _BLADE_PX = 192
 
 _BLADE_LEVELS = 3
 
-_REACH = 1.3  # the texture spans that many half axes to each side
+LEAF_REACH = 1.3  # the texture spans that many half axes to each side
 
 _BASE = -0.8  # where the stalk meets the blade
 
@@ -57,7 +57,7 @@ def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     if level:
         return _coarser(leaf_texture(number), level)
     rng = np.random.default_rng(number)
-    line = ((np.arange(_BLADE_PX, dtype=np.float32) + 0.5) * (2 / _BLADE_PX) - 1) * _REACH
+    line = ((np.arange(_BLADE_PX, dtype=np.float32) + 0.5) * (2 / _BLADE_PX) - 1) * LEAF_REACH
     s, t = np.meshgrid(line, line)
     ahead, aside = s - _BASE, np.abs(t)
     reach = np.hypot(ahead, aside)
@@ -130,7 +130,7 @@ def leaf_level(half_px: float) -> int:
     >>> [leaf_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
     [0, 0, 1, 3]
     """
-    fine = _BLADE_PX / (2 * _REACH)
+    fine = _BLADE_PX / (2 * LEAF_REACH)
     return min(max(round(float(np.log2(fine / max(half_px, 1.0)))), 0), _BLADE_LEVELS)
 
 
@@ -143,7 +143,7 @@ def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
 
 def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
     """Convert a position on the blade, in half axes from its centre, to texture pixels."""
-    return (place / np.float32(_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
+    return (place / np.float32(LEAF_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
 
 
 TILE_M = 0.6  # what a tile of material spans

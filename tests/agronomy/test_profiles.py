@@ -49,6 +49,7 @@ def test_long_cucumber_has_the_papers_classes_and_growth() -> None:
     profile = load_profile("long-cucumber")
     assert profile.length is LengthDefinition.CENTRELINE
     assert profile.accepted_m == MeasureOptions().accepted_m == (0.05, 0.80)
+    assert profile.accepted_diameter_m == MeasureOptions().accepted_diameter_m == (0.012, 0.07)
     assert profile.mass_g(1e-4) == pytest.approx(96.0)  # 100 ml at 960 kg per cubic metre
     np.testing.assert_allclose(profile.edges_m, [0.20, 0.25, 0.35])
     assert profile.outcomes == ("I", "II", "too short", "too long")

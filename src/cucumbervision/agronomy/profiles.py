@@ -23,7 +23,7 @@ _TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which sid
 
 Positive = Annotated[float, Field(gt=0)]
 
-RangeT = TypeVar("RangeT", "LengthLimits", "LengthClass")
+RangeT = TypeVar("RangeT", "SizeLimits", "LengthClass")
 
 
 def _min_before_max(entry: RangeT) -> RangeT:
@@ -36,11 +36,13 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class LengthLimits(_Strict):
-    """Plausible lengths of this crop in cm; others are measurement errors."""
+class SizeLimits(_Strict):
+    """Plausible lengths and mean diameters of this crop in cm; others are measurement errors."""
 
     min_cm: Positive
     max_cm: Positive
+    min_diameter_cm: Positive = 0.1
+    max_diameter_cm: Positive = 100.0
     _ordered = model_validator(mode="after")(_min_before_max)
 
 
@@ -128,8 +130,8 @@ class CropProfile(_Strict):
         Name of the crop.
     length : {'thread', 'centreline', 'chord'}
         The length that the classes use.
-    acceptance : LengthLimits
-        Plausible lengths.
+    acceptance : SizeLimits
+        Plausible lengths and diameters.
     classes : tuple of LengthClass
         Best first, without gaps or overlaps.
     pick : tuple of str
@@ -155,7 +157,7 @@ class CropProfile(_Strict):
 
     title: Annotated[str, Field(min_length=1)]
     length: LengthDefinition = LengthDefinition.CENTRELINE
-    acceptance: LengthLimits
+    acceptance: SizeLimits
     classes: Annotated[tuple[LengthClass, ...], Field(min_length=1)]
     pick: Annotated[tuple[str, ...], Field(min_length=1)]
     shape: tuple[ShapeBand, ...] = ()
@@ -200,6 +202,11 @@ class CropProfile(_Strict):
     def accepted_m(self) -> tuple[float, float]:
         """Shortest and longest plausible length, metres."""
         return self.acceptance.min_cm / 100, self.acceptance.max_cm / 100
+
+    @property
+    def accepted_diameter_m(self) -> tuple[float, float]:
+        """Least and largest plausible mean diameter, metres."""
+        return self.acceptance.min_diameter_cm / 100, self.acceptance.max_diameter_cm / 100
 
     def mass_g(self, volume_m3: float) -> float:
         """Return the mass of a volume in cubic metres, grams."""

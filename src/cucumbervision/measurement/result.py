@@ -94,6 +94,7 @@ class Choice(StrEnum):
     NO_DEPTH = "no-depth"
     NOTHING = "not-measured"
     IMPLAUSIBLE = "implausible-length"
+    IMPLAUSIBLE_DIAMETER = "implausible-diameter"
     WAITING = "not-selected"
     SEVERAL_VIEWS = "several-views"
 
@@ -119,6 +120,7 @@ class Flag(StrEnum):
     NOT_COVERED = "calibration-not-covered"
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
+    DEPTH_UNIT = "depth-unit"
     DOUBTFUL = "doubtful"
 
 
@@ -138,6 +140,7 @@ _FLAG_WORDS = {
     Flag.NOT_COVERED: "the site's calibration does not cover it",
     Flag.OTHER_MASK: "the site's calibration was made with other outlines",
     Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
+    Flag.DEPTH_UNIT: "too large: check the depth's unit",
     Flag.DOUBTFUL: "added by hand, and may be no fruit",
 }
 

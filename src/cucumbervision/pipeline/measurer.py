@@ -28,10 +28,10 @@ from cucumbervision.measurement.result import (
     IntervalBasis,
     Length,
     LengthDefinition,
-    Reason,
     calibration_key,
 )
 from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
 from cucumbervision.pipeline.fields import NumberedFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
@@ -358,7 +358,8 @@ class Measurer:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
         models = () if self._finder is None else self._finder.models_of(found.stages)
-        return CaptureResult(capture, tuple(fruit), tuple(refused), None, found.stages, models)
+        doubted = with_unit_doubts(fruit)
+        return CaptureResult(capture, doubted, tuple(refused), None, found.stages, models)
 
     def measure_instance(
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
@@ -382,7 +383,9 @@ class Measurer:
         )
         if self.site is not None:
             fruit = calibrated_fruit(fruit, self.site, options.length)
-        return accepted_fruit(fruit, options.accepted_m)
+        return accepted_fruit(
+            fruit, options.accepted_m, options.accepted_diameter_m, capture.intrinsics
+        )
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; errors are returned in the result."""
@@ -394,37 +397,6 @@ class Measurer:
     def __reduce__(self) -> tuple[Any, ...]:
         """Send another process what it needs to load its own networks."""
         return Measurer, (self.options, self._registry, self._detector)
-
-
-def accepted_fruit(fruit: FruitMeasurement, limits_m: tuple[float, float]) -> FruitMeasurement:
-    """Return a fruit without its length where no fruit of its crop is so long or so short.
-
-    Parameters
-    ----------
-    fruit : FruitMeasurement
-        With its length; of one that goes on out of sight it is a lower bound.
-    limits_m : tuple of float
-        Shortest and longest, metres.
-
-    Returns
-    -------
-    FruitMeasurement
-        Where the length is outside: nothing is selected, the reason is 'implausible-length', and
-        `fallback` ends with the method that gave it. The methods' measurements stay.
-    """
-    length = fruit.length
-    least = 0.0 if fruit.at_least else limits_m[0]
-    if length is None or least <= length.value_m <= limits_m[1]:
-        return fruit
-    tried = f"{fruit.method}:{Reason.OUT_OF_RANGE}"
-    return replace(
-        fruit,
-        selected=None,
-        reason=Choice.IMPLAUSIBLE,
-        fallback=(*fruit.fallback, tried),
-        length=None,
-        raw_length=None,
-    )
 
 
 def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:

@@ -83,6 +83,8 @@ class MeasureOptions:
     accepted_m : tuple of float
         Shortest and longest fruit that can be, metres, from the crop profile; by default a
         long cucumber's. What lies outside gets no length.
+    accepted_diameter_m : tuple of float
+        Least and largest mean diameter, likewise.
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres, from the crop profile.
     camera_up : str, optional
@@ -106,6 +108,7 @@ class MeasureOptions:
     reading: ReadOptions = field(default_factory=ReadOptions)
     calibration: Path | None = None
     accepted_m: tuple[float, float] = (0.05, 0.80)
+    accepted_diameter_m: tuple[float, float] = (0.012, 0.07)
     cut_beyond_m: float = CUT_BEYOND_M
     camera_up: str | None = None
 
@@ -135,8 +138,13 @@ class MeasureOptions:
             raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
 
     def for_crop(self, profile: CropProfile) -> Self:
-        """Return the same choices for a crop: its lengths, and where it is cut."""
-        return replace(self, accepted_m=profile.accepted_m, cut_beyond_m=profile.cut_cm / 100)
+        """Return the same choices for a crop: its sizes, and where it is cut."""
+        return replace(
+            self,
+            accepted_m=profile.accepted_m,
+            accepted_diameter_m=profile.accepted_diameter_m,
+            cut_beyond_m=profile.cut_cm / 100,
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return the choices as JSON values."""

@@ -106,7 +106,8 @@ class StageHashes:
         options = self._options
         site = options.calibration and _path_sha256(options.calibration)
         how = [list(options.methods), str(options.selector), str(options.length)]
-        crop = options.accepted_m, options.cut_beyond_m, options.camera_up
+        sizes = options.accepted_m, options.accepted_diameter_m
+        crop = *sizes, options.cut_beyond_m, options.camera_up
         table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
         return [__version__, how, site, options.reading.depth_unit_m, *crop, table]
 

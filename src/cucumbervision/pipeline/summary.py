@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.result import Choice, Method
+from cucumbervision.measurement.result import Choice, Flag, Method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.fields import Cell
 
 
-# Of a depth step, mm, beside 1 mm: D405 cameras, micrometres, centimetres, metres.
-_STEPS = (0.1, 0.001, 10.0, 1000.0)
+# Of a depth step, mm, beside 1 mm: D405 cameras, TUM's, L515 cameras, micrometres, cm, metres.
+_STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
 _USUAL_CM = (5.0, 50.0)
 
 
@@ -32,7 +32,9 @@ class Summary:
     lengths_cm : array of float
         Of the fruit that got one.
     refused_cm : list of float
-        Of the fruit whose length no fruit of the crop can have.
+        Of the fruit that no fruit of the crop can be as long, as short or as thick as.
+    too_large : int
+        How many of these are too long or too thick.
     methods, masks : Counter
         Fruit by the method that was chosen, and by who drew the mask; '' for none.
     simulated : bool
@@ -53,6 +55,7 @@ class Summary:
     fruit: int = 0
     lengths_cm: array[float] = field(default_factory=lambda: array("d"))
     refused_cm: list[float] = field(default_factory=list)
+    too_large: int = 0
     methods: Counter[str] = field(default_factory=Counter)
     masks: Counter[str] = field(default_factory=Counter)
     simulated: bool = False
@@ -73,7 +76,10 @@ class Summary:
             if row["length_cm"] is not None:
                 self.lengths_cm.append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
-            if row.get("reason") == Choice.IMPLAUSIBLE:
+            refused = row.get("reason")
+            large = Flag.DEPTH_UNIT in str(row.get("flags") or "").split()
+            if refused == Choice.IMPLAUSIBLE or (refused == Choice.IMPLAUSIBLE_DIAMETER and large):
+                self.too_large += large
                 read = [row[f"{method.lower()}_cm"] for method in reversed(Method)]
                 self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
@@ -81,21 +87,23 @@ class Summary:
         self.models += [model for model in models if model not in self.models]
 
     def unit_hints(self) -> list[str]:
-        """Return likely explanations if all lengths are impossible; otherwise nothing.
+        """Return likely explanations if all sizes are impossible, or half too large.
 
         Examples
         --------
         >>> Summary(refused_cm=[148.0, 180.0], fruit=2).unit_hints()[0]
-        'no fruit has a possible length (median 164 cm): is one step of depth really 1 mm? ...'
+        'no fruit has a possible size (median 164 cm): is one step of depth really 1 mm? ...'
         """
-        if not self.refused_cm or self.lengths_cm:
+        known = len(self.refused_cm) + len(self.lengths_cm)
+        if not self.refused_cm or (self.lengths_cm and 2 * self.too_large < known):
             return []
         middle = median(self.refused_cm)
-        found = f"no fruit has a possible length (median {middle:.3g} cm)"
+        some = f"{self.too_large} of {known} fruit are too large" if self.lengths_cm else ""
+        found = f"{some or 'no fruit has a possible size'} (median {middle:.3g} cm)"
         steps = [s for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
         if not steps:
             return [f"{found}: do the intrinsics belong to this camera's colour at this size?"]
-        asked = " or ".join(f"--depth-unit {s / 1000:g}" for s in steps)
+        asked = "--depth-unit " + " or ".join(f"{s / 1000:g}" for s in steps)
         return [f"{found}: is one step of depth really 1 mm? {asked} would explain it"]
 
     def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:

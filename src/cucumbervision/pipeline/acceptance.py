@@ -1,0 +1,93 @@
+"""Which measured fruit can be of the crop, and what tells that depth has another unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.measurement.result import Choice, Flag, FruitMeasurement, Method, Reason
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+_REFUSED = frozenset({Choice.IMPLAUSIBLE, Choice.IMPLAUSIBLE_DIAMETER})
+
+
+def accepted_fruit(
+    fruit: FruitMeasurement,
+    lengths_m: tuple[float, float],
+    diameters_m: tuple[float, float],
+    intrinsics: Intrinsics,
+) -> FruitMeasurement:
+    """Return a fruit without its length where no fruit of its crop is of such a size.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        With its length; of one that goes on out of sight it is a lower bound.
+    lengths_m : tuple of float
+        Shortest and longest, metres.
+    diameters_m : tuple of float
+        Least and largest mean diameter, metres.
+    intrinsics : Intrinsics
+        The camera, for the mean width of a mask whose tube was out of range.
+
+    Returns
+    -------
+    FruitMeasurement
+        Where the size is outside: nothing is selected, the reason is 'implausible-length' or
+        'implausible-diameter', and `fallback` ends with the method that gave it. Too large a fruit
+        is flagged 'depth-unit'. The methods' measurements stay.
+    """
+    if fruit.length is None:
+        return fruit
+    length_m, diameter_m = fruit.length.value_m, _mean_diameter(fruit, intrinsics)
+    large = length_m > lengths_m[1] or diameter_m > diameters_m[1]
+    if length_m > lengths_m[1] or (length_m < lengths_m[0] and not fruit.at_least):
+        reason = Choice.IMPLAUSIBLE
+    elif large or diameter_m < diameters_m[0]:
+        reason = Choice.IMPLAUSIBLE_DIAMETER
+    else:
+        return fruit
+    tried = f"{fruit.method}:{Reason.OUT_OF_RANGE}"
+    refused = replace(
+        fruit,
+        selected=None,
+        reason=reason,
+        fallback=(*fruit.fallback, tried),
+        length=None,
+        raw_length=None,
+    )
+    return refused.flagged(Flag.DEPTH_UNIT) if large else refused
+
+
+def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
+    """Return the mean diameter, metres; NaN, which no limit refuses, where it is not known."""
+    if fruit.traits is not None:
+        return fruit.traits.diameter_mean_m
+    tube = fruit.measurements.get(Method.M6)
+    out = tube is not None and tube.reason is Reason.OUT_OF_RANGE
+    if not out or fruit.mask is None or fruit.distance_m is None or fruit.length is None:
+        return np.nan
+    pixel_m2 = fruit.distance_m**2 / (intrinsics.fx_px * intrinsics.fy_px)
+    return float(fruit.mask.sum() * pixel_m2 / fruit.length.value_m)
+
+
+def with_unit_doubts(fruit: Sequence[FruitMeasurement]) -> tuple[FruitMeasurement, ...]:
+    """Return the fruit of one picture, all flagged 'depth-unit' where half of them are too large.
+
+    All were read from one depth picture: with its unit wrong, fruit whose sizes can be are wrong,
+    too.
+    """
+    known = [one.length is not None or one.reason in _REFUSED for one in fruit]
+    large = sum(Flag.DEPTH_UNIT in one.flags for one in fruit)
+    if not large or 2 * large < sum(known):
+        return tuple(fruit)
+    return tuple(
+        one.flagged(Flag.DEPTH_UNIT) if sized else one
+        for one, sized in zip(fruit, known, strict=True)
+    )

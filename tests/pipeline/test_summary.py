@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cucumbervision.pipeline.summary import Summary
+
+
+def row(m6_cm: float, reason: str = "mask-points-ge-100", flags: str = "") -> dict[str, Any]:
+    length = None if reason.startswith("implausible") else m6_cm
+    cells = {"length_cm": length, "method": None, "mask_source": None, "simulated": False}
+    others = {f"m{k}_cm": None for k in range(1, 6)}
+    return {**cells, **others, "m6_cm": m6_cm, "reason": reason, "flags": flags}
+
+
+SOUND = row(18.0)
+STEM = row(30.0, "implausible-diameter", "ends-unsure")
+SHORT = row(4.0, "implausible-length")
+THICK = row(74.0, "implausible-diameter", "ends-unsure depth-unit")
+DOUBTED = row(37.0, flags="depth-unit")
+
+
+@pytest.mark.parametrize(
+    ("rows", "hint"),
+    [
+        ([SOUND, THICK, SOUND], None),
+        ([STEM, SHORT, SOUND], None),
+        ([STEM], None),
+        ([SHORT], "no fruit has a possible size (median 4 cm): is one step of depth really 1 mm? "
+         "--depth-unit 0.01 would explain it"),
+        ([THICK, THICK, DOUBTED], "2 of 3 fruit are too large (median 74 cm): is one step of depth "
+         "really 1 mm? --depth-unit 0.0001 or 0.0002 or 0.00025 would explain it"),
+    ],
+)  # fmt: skip
+def test_a_unit_is_suggested_where_half_of_the_fruit_are_too_large(
+    rows: list[dict[str, Any]], hint: str | None
+) -> None:
+    summary = Summary()
+    summary.add(rows)
+    assert summary.unit_hints() == ([] if hint is None else [hint])

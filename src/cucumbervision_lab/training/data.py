@@ -60,7 +60,9 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
         run.mkdir(parents=True, exist_ok=True)
         (run / DATA_CARD).write_text(data_card(dataset, "Trained on"), encoding="utf-8")
         if not (data.is_dir() and file.is_file()) and data.suffix not in (".yaml", ".yml"):
-            file = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
+            # Training does not read the test split, whose fruit may have boxes only.
+            used = ("train", "val")
+            file = write_yolo(dataset, run / "data", TASKS[task], splits=used).data_yaml
     return write_data_file(file, task, run)
 
 
@@ -134,7 +136,7 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     own: dict[str, Any] = {
         "path": str((path.parent / str(values.get("path") or ".")).resolve()),
         **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
-        "names": {0: "cucumber"},
+        "names": {0: _class_names(values)[0]},
     }
     if values.get("weights"):
         own["weights"] = list(values["weights"])
@@ -150,16 +152,21 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     return written
 
 
+def _class_names(values: dict[str, Any]) -> list[str]:
+    names = values.get("names") or []
+    return [str(one) for one in (names.values() if isinstance(names, dict) else names)]
+
+
 def _check(values: dict[str, Any], task: str, path: Path) -> None:
     for split in ("train", "val"):
         if not values.get(split):
             raise TrainingError(
                 f"the split {split} is missing", source=path, remedy=f"add {split} pictures"
             )
-    names = values.get("names") or []
+    names = _class_names(values)
     if len(names) != 1:
         raise TrainingError(
-            f"has {len(names)} classes, expected 1", source=path, remedy="keep only cucumbers"
+            f"has {len(names)} classes, expected 1", source=path, remedy="keep one class"
         )
     shape = values.get("kpt_shape")
     if task == "pose" and (not shape or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):

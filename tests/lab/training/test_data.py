@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,26 @@ def test_the_hubs_form_is_written_as_yolo(seg_set: Path, tmp_path: Path) -> None
     labels = Path(values["path"]) / "labels" / "train"
     assert Path(values["path"]) == tmp_path / "run" / "data"
     assert len(list(labels.glob("*.txt"))) == 6
+
+
+def test_a_test_split_with_boxes_only_is_left_out_and_the_class_keeps_its_name(
+    seg_set: Path, tmp_path: Path
+) -> None:
+    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.yolo import read_yolo
+
+    read = read_yolo(seg_set)
+    boxed = replace(
+        read.pictures[-1],
+        split="test",
+        labels=tuple(replace(label, mask_code=None) for label in read.pictures[-1].labels),
+    )
+    crop = replace(read, pictures=(*read.pictures[:-1], boxed), categories=("courgette",))
+    write_coco(crop, tmp_path / "crop")
+    values = yaml.safe_load(prepare_data(tmp_path / "crop", "seg", tmp_path / "run").read_text())
+    assert values["names"] == {0: "courgette"}
+    assert "test" not in values
+    assert len(list((tmp_path / "run" / "data" / "labels").rglob("*.txt"))) == 7
 
 
 def test_leaks_are_refused_before_training(seg_set: Path, tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from cucumbervision.geometry.tube import TubeShape, guess_shape
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.measurement.m6 import TubeView, fits_well, measure_m6, view_tube
-from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
+from cucumbervision.measurement.result import Flag, LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeLengths
-from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, bent_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -422,3 +422,13 @@ def test_a_mask_that_fills_a_bends_hollow_does_not_fit(camera: Intrinsics) -> No
     )
     filled = cv2.fillConvexPoly(mask.astype(np.uint8), cv2.convexHull(outline), 1) > 0
     assert not fits_well(measure_m6(depth, filled, camera))
+
+
+def test_a_banana_bent_away_is_flagged_and_a_cucumber_is_not(camera: Intrinsics) -> None:
+    # Bent towards the back and tilted by 40 degrees: the far end points away from the camera.
+    share = np.linspace(0, 1, 800)
+    banana = bent_tube(0.19, 0.02 * np.sin(np.pi * (0.05 + 0.9 * share)) ** 0.5, 0 * share + 7.0)
+    for fruit, flagged in ((banana, True), (arc_tube(0.19, 0.02, 1 / 7.0), False)):
+        tube = fruit.moved(rotation(tilt_deg=40, spin_deg=90), (0, 0, 0.5))
+        _, fit = fitted(measure_m6(*noisy(tube, camera, 3), camera))
+        assert (Flag.END_ON in fit.flags) is flagged

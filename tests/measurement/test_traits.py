@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.measurement.traits import tube_traits
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.bodies import arc_tube, bent_tube, rotation
 
 
 def test_traits_of_a_drawn_fruit_are_its_truth() -> None:
@@ -32,6 +32,20 @@ def test_tilt_is_the_chords_angle_to_the_picture() -> None:
         tube = arc_tube(0.20, 0.02).moved(rotation(10, tilt), (0, 0, 0.6))
         traits = tube_traits(tube.centres_m, tube.radii_m)
         assert traits.tilt_deg == pytest.approx(abs(tilt), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "end_m", "hides"),
+    [(30, 0.005, False), (50, 0.005, True), (-50, 0.005, True), (50, 0.02, False)],
+)
+def test_a_spindle_that_points_away_may_hide_an_end(
+    tilt_deg: float, end_m: float, hides: bool
+) -> None:
+    # Straight, 1 cm thick at the ends and 4 cm in the middle: its sides slope by 8.5 degrees, and
+    # perspective adds some 5, to 30 + 14 or 50 + 14 degrees. An even bar hides nothing.
+    radii = np.interp(np.linspace(-1, 1, 401), [-1, 0, 1], [end_m, 0.02, end_m])
+    tube = bent_tube(0.20, radii, 0 * radii).moved(rotation(0, tilt_deg), (0, 0, 0.6))
+    assert tube_traits(tube.centres_m, tube.radii_m).may_hide_an_end is hides
 
 
 def test_inner_arc_for_each_10_cm_of_chord() -> None:

@@ -464,7 +464,7 @@ def _fit(
     flags = []
     if not (first and last):
         flags.append(Flag.END_HIDDEN)
-    if _end_on(traits.axis_m):
+    if _end_on(traits.axis_m) or traits.may_hide_an_end:
         flags.append(Flag.END_ON)
     if hidden > PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)

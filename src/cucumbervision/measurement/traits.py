@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 _SMALLEST_RADIUS_M = 1e-4
 
+# A spindle is thinner towards its ends than cucumbers are: mean over largest diameter. Its end may
+# be out of sight beyond this angle along the view, the slope of its sides included.
+_SPINDLE, _SPINDLE_END_DEG = 0.82, 55.0
+
 
 @dataclass(frozen=True)
 class TubeLengths:
@@ -81,6 +85,27 @@ class TubeTraits:
     def diameter_mean_m(self) -> float:
         """Mean diameter along the axis from pole to pole, metres."""
         return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
+
+    @property
+    def may_hide_an_end(self) -> bool:
+        """Whether it is a spindle, as bananas are, with an end that points away from the camera.
+
+        Such an end can lie behind the body's own middle: the tube fits what is seen well, and ends
+        too early.
+        """
+        if self.diameter_mean_m > _SPINDLE * self.diameter_max_m:
+            return False
+        tenth, length_m = len(self.axis_m) // 10, self.along_m[-1]
+        for axis, width in (
+            (self.axis_m, self.diameter_m),
+            (self.axis_m[::-1], self.diameter_m[::-1]),
+        ):
+            step = axis[0] - axis[tenth]
+            away = np.arcsin(step @ axis[0] / np.linalg.norm(step) / np.linalg.norm(axis[0]))
+            slope = np.arctan((width[30] - width[10]) / 2 / (0.2 * length_m))
+            if np.rad2deg(away + slope) > _SPINDLE_END_DEG:
+                return True
+        return False
 
 
 def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> TubeTraits:

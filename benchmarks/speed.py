@@ -447,7 +447,7 @@ def dashboard(quick: bool) -> list[Figure]:
             pages = {
                 "results": ".fruit button",
                 "map": "text=One mark per fruit",
-                "forecast": "text=Growth comes from",
+                "forecast": "text=fruit too small to be detected today",
                 "accuracy": "[data-testid=stDataFrame] canvas",
             }
             cold, within = [], []

@@ -185,6 +185,11 @@ class Grade:
     mass_g: float | None = None
     beyond: str = ""
 
+    @property
+    def label(self) -> str:
+        """The class, or 'too short' or 'too long', for people."""
+        return self.beyond or self.name
+
 
 @dataclass(frozen=True)
 class _Check:

@@ -205,7 +205,7 @@ def _remarks(row: Mapping[str, Any], profile: CropProfile) -> str:
         return f"not measured: {row['reason']}"
     found = grade(GradingTraits.from_row(row), profile)
     whole = LOWER_BOUND.isdisjoint(row["flags"].split())
-    parts = [(found.beyond or found.name) if whole else "", flag_remarks(row["flags"])]
+    parts = [found.label if whole else "", flag_remarks(row["flags"])]
     if row["length_kind"] not in set(LengthDefinition):
         parts.append(f"{row['length_kind']} by {row['method']}")
     return "; ".join(filter(None, parts))

@@ -327,8 +327,6 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
         "" if view.picked_s is None else "picked",
         record.flags,
     ]
-    found = None if profile is None else grade(record, profile)
-    graded = "" if found is None else found.beyond or found.name
     return [
         str(line.number),
         view.row or "",
@@ -337,7 +335,7 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
         "" if length is None else f"{100 * length.value_m:.1f}",
         "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
         str(view.views),
-        graded,
+        "" if profile is None else grade(record, profile).label,
         " ".join(filter(None, remarks)),
         view.key[:8],
     ]

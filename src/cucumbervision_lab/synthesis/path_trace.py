@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import DataSetError
+from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import FAR
 from cucumbervision_lab.synthesis.bodies import rotation
 from cucumbervision_lab.synthesis.colors import smooth_noise, to_linear
@@ -156,11 +157,8 @@ class _Stage:
         numbers = self.rng.integers(LEAF_TEXTURES, size=5)
         photos = [leaf_photo_texture(self.rng, self.assets) for _ in numbers]
         looks: dict[tuple[int, int], Any] = {}
-        stems = [
-            s
-            for s, role in zip(self.scene.stems, self.style.stem_roles, strict=True)
-            if role in ("stem", "string")
-        ]
+        pairs = zip(self.scene.stems, self.style.stem_roles, strict=True)
+        targets = _points_on([stem for stem, role in pairs if role in ("stem", "string")])
         stalk = self._plain("leaf stalk", (104.0, 136.0, 72.0))
         for index, leaf in enumerate(self.scene.leaves):
             withered = self.style.leaf_roles[index] == "blossom"
@@ -174,8 +172,8 @@ class _Stage:
                     withered=withered,
                 )
             self._mesh(f"leaf {index}", *_leaf_mesh(leaf, self.rng), looks[look])
-            if not withered and stems:
-                self._line(f"leaf stalk {index}", *_leaf_stalk(leaf, stems, self.rng), stalk)
+            if not withered and len(targets):
+                self._line(f"leaf stalk {index}", *_leaf_stalk(leaf, targets, self.rng), stalk)
         self._add_shading_leaves(next(iter(looks.values()), None))
 
     def _add_shading_leaves(self, material: Any) -> None:
@@ -436,7 +434,7 @@ def _tube_mesh(tube: Tube) -> _Mesh:
     vertices = spine[:, None] + reach[:, None, None] * (
         np.cos(turn) * out[:, None] + np.sin(turn) * aside[:, None]
     )
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(spine, axis=0), axis=1))])
+    run = arc_positions(spine)
     v, u = np.meshgrid(run / run[-1], turn.ravel() / (2 * np.pi), indexing="ij")
     return (
         vertices.reshape(-1, 3),
@@ -465,22 +463,17 @@ def _leaf_mesh(leaf: Leaf, rng: np.random.Generator) -> _Mesh:
     return leaf.centre_m + local @ leaf.frame, _grid_faces(_RINGS, _RIM + 1), uv
 
 
+def _points_on(stems: Sequence[Stem]) -> NDArray[np.float64]:
+    """Return points along all stems, shape (N, 3)."""
+    shares = np.linspace(0, 1, 60)
+    return np.vstack([np.empty((0, 3)), *(points_along(one.vertices_m, shares) for one in stems)])
+
+
 def _leaf_stalk(
-    leaf: Leaf, stems: Sequence[Stem], rng: np.random.Generator
+    leaf: Leaf, targets: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the polyline and radius of a leaf's stalk, towards the nearest stem."""
+    """Return polyline and radius of a leaf's stalk, towards a point of the stems near by."""
     base = leaf.centre_m - 0.62 * leaf.half_length_m * leaf.frame[0]
-    lines = [
-        np.stack(
-            [
-                np.interp(np.linspace(0, 1, 60), np.linspace(0, 1, len(s.vertices_m)), axis)
-                for axis in s.vertices_m.T
-            ],
-            axis=1,
-        )
-        for s in stems
-    ]
-    targets = np.vstack(lines)
     away = np.linalg.norm(targets - base, axis=1)
     end = targets[int(np.argmin(np.abs(away - 0.12)))]
     reach = float(np.linalg.norm(end - base))
@@ -495,12 +488,8 @@ def _leaf_stalk(
 
 def _plane_mesh(plane: Plane) -> _Mesh:
     """Return a square of 6 m, with texture coordinates in tiles."""
-    normal = plane.normal / np.linalg.norm(plane.normal)
-    aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
-    aside /= np.linalg.norm(aside)
-    frame = np.stack([aside, np.cross(normal, aside)])
     corners = 3.0 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
-    return plane.point_m + corners @ frame, np.array([[0, 1, 2, 3]]), corners / TILE_M
+    return plane.point_m + corners @ plane.tile_axes(), np.array([[0, 1, 2, 3]]), corners / TILE_M
 
 
 def _euler(turn: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -404,6 +404,18 @@ class Plane:
         up, right = np.tan(np.deg2rad([tilt_deg, turn_deg]))
         return cls(np.array([0.0, 0.0, distance_m]), np.array([right, -up, -1.0]) + 0.0)
 
+    def unit_normal(self) -> NDArray[np.float64]:
+        """Return the unit normal towards the camera, shape (3,)."""
+        normal = self.normal / np.linalg.norm(self.normal)
+        return np.asarray(normal * -np.sign(normal @ self.point_m))
+
+    def tile_axes(self) -> NDArray[np.float64]:
+        """Return two unit vectors in the plane, along which its material is tiled, shape (2, 3)."""
+        normal = self.unit_normal()
+        aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
+        aside /= np.linalg.norm(aside)
+        return np.stack([aside, np.cross(normal, aside)])
+
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Plane:
         """Return the plane rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Plane(

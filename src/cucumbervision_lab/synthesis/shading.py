@@ -286,11 +286,7 @@ def _stem(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
 
 def _plane(job: _Job, at: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
     plane, layers = job.scene.planes[index], job.layers
-    normal = plane.normal / np.linalg.norm(plane.normal)
-    normal = normal * -np.sign(normal @ plane.point_m)
-    aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
-    aside /= np.linalg.norm(aside)
-    frame = np.stack([aside, np.cross(normal, aside)]).astype(np.float32)
+    normal, frame = plane.unit_normal(), plane.tile_axes().astype(np.float32)
     place = (points - plane.point_m.astype(np.float32)) @ frame.T
     size = tile.shape[0]
     pixel = (place * np.float32(size / TILE_M)) % size

@@ -47,7 +47,7 @@ def test_a_blade_reaches_its_rim_and_bends_as_its_leaf_does() -> None:
 def test_a_leaf_stalk_begins_at_its_blade_and_is_at_most_30_cm_long() -> None:
     leaf = Leaf(np.array([0.0, 0.0, 0.5]), np.eye(3), 0.1, 0.08)
     far = Stem(np.array([[2.0, -0.3, 0.5], [2.0, 0.3, 0.5]]), 0.004)
-    line, radius = module._leaf_stalk(leaf, [far], np.random.default_rng(1))
+    line, radius = module._leaf_stalk(leaf, module._points_on([far]), np.random.default_rng(1))
     assert line[0] == pytest.approx([-0.062, 0.0, 0.5])
     assert np.linalg.norm(line[-1] - line[0]) == pytest.approx(0.3)
     assert 0.001 < radius < 0.004

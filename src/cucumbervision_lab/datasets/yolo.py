@@ -132,7 +132,7 @@ def _find(path: Path, names: Sequence[str] = ()) -> _YoloFolder:
     folder = yaml.parent.resolve()
     data = load_data_yaml(yaml) if yaml.is_file() else {}
     with wrap_reader_errors(yaml, DataSetError, "correct it"):
-        return _found(path, folder, yaml, data, list(names) or _names(data.get("names"), yaml))
+        return _found(path, folder, yaml, data, list(names) or class_names(data.get("names"), yaml))
 
 
 def _found(
@@ -185,7 +185,19 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
-def _names(names: Any, yaml: Path) -> list[str]:
+def class_names(names: Any, yaml: Path) -> list[str]:
+    """Return the class names of a `data.yaml`, a list or a mapping from index to name.
+
+    Raises
+    ------
+    DataSetError
+        If the indices of a mapping are not consecutive from 0.
+
+    Examples
+    --------
+    >>> class_names({1: "leaf", 0: "cucumber"}, Path("data.yaml")), class_names(None, Path())
+    (['cucumber', 'leaf'], [])
+    """
     if isinstance(names, dict):
         if sorted(names) != list(range(len(names))):
             raise DataSetError(

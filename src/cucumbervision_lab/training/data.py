@@ -11,7 +11,7 @@ import yaml
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.checks import check_folder, require_clean
 from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-from cucumbervision_lab.datasets.yolo import load_data_yaml, write_yolo
+from cucumbervision_lab.datasets.yolo import class_names, load_data_yaml, write_yolo
 
 TASKS = {"seg": "segment", "pose": "pose"}
 """Task names of the commands, and their names in Ultralytics."""
@@ -136,7 +136,7 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     own: dict[str, Any] = {
         "path": str((path.parent / str(values.get("path") or ".")).resolve()),
         **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
-        "names": {0: _class_names(values)[0]},
+        "names": {0: class_names(values["names"], path)[0]},
     }
     if values.get("weights"):
         own["weights"] = list(values["weights"])
@@ -152,18 +152,13 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     return written
 
 
-def _class_names(values: dict[str, Any]) -> list[str]:
-    names = values.get("names") or []
-    return [str(one) for one in (names.values() if isinstance(names, dict) else names)]
-
-
 def _check(values: dict[str, Any], task: str, path: Path) -> None:
     for split in ("train", "val"):
         if not values.get(split):
             raise TrainingError(
                 f"the split {split} is missing", source=path, remedy=f"add {split} pictures"
             )
-    names = _class_names(values)
+    names = class_names(values.get("names"), path)
     if len(names) != 1:
         raise TrainingError(
             f"has {len(names)} classes, expected 1", source=path, remedy="keep one class"

@@ -106,7 +106,9 @@ class SoftwareCamera:
         color: bool = True,
         pixels: str = "rgb8",
         pixel_bytes: int = 3,
+        enlarged: int = 1,
     ) -> None:
+        self._enlarged = enlarged
         self.rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
         rs = self.rs
         device = rs.software_device()
@@ -157,11 +159,11 @@ class SoftwareCamera:
     ) -> Any:
         rs = self.rs
         lens, stream = rs.intrinsics(), rs.video_stream()
-        lens.width, lens.height = WIDTH, HEIGHT
-        lens.fx, lens.fy, lens.ppx, lens.ppy = k
+        lens.width, lens.height = WIDTH * self._enlarged, HEIGHT * self._enlarged
+        lens.fx, lens.fy, lens.ppx, lens.ppy = (self._enlarged * value for value in k)
         lens.model, lens.coeffs = getattr(rs.distortion, model), list(coefficients)
         stream.type, stream.index, stream.uid, stream.fps = kind, 0, uid, 30
-        stream.width, stream.height, stream.bpp, stream.fmt = WIDTH, HEIGHT, size, pixels
+        stream.width, stream.height, stream.bpp, stream.fmt = lens.width, lens.height, size, pixels
         stream.intrinsics = lens
         return sensor.add_video_stream(stream).as_video_stream_profile()
 
@@ -171,9 +173,10 @@ class SoftwareCamera:
         images: list[NDArray[Any]] = [depth_mm] if color is None else [depth_mm, color]
         for inlet, profile, image in zip(self._inlets, self._profiles, images, strict=False):
             frame = self.rs.software_video_frame()
-            frame.pixels = np.ascontiguousarray(image)
+            large = image.repeat(self._enlarged, axis=0).repeat(self._enlarged, axis=1)
+            frame.pixels = np.ascontiguousarray(large)
             frame.bpp = image.dtype.itemsize * (image.shape[2] if image.ndim == 3 else 1)
-            frame.stride = WIDTH * frame.bpp
+            frame.stride = large.shape[1] * frame.bpp
             frame.timestamp, frame.frame_number = 33.3 * self._count, self._count
             frame.domain, frame.profile = self.rs.timestamp_domain.system_time, profile
             if image.ndim == 2:
@@ -207,12 +210,13 @@ def record(
     *,
     pause_s: float = 0.0,
     convert: Callable[[NDArray[np.uint8]], NDArray[np.uint8] | None] | None = None,
+    scene: Callable[[int], tuple[NDArray[np.uint16], NDArray[np.uint8]]] = block_scene,
     **camera: Any,
 ) -> Path:
-    """Record `frames` of `block_scene`, its colour converted to what the stream carries."""
+    """Record `frames` of a scene, its colour converted to what the stream carries."""
     device = SoftwareCamera(path, **camera)
     for index in range(frames):
-        depth, color = block_scene(index)
+        depth, color = scene(index)
         device.push(depth, convert(color) if convert else color)
         time.sleep(pause_s)
     device.stop()

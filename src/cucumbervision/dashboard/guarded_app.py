@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 
 import streamlit as st
@@ -29,11 +30,13 @@ _GUARD = Middleware(
 
 @asynccontextmanager
 async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
-    """Load the networks and go on with what waits, before anybody opens a page."""
+    """Load networks, pages and the newest round, and measure what waits, before anybody comes."""
 
     def prepare() -> None:
         with suppress(CucumberVisionError):  # every page says why
             resources.prepare()
+            import_module("cucumbervision.dashboard.app")
+            resources.read_ahead()
 
     threading.Thread(target=prepare, name="preparing", daemon=True).start()
     yield {}

@@ -431,6 +431,15 @@ def prepare() -> Job | None:
     return worker().submit("Measuring the bundled captures", _demonstrate)
 
 
+def read_ahead() -> None:
+    """Read the newest round, so that the first page that is opened need not wait for it."""
+    for one in rounds()[:1]:
+        graded_round(one)
+        rows_of(one)
+        forecast_of(one)
+        today_of(one)
+
+
 def _demonstrate(job: Job) -> None:
     options = settings().options
     places = [example_captures()]

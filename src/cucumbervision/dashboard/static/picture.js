@@ -149,10 +149,12 @@ function drawBar(svg, bar, view, unit) {
 
 function draw(root, data, own) {
   const svg = root.querySelector("svg");
-  const { x, y, w } = own.view, h = (w * data.height) / data.width, box = svg.getBoundingClientRect(), wide = box.width || 900;
+  const { x, y, w } = own.view, h = (w * data.height) / data.width;
+  svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`); // before its size is read, which depends on it
+  const box = svg.getBoundingClientRect(), wide = box.width || 900;
+  own.size = `${box.width} ${box.height}`;
   const unit = own.unit = w / Math.min(900, 1.35 * wide); // words are read on a phone too
   own.px = Math.max(w / wide, h / (box.height || wide));
-  svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
   // A finger on a picture that nobody zoomed scrolls the page.
   svg.style.touchAction = DRAGGED.includes(own.tool) || own.zoomed ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
@@ -279,7 +281,8 @@ export default function (component) {
   const svg = root.querySelector("svg");
   const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
   own.redraw = redraw;
-  if (!own.sized) (own.sized = new ResizeObserver(() => own.redraw())).observe(svg);
+  // It tells of the first size too, at which all is drawn already.
+  if (!own.sized) (own.sized = new ResizeObserver(([{ contentRect: { width, height } }]) => { if (`${width} ${height}` !== own.size) own.redraw(); })).observe(svg);
   const again = () => {
     redraw();
     chips(root, data, own, again);

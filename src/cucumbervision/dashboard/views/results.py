@@ -80,7 +80,7 @@ def page(one: RoundView) -> None:
         st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
         return
     _list(graded, fruit)
-    _charts(graded, fruit)
+    _chart(graded, fruit)
     with st.expander("Files of this round", icon=":material/download:"):
         _files(one)
 
@@ -142,14 +142,17 @@ def _filtered(graded: GradedRound) -> list[DetectionView]:
     ]
 
 
-def _charts(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+    """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
     units = resources.settings().units
-    if lines := tables.length_lines(fruit, graded.grades, units):
-        st.markdown(
-            "**Lengths of the fruit on the plant**: line at the mean, band of one standard "
-            "deviation"
-        )
-        st.altair_chart(charts.histogram(lines, units))
+    lines = tables.length_lines(fruit, graded.grades, units)
+    if not lines:
+        return
+    icon = ":material/bar_chart:"
+    shown = st.expander("Chart of the lengths", icon=icon, key="chart", on_change="rerun")
+    if shown.open:
+        shown.caption("Fruit on the plant: line at the mean, band of one standard deviation")
+        shown.altair_chart(charts.histogram(lines, units))
 
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
+from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
@@ -21,7 +22,7 @@ from cucumbervision.perception.registry import Registry, file_sha256, load_regis
 from cucumbervision.perception.yolo import YoloDetector
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Future
     from pathlib import Path
 
@@ -267,6 +268,9 @@ def open_segmenter(
     return cast("Segmenter", opened)
 
 
+Classifier = TypeVar("Classifier", EndClassifier, CropClassifier)
+
+
 class NetworkLoader:
     """Loads networks by name from a registry, or from a user's file.
 
@@ -343,7 +347,8 @@ class NetworkLoader:
     def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
-        If it orders keypoints by position, the registry's network for stem ends is loaded too.
+        If it orders keypoints by position, the registry's network for stem ends is loaded too;
+        beside the registry's detector, the network that looks at each detection alone.
 
         Raises
         ------
@@ -364,12 +369,22 @@ class NetworkLoader:
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)
         else:
             self._note(path.name, network.task, file_sha256(path), network)
-        own = self.registry.default("ends") if network.by_place else None
-        if own is not None:
-            path = self.verify(own.name)["network"]
-            network.ends, self._with_ends = EndClassifier(path), network
-            self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], network.ends)
+        if network.by_place:
+            network.ends = self._beside("ends", EndClassifier)
+            self._with_ends = network if network.ends else self._with_ends
+        if isinstance(chosen, str) and network.task == "segment":
+            network.crops = self._beside("crops", CropClassifier)
         return network
+
+    def _beside(self, task: str, kind: Callable[[Path], Classifier]) -> Classifier | None:
+        """Load the registry's network for a task beside a detector, or return None without one."""
+        own = self.registry.default(task)
+        if own is None:
+            return None
+        path = self.verify(own.name)["network"]
+        opened = kind(path)
+        self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], opened)
+        return opened
 
     def pose(self, path: Path) -> YoloDetector:
         """Load a user's pose network, for the keypoints of known fruit.

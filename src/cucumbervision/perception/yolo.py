@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.perception.crops import CropClassifier
     from cucumbervision.perception.ends import EndClassifier
     from cucumbervision.perception.runtime import Network, TensorInfo
 
@@ -356,6 +357,8 @@ class YoloDetector:
     ends : EndClassifier or None
         Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
         their order.
+    crops : CropClassifier or None
+        Lowers the confidence of detections that do not look like a cucumber.
 
     Raises
     ------
@@ -380,6 +383,7 @@ class YoloDetector:
         )
         self._most = most
         self.ends: EndClassifier | None = None
+        self.crops: CropClassifier | None = None
         self._layout = _read_layout(self._network)
         self._confidence = confidence
         sides_px = input_sizes or self._layout.sizes_px
@@ -451,8 +455,10 @@ class YoloDetector:
         confidence = self._confidence if confidence is None else confidence
         least = detector_floor(confidence, votes=len(self._sizes_px) > 1)
         every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
-        merged = merge_sizes(every)
-        found = tuple(one for one in merged if one.confidence > confidence)[: self._most]
+        merged = merge_sizes(every)[: self._most]
+        if self.crops is not None:
+            merged = self.crops.rescore(color_rgb, merged)
+        found = tuple(one for one in merged if one.confidence > confidence)
         if not self._layout.by_place:
             return found
         if self.ends is None:

@@ -90,7 +90,13 @@ class Finder:
         )
 
 
-_FINDING = {"segment", "detect", "pose", "ends"}  # tasks of networks; all others draw masks
+_FINDING = {
+    "segment",
+    "detect",
+    "crops",
+    "pose",
+    "ends",
+}  # tasks of networks; all others draw masks
 
 
 def make_finder(

@@ -131,7 +131,8 @@ class StageHashes:
     def _detectors(self) -> Any:
         options = self._options
         own = options.instances not in ("auto", "models")
-        detector = _path_sha256(Path(options.instances)) if own else self._named("segment")
+        named = [self._named("segment"), self._named("crops")]
+        detector = _path_sha256(Path(options.instances)) if own else named
         posing = None if own or not options.keypoints else self._named("pose")
         posing = _path_sha256(options.pose) if options.pose else posing
         return [detector, posing, self._named("ends")]

@@ -227,6 +227,7 @@ def ends(
 
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.classifier import ClassifierOptions
     from cucumbervision_lab.training.ends import collect_strips, train_ends, write_ends_card
 
     opened = [open_dataset(folder) for folder in sets]
@@ -236,10 +237,7 @@ def ends(
         result = train_ends(
             strips,
             out / f"{name}.onnx",
-            epochs=epochs,
-            seed=seed,
-            threads=threads,
-            progress=lambda *_: tick(1),
+            ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
         )
     write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
     table = Table("fruit of validation scenes", "ends identified", title=str(result.network))
@@ -247,6 +245,49 @@ def ends(
         table.add_row(kind, f"{100 * share:.1f} %")
     confident = f"confidence of at least 90 % ({100 * result.confident_share:.0f} % of all)"
     table.add_row(confident, f"{100 * result.confident_accuracy:.1f} %")
+    Console(highlight=False).print(table)
+
+
+@app.command()
+def crops(
+    sets: Annotated[
+        list[Path], typer.Argument(help="Data sets, completely labelled.", metavar="SET...")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    init: Annotated[
+        Path, typer.Option("--init", help="Checkpoint (.pt) of the detector to begin with.")
+    ] = Path("checkpoints/cucumber-seg.pt"),
+    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
+    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,
+    seed: Seed = 0,
+    threads: Threads = 0,
+    credit: Annotated[
+        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
+    ] = None,
+) -> None:
+    """Train the network that looks at each detection alone, and write it with its card."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.classifier import ClassifierOptions
+    from cucumbervision_lab.training.crops import collect_crops, train_crops, write_crops_card
+
+    opened = [open_dataset(folder) for folder in sets]
+    with ticking("detecting", sum(len(one.pictures) for one in opened)) as tick:
+        found = collect_crops(opened, tick)
+    with ticking("training", epochs) as tick:
+        result = train_crops(
+            found,
+            init,
+            out / f"{name}.onnx",
+            ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
+        )
+    write_crops_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
+    table = Table("validation scenes", "without it", "with it", title=str(result.network))
+    table.add_row("true positives", *map(str, result.fruit))
+    table.add_row("false positives", *map(str, result.others))
     Console(highlight=False).print(table)
 
 

@@ -285,7 +285,7 @@ def _candidates(
         return []
     found = detector.detect(color)
     candidates = []
-    judged = _true_positives(frame_of(picture, data, None), np.array([one.box for one in found]))
+    judged = true_positives(frame_of(picture, data, None), np.array([one.box for one in found]))
     for one, is_fruit in zip(found, judged, strict=True):
         if is_fruit is None or one.detector_mask is None:
             continue
@@ -295,7 +295,7 @@ def _candidates(
     return candidates
 
 
-def _true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
+def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
     """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
     hits = {found for _, found in match_fruit(frame, list(boxes))[0].pairs}

@@ -83,8 +83,8 @@ class PictureResult:
 
 
 def open_networks(
-    segment: Path | None,
-    pose: Path | None,
+    segment: Path | str | None,
+    pose: Path | str | None,
     segmenter: str | None,
     *,
     runtime: str = "auto",
@@ -96,8 +96,9 @@ def open_networks(
 
     Parameters
     ----------
-    segment, pose : Path, optional
-        ONNX files.
+    segment, pose : Path or str, optional
+        ONNX files, or names of the registry. A detector with a name takes the second look
+        (`CropClassifier`) that it has in `detect` and `measure`; a file is judged by itself.
     segmenter : str, optional
         Name of a SAM in the registry.
     runtime : str
@@ -122,7 +123,7 @@ def open_networks(
         most=MOST,
         input_sizes=input_sizes,
     )
-    detector, points = (None if path is None else loader.yolo(path) for path in (segment, pose))
+    detector, points = (None if one is None else loader.yolo(one) for one in (segment, pose))
     sam = None if segmenter is None else loader.segmenter(segmenter)
     return Networks(detector, points, sam, confidence, loader.models)
 

@@ -114,8 +114,10 @@ class DetectionResult:
     duration_s: float = 0.0
 
 
-def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | None, Path | None]:
-    """Return the given networks, or the defaults of the registry.
+def chosen_networks(
+    segment: Path | None, pose: Path | None
+) -> tuple[Path | str | None, Path | str | None]:
+    """Return the given networks, or the names of the registry's defaults.
 
     Raises
     ------
@@ -124,16 +126,14 @@ def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | Non
     """
     registry = load_registry()
 
-    def choose(named: Path | None, task: str) -> Path | None:
-        if named is not None:
-            return named
+    def choose(given: Path | None, task: str) -> Path | str | None:
         model = registry.default(task)
-        return registry.resolve(model.name)["network"] if model else None
+        return given or (model.name if model else None)
 
-    segment, pose = choose(segment, "segment"), choose(pose, "pose")
-    if segment is None and pose is None:
+    found = choose(segment, "segment"), choose(pose, "pose")
+    if found == (None, None):
         raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
-    return segment, pose
+    return found
 
 
 def evaluate_detection(

@@ -18,12 +18,19 @@ from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orien
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
+from cucumbervision_lab.training.classifier import (
+    ClassifierOptions,
+    convolution,
+    export_classifier,
+    fit_classifier,
+    predict,
+)
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
 COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
 _HELD_OUT = 8  # every eighth scene is used for validation, as is the split val
-_BATCH, _SEEN = 128, 2
+_SEEN = 2
 _SMOOTH = 0.02
 _LIMITS = (
     "Where neither end is visible, only colour and taper are available.",
@@ -173,21 +180,17 @@ def make_network() -> Any:
     import torch
     from torch import nn
 
-    def layer(inner: int, outer: int, stride: int | tuple[int, int]) -> list[nn.Module]:
-        convolution = nn.Conv2d(inner, outer, 3, stride, 1, bias=False)
-        return [convolution, nn.BatchNorm2d(outer), nn.SiLU()]
-
     class Ends(nn.Module):  # type: ignore[misc]
         """Difference of the scores of a strip and of the strip rotated by 180 degrees."""
 
         def __init__(self) -> None:
             super().__init__()
             self.score = nn.Sequential(
-                *layer(3, 16, 2),
-                *layer(16, 32, 2),
-                *layer(32, 64, 2),
-                *layer(64, 96, 2),
-                *layer(96, 96, 1),
+                *convolution(3, 16, 2),
+                *convolution(16, 32, 2),
+                *convolution(32, 64, 2),
+                *convolution(64, 96, 2),
+                *convolution(96, 96, 1),
                 nn.AvgPool2d((STRIP_PX[0] // 16, 2)),
                 nn.Flatten(),
                 nn.Dropout(0.2),
@@ -204,15 +207,7 @@ def make_network() -> Any:
     return Ends()
 
 
-def train_ends(
-    strips: Strips,
-    out: Path,
-    *,
-    epochs: int = 20,
-    seed: int = 0,
-    threads: int = 0,
-    progress: Callable[[int, float], None] | None = None,
-) -> EndsResult:
+def train_ends(strips: Strips, out: Path, options: ClassifierOptions | None = None) -> EndsResult:
     """Train the network and export it to ONNX.
 
     Parameters
@@ -221,56 +216,21 @@ def train_ends(
         Training and validation strips from `collect_strips`.
     out : Path
         The ONNX file to write.
-    epochs : int
-        Number of passes over the training strips.
-    seed : int
-        Random seed.
-    threads : int
-        Number of torch threads; 0 uses all cores.
-    progress : callable, optional
-        Called after each epoch with the epoch number (from 1) and the mean loss.
+    options : ClassifierOptions, optional
+        Options of training.
 
     Raises
     ------
     MissingExtraError
         If the extra `train` is not installed.
     """
-    from cucumbervision_lab.training.checkpoint import import_ultralytics
-
-    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
-    import torch
-    from torch.nn.functional import binary_cross_entropy_with_logits
-
-    if threads:
-        torch.set_num_threads(threads)
-    torch.manual_seed(seed)
-    network = make_network()
-    planes = torch.from_numpy(np.ascontiguousarray(strips.pictures.transpose(0, 3, 1, 2)))
-    training = torch.from_numpy(np.flatnonzero(~strips.held_out))
-    steps = epochs * (len(training) // _BATCH + 1)
-    optimiser = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=0.02)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, steps)
-    for epoch in range(epochs):
-        network.train()
-        losses = []
-        for chosen in torch.split(training[torch.randperm(len(training))], _BATCH):
-            if len(chosen) < 2:
-                continue
-            logits = network(_augment(planes[chosen].float() / 255))
-            loss = binary_cross_entropy_with_logits(logits, torch.full_like(logits, 1 - _SMOOTH))
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            losses.append(loss.item())
-        if progress is not None:
-            progress(epoch + 1, float(np.mean(losses)))
-    network.eval()
-    _export(network, out)
-    with torch.no_grad():
-        validation = planes[torch.from_numpy(np.flatnonzero(strips.held_out))].float() / 255
-        logits = torch.cat([network(part) for part in torch.split(validation, 512)]).numpy()
-    return _result(logits, strips.seen[strips.held_out], out, len(training))
+    learnt = strips.pictures[~strips.held_out]
+    target = np.full(len(learnt), 1 - _SMOOTH, np.float32)
+    options = options or ClassifierOptions()
+    network = fit_classifier(make_network, learnt, target, _augment, options)
+    export_classifier(network, out, STRIP_PX, "ends")
+    logits = predict(network, strips.pictures[strips.held_out])
+    return _result(logits, strips.seen[strips.held_out], out, len(learnt))
 
 
 def write_ends_card(
@@ -329,7 +289,7 @@ def _augment(fruit: Any) -> Any:
 
 
 def _result(
-    logits: NDArray[np.float32], seen: NDArray[np.int64], out: Path, trained: int
+    logits: NDArray[np.float64], seen: NDArray[np.int64], out: Path, trained: int
 ) -> EndsResult:
     accuracy = {"all": float((logits > 0).mean())}
     for count in (0, 1, 2):
@@ -341,27 +301,3 @@ def _result(
     return EndsResult(
         out, trained // COPIES, len(logits) // COPIES, accuracy, float(confident.mean()), share
     )
-
-
-def _export(network: Any, out: Path) -> None:
-    import warnings
-
-    import onnx
-    import torch
-
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            network,
-            (torch.zeros(2, 3, *STRIP_PX),),
-            str(out),
-            input_names=["fruit"],
-            output_names=["stem_right"],
-            dynamic_axes={"fruit": {0: "count"}, "stem_right": {0: "count"}},
-            opset_version=17,
-            dynamo=False,
-        )
-    written = onnx.load(out)
-    onnx.helper.set_model_props(written, {"task": "ends"})
-    onnx.save(written, out)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.registry import JUDGEMENT, file_sha256
+from cucumbervision.perception.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.detection.outcomes import GroupScore, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
@@ -280,9 +280,11 @@ def _compare(
     """Export the new network, evaluate both networks and write the comparison."""
     card = export_trained(run, out, "house-seg")
     new = out / card.file
-    old, _ = chosen_networks(None, new)  # the default detector of the commands
-    if old is None:
+    registry = load_registry()
+    in_use = registry.default("segment")
+    if in_use is None:
         raise TrainingError("no detector is in use to compare with", source=new)
+    old = registry.resolve(in_use.name)["network"]
     drawn = _drawn_test(out, plan.tested, workers)
     scores = {
         network: evaluate_detector(network, house, drawn, photos, plan.tested)

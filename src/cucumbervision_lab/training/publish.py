@@ -26,6 +26,8 @@ _WHAT = {
     "and `cucumber-ends` tells which is the stem's; else from the blossom end to the stem end.",
     "ends": "Tells which end of a cucumber is the stem's, from the fruit laid level along its "
     "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
+    "crops": "Tells a cucumber from what the detector takes for one, from the square around the "
+    "detection. It may only lower the detector's confidence.",
 }
 
 MAKERS = ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
@@ -50,7 +52,7 @@ class ModelCard:
     name : str
         Name of the model in commands.
     task : str
-        'segment', 'pose' or 'ends'.
+        'segment', 'pose', 'ends' or 'crops'.
     file : str
         Name of the ONNX file.
     sha256 : str
@@ -192,6 +194,7 @@ _TITLES = {
     "segment": "YOLO26 for cucumbers: boxes and masks",
     "pose": "YOLO26 for cucumbers: boxes and five keypoints",
     "ends": "Which end of a cucumber is the stem's",
+    "crops": "Whether a detection is a cucumber",
 }
 
 _FROM = {"ends": "CucumberVision"}

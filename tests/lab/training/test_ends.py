@@ -16,6 +16,7 @@ from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
 from cucumbervision.perception.instances import Instance  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
+from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402
 from cucumbervision_lab.training.ends import (  # noqa: E402
     COPIES,
     collect_strips,
@@ -79,7 +80,7 @@ def test_strips_hold_every_fruit_and_whole_scenes_are_held_out(pictures: DataSet
 def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     pictures: DataSet, tmp_path: Path
 ) -> None:
-    result = train_ends(collect_strips([pictures]), tmp_path / "ends.onnx", epochs=25)
+    result = train_ends(collect_strips([pictures]), tmp_path / "ends.onnx", ClassifierOptions(25))
     assert result.accuracy["all"] > 0.9
     assert result.accuracy["2 ends in sight"] == result.accuracy["all"]
     assert (result.train_count, result.val_count) == (70, 10)

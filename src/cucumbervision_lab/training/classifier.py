@@ -1,0 +1,169 @@
+"""Train a small convolutional network with one logit a picture, and export it to ONNX."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cucumbervision_lab.training.checkpoint import import_ultralytics
+from cucumbervision_lab.training.export import halve_storage
+
+_JUDGED_AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class ClassifierOptions:
+    """Options of training.
+
+    Parameters
+    ----------
+    epochs : int
+        Number of passes over the training pictures.
+    seed : int
+        Random seed.
+    threads : int
+        Number of torch threads; 0 uses all cores.
+    batch : int
+        Pictures of a step.
+    learning_rate, weight_decay : float
+        Of AdamW, with one cycle of the learning rate.
+    progress : callable, optional
+        Called after each epoch with the epoch number (from 1) and the mean loss.
+    """
+
+    epochs: int = 20
+    seed: int = 0
+    threads: int = 0
+    batch: int = 128
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.02
+    progress: Callable[[int, float], None] | None = None
+
+
+def convolution(inner: int, outer: int, stride: int) -> list[Any]:
+    """Return the modules of one layer: a 3x3 convolution, batch norm and SiLU."""
+    from torch import nn
+
+    weights = nn.Conv2d(inner, outer, 3, stride, 1, bias=False)
+    return [weights, nn.BatchNorm2d(outer), nn.SiLU()]
+
+
+def fit_classifier(
+    make: Callable[[], Any],
+    pictures: NDArray[np.uint8],
+    target: NDArray[np.float32],
+    augment: Callable[[Any], Any],
+    options: ClassifierOptions,
+) -> Any:
+    """Train a network by binary cross-entropy.
+
+    Parameters
+    ----------
+    make : callable
+        Builds the network.
+    pictures : ndarray of uint8, shape (N, H, W, 3)
+        RGB.
+    target : ndarray of float32, shape (N,)
+        Probabilities, 0 to 1.
+    augment : callable
+        Changes a batch, float32 of shape (N, 3, H, W) in 0 to 1, at random.
+    options : ClassifierOptions
+        Options.
+
+    Returns
+    -------
+    torch.nn.Module
+        The network, ready to predict.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `train` is not installed.
+    """
+    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
+    import torch
+    from torch.nn.functional import binary_cross_entropy_with_logits
+
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    network = make()
+    planes, wanted = _planes(pictures), torch.from_numpy(target)
+    steps = options.epochs * (len(planes) // options.batch + 1)
+    rate = options.learning_rate
+    optimiser = torch.optim.AdamW(network.parameters(), rate, weight_decay=options.weight_decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, steps)
+    for epoch in range(options.epochs):
+        network.train()
+        losses = []
+        for chosen in torch.split(torch.randperm(len(planes)), options.batch):
+            if len(chosen) < 2:
+                continue
+            logits = network(augment(planes[chosen].float() / 255))
+            loss = binary_cross_entropy_with_logits(logits, wanted[chosen])
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            losses.append(loss.item())
+        if options.progress is not None:
+            options.progress(epoch + 1, float(np.mean(losses)))
+    return network.eval()
+
+
+def predict(network: Any, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return a network's logits of pictures, uint8 of shape (N, H, W, 3)."""
+    import torch
+
+    with torch.no_grad():
+        parts = torch.split(_planes(pictures), _JUDGED_AT_ONCE)
+        logits = torch.cat([network(part.float() / 255) for part in parts])
+    return np.asarray(logits.numpy(), np.float64)
+
+
+def _planes(pictures: NDArray[np.uint8]) -> Any:
+    import torch
+
+    return torch.from_numpy(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2)))
+
+
+def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: str) -> None:
+    """Export a network to ONNX, for any number of pictures, with weights in half precision.
+
+    Parameters
+    ----------
+    network : torch.nn.Module
+        The network.
+    out : Path
+        The file to write.
+    size_px : tuple of int
+        Height and width of a picture.
+    task : str
+        Task to note in the file: 'ends' or 'crops'.
+    """
+    import onnx
+    import torch
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            (torch.zeros(2, 3, *size_px),),
+            str(out),
+            input_names=["pictures"],
+            output_names=["logits"],
+            dynamic_axes={"pictures": {0: "count"}, "logits": {0: "count"}},
+            opset_version=17,
+            dynamo=False,
+        )
+    written = onnx.load(out)
+    halve_storage(written)
+    onnx.helper.set_model_props(written, {"task": task})
+    onnx.save(written, out)

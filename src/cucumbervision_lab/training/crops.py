@@ -1,0 +1,312 @@
+"""Train the network that looks at each detection alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cucumbervision.capture.pictures import read_color
+from cucumbervision.errors import TrainingError
+from cucumbervision.perception.boxes import box_ious
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.crops import CROP_MARGIN, CROP_PX, crop_square, lowered
+from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
+from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.perception.registry import file_sha256
+from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture, ticked
+from cucumbervision_lab.detection.learn import true_positives
+from cucumbervision_lab.detection.pictures import frame_of
+from cucumbervision_lab.training.classifier import (
+    ClassifierOptions,
+    export_classifier,
+    fit_classifier,
+    predict,
+)
+from cucumbervision_lab.training.export import load_yolo
+from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
+
+SURROUND_PX = 128
+"""Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
+
+_HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split val
+_MOST = 12  # candidates of a picture
+_LAYERS, _CHANNELS = 7, 128  # of YOLO26n, up to a sixteenth of the crop's size
+_SMOOTH = 0.02
+_TURN_RAD, _SCALE, _SHIFT = 0.25, 0.12, 0.08  # largest random changes of a crop
+_LIMITS = (
+    "Trained on what the packaged detector proposes; other detectors make other mistakes.",
+    "Fruit of which leaves hide more than half are lowered more often than fruit in full view.",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Crops:
+    """Crops around what a detector proposes.
+
+    Parameters
+    ----------
+    pictures : ndarray of uint8, shape (N, 128, 128, 3)
+        RGB.
+    is_fruit : ndarray of bool, shape (N,)
+        Whether the detection is a true positive.
+    confidence : ndarray of float64, shape (N,)
+        The detector's confidence, 0 to 1.
+    held_out : ndarray of bool, shape (N,)
+        Whether the scene belongs to the validation set.
+    """
+
+    pictures: NDArray[np.uint8]
+    is_fruit: NDArray[np.bool_]
+    confidence: NDArray[np.float64]
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CropsResult:
+    """Result of training the crop classifier.
+
+    Parameters
+    ----------
+    network : Path
+        The ONNX file.
+    train_count, val_count : int
+        Number of crops for training and for validation.
+    fruit, others : tuple of int, length 2
+        True and false positives of the validation set at the default confidence, without and with
+        the network.
+    """
+
+    network: Path
+    train_count: int
+    val_count: int
+    fruit: tuple[int, int]
+    others: tuple[int, int]
+
+
+def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | None = None) -> Crops:
+    """Cut out what the packaged detector proposes in data sets.
+
+    Parameters
+    ----------
+    sets : sequence of DataSet
+        Completely labelled pictures, also such without fruit. Those of the split 'test' are
+        skipped; the split 'val' is used for validation. Detections in ignored regions, duplicates
+        and parts of fruit are left out.
+    progress : callable, optional
+        Called with 1 after each picture.
+
+    Raises
+    ------
+    TrainingError
+        If there are no such crops, or all or none of them are for validation.
+    CaptureError
+        If a picture cannot be read.
+    """
+    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most=4 * _MOST)
+    # By its file, so that no earlier classifier takes part.
+    detector = loader.yolo(loader.verify("cucumber-seg")["network"])
+    rows: list[tuple[NDArray[np.uint8], bool, float, bool]] = []
+    for dataset in sets:
+        for picture in ticked(dataset.pictures, progress):
+            if picture.split == "test":
+                continue
+            # By the scene's name: a scene comes back in windows and sheets of other sets.
+            scene = crc32((picture.scene or picture.file).encode())
+            judged = picture.split == "val" or scene % _HELD_OUT == 0
+            color = read_color(dataset.path(picture))
+            found = detector.detect(color)
+            labels = _labels(picture, dataset, np.array([one.box for one in found]))
+            known = [(o, y) for o, y in zip(found, labels, strict=True) if y is not None][:_MOST]
+            margin = CROP_MARGIN * SURROUND_PX / CROP_PX
+            rows += [
+                (crop_square(color, one.box, SURROUND_PX, margin), is_fruit, one.confidence, judged)
+                for one, is_fruit in known
+            ]
+    held = [row[3] for row in rows]
+    if not rows or all(held) or not any(held):
+        raise TrainingError(
+            "too few scenes in which the detector proposes anything",
+            source=sets[0].folder if sets else None,
+            remedy=f"give at least {_HELD_OUT} scenes with fruit",
+        )
+    pictures, is_fruit, confidence, held_out = zip(*rows, strict=True)
+    return Crops(np.stack(pictures), np.array(is_fruit), np.array(confidence), np.array(held_out))
+
+
+def _labels(
+    picture: LabelledPicture, data: DataSet, boxes: NDArray[np.float64]
+) -> list[bool | None]:
+    """Return whether each box is a true positive; None where that cannot be told."""
+    boxes = boxes.reshape(-1, 4)
+    frame = frame_of(picture, data, None)
+    unknown = np.array([one.box for one in frame.true if one.ignore or one.optional])
+    overlap = box_ious(boxes, unknown.reshape(-1, 4)).max(axis=1, initial=0.0)
+    judged = true_positives(frame, boxes)
+    return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
+
+
+def make_network(detector: Any) -> Any:
+    """Build the network: a detector's first layers, and one new layer.
+
+    A detector's layers tell a fruit from a leaf already; from random weights, the same crops taught
+    far less.
+
+    Parameters
+    ----------
+    detector : ultralytics.YOLO
+        YOLO26n-seg, from `load_yolo`.
+
+    Returns
+    -------
+    torch.nn.Module
+        Input: crops, float32 of shape (N, 3, 96, 96), range 0 to 1. Output: logits of shape (N,)
+        for 'this is a cucumber'.
+    """
+    from torch import nn
+
+    layers = list(detector.model.model)[:_LAYERS]
+    network = nn.Sequential(
+        *layers,
+        nn.AdaptiveAvgPool2d(1),
+        nn.Flatten(),
+        nn.Dropout(0.2),
+        nn.Linear(_CHANNELS, 1),
+        nn.Flatten(0),
+    ).float()
+    return network.requires_grad_(True)
+
+
+def train_crops(
+    crops: Crops, init: Path | str, out: Path, options: ClassifierOptions | None = None
+) -> CropsResult:
+    """Train the network and export it to ONNX.
+
+    Parameters
+    ----------
+    crops : Crops
+        Training and validation crops from `collect_crops`.
+    init : Path
+        Checkpoint (.pt) of a detector to begin with.
+    out : Path
+        The ONNX file to write.
+    options : ClassifierOptions, optional
+        Options of training.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `train` is not installed.
+    ModelError
+        If the checkpoint cannot be loaded.
+    """
+    learnt = ~crops.held_out
+    target = np.where(crops.is_fruit[learnt], 1 - _SMOOTH, _SMOOTH).astype(np.float32)
+    network = fit_classifier(
+        lambda: make_network(load_yolo(init)),
+        crops.pictures[learnt],
+        target,
+        _augment,
+        options or ClassifierOptions(),
+    )
+    export_classifier(network, out, (CROP_PX, CROP_PX), "crops")
+    inner = slice((SURROUND_PX - CROP_PX) // 2, (SURROUND_PX + CROP_PX) // 2)
+    log_odds = predict(network, crops.pictures[crops.held_out][:, inner, inner])
+    return _result(log_odds, crops, out)
+
+
+def write_crops_card(
+    result: CropsResult,
+    name: str,
+    init: Path | str,
+    *,
+    epochs: int,
+    seed: int,
+    credits: Sequence[str] = (),
+) -> ModelCard:
+    """Write the model card next to the network.
+
+    Parameters
+    ----------
+    result : CropsResult
+        Result of `train_crops`.
+    name : str
+        Name of the network.
+    init : Path
+        The checkpoint it began with.
+    epochs, seed : int
+        Training options to record.
+    credits : sequence of str
+        Publishers of training pictures.
+    """
+    sha256 = file_sha256(result.network)
+    card = ModelCard(
+        name=name,
+        task="crops",
+        file=result.network.name,
+        sha256=sha256,
+        size_bytes=result.network.stat().st_size,
+        checkpoint_sha256=sha256,
+        began_with=Path(init).name,
+        command=f"cucumbervision train crops SETS --out DIR --epochs {epochs} --seed {seed}",
+        metrics={
+            "crops learnt from": float(result.train_count),
+            "crops of other scenes judged by": float(result.val_count),
+            "true positives without it": float(result.fruit[0]),
+            "true positives with it": float(result.fruit[1]),
+            "false positives without it": float(result.others[0]),
+            "false positives with it": float(result.others[1]),
+        },
+        credits=(*MAKERS, *credits),
+        limits=_LIMITS,
+        versions={"torch": version("torch")},
+    )
+    write_card(card, result.network.parent)
+    return card
+
+
+def _augment(crops: Any) -> Any:
+    """Turn, scale, move and mirror crops at random, cut them to size, and change their light."""
+    import torch
+    from torch.nn.functional import affine_grid, grid_sample
+
+    count = len(crops)
+
+    def spread(most: float) -> Any:
+        return most * (2 * torch.rand(count) - 1)
+
+    angle, mirror = spread(_TURN_RAD), torch.where(torch.rand(count) < 0.5, 1.0, -1.0)
+    scale = CROP_PX / SURROUND_PX * (1 + spread(_SCALE))
+    rows = [
+        torch.stack([mirror * scale * angle.cos(), -scale * angle.sin(), spread(_SHIFT)], 1),
+        torch.stack([mirror * scale * angle.sin(), scale * angle.cos(), spread(_SHIFT)], 1),
+    ]
+    grid = affine_grid(torch.stack(rows, 1), [count, 3, CROP_PX, CROP_PX], align_corners=False)
+    seen = grid_sample(crops, grid, padding_mode="border", align_corners=False)
+    gain = 1 + 0.2 * torch.randn(count, 1, 1, 1) + 0.06 * torch.randn(count, 3, 1, 1)
+    noise = 0.03 * torch.rand(count, 1, 1, 1) * torch.randn_like(seen)
+    return (seen * gain + 0.05 * torch.randn(count, 1, 1, 1) + noise).clamp(0, 1)
+
+
+def _result(log_odds: NDArray[np.float64], crops: Crops, out: Path) -> CropsResult:
+    before = crops.confidence[crops.held_out]
+    after = np.array([lowered(*pair) for pair in zip(before, log_odds, strict=True)])
+    is_fruit = crops.is_fruit[crops.held_out]
+    with_and_without = [one > DEFAULT_CONFIDENCE for one in (before, after)]
+    fruit, others = (
+        tuple(int((kept & group).sum()) for kept in with_and_without)
+        for group in (is_fruit, ~is_fruit)
+    )
+    return CropsResult(
+        out,
+        int((~crops.held_out).sum()),
+        len(before),
+        (fruit[0], fruit[1]),
+        (others[0], others[1]),
+    )

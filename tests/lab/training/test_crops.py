@@ -80,7 +80,7 @@ def test_it_learns_to_tell_a_bar_from_a_disc_and_the_file_says_so_too(tmp_path: 
         picture[shapes[int(bar)]] = (40, 180, 60)
     held_out = np.arange(400) % 4 == 0
     crops = Crops(pictures, is_fruit, np.full(400, 0.4), held_out)
-    result = train_crops(crops, DETECTOR, tmp_path / "crops.onnx", ClassifierOptions(6))
+    result = train_crops(crops, DETECTOR, tmp_path / "crops.onnx", ClassifierOptions(12, batch=32))
     assert (result.train_count, result.val_count) == (300, 100)
     assert result.fruit[0] == is_fruit[held_out].sum()
     assert result.fruit[1] >= result.fruit[0] - 2
@@ -91,6 +91,6 @@ def test_it_learns_to_tell_a_bar_from_a_disc_and_the_file_says_so_too(tmp_path: 
     box = np.array([-half, -half, half, half]) + SURROUND_PX / 2 - 0.5
     odds = [classifier.log_odds(picture, [box])[0] for picture in pictures[held_out]]
     assert np.mean((np.array(odds) > 0) == is_fruit[held_out]) > 0.95
-    card = write_crops_card(result, "crops", DETECTOR, epochs=6, seed=0, credits=("Ann",))
+    card = write_crops_card(result, "crops", DETECTOR, epochs=12, seed=0, credits=("Ann",))
     assert read_card(tmp_path / "crops.json") == card
     assert card.metrics["false positives with it"] == result.others[1]

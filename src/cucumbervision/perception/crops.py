@@ -2,8 +2,9 @@
 
 The detector sees a whole picture at once and takes some stalks, leaves and other fruit for
 cucumbers. A classifier trained on its mistakes, on the crop around a single box, knows many of
-them. It never raises a confidence: pictures of canopies give few candidates to learn from, and
-there a raised confidence made false positives.
+them. Its output is the evidence of the crop alone, to be added to the detector's log-odds; it
+never raises a confidence: canopies give few detections to learn from, and there a raised
+confidence made false positives.
 """
 
 from __future__ import annotations

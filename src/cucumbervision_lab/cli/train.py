@@ -255,8 +255,9 @@ def crops(
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
     init: Annotated[
-        Path, typer.Option("--init", help="Checkpoint (.pt) of the detector to begin with.")
-    ] = Path("checkpoints/cucumber-seg.pt"),
+        str,
+        typer.Option("--init", help="YOLO26n-seg (.pt) to begin with, not the detector's own."),
+    ],
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
     epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,
     seed: Seed = 0,

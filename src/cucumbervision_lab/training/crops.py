@@ -11,6 +11,7 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logit
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
@@ -39,6 +40,7 @@ _HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split
 _MOST = 12  # candidates of a picture
 _LAYERS, _CHANNELS = 7, 128  # of YOLO26n, up to a sixteenth of the crop's size
 _SMOOTH = 0.02
+_REPEATS = 4  # of false positives that the detector alone would report: few, and what it is for
 _TURN_RAD, _SCALE, _SHIFT = 0.25, 0.12, 0.08  # largest random changes of a crop
 _LIMITS = (
     "Trained on what the packaged detector proposes; other detectors make other mistakes.",
@@ -152,15 +154,15 @@ def _labels(
     return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
 
 
-def make_network(detector: Any) -> Any:
-    """Build the network: a detector's first layers, and one new layer.
+def make_network(begin: Any) -> Any:
+    """Build the network: the first layers of a network for other objects, and one new layer.
 
-    A detector's layers tell a fruit from a leaf already; from random weights, the same crops taught
-    far less.
+    Random weights learn too little from so few crops, and those of the detector whose detections
+    are judged repeat its mistakes.
 
     Parameters
     ----------
-    detector : ultralytics.YOLO
+    begin : ultralytics.YOLO
         YOLO26n-seg, from `load_yolo`.
 
     Returns
@@ -171,7 +173,7 @@ def make_network(detector: Any) -> Any:
     """
     from torch import nn
 
-    layers = list(detector.model.model)[:_LAYERS]
+    layers = list(begin.model.model)[:_LAYERS]
     network = nn.Sequential(
         *layers,
         nn.AdaptiveAvgPool2d(1),
@@ -193,7 +195,7 @@ def train_crops(
     crops : Crops
         Training and validation crops from `collect_crops`.
     init : Path
-        Checkpoint (.pt) of a detector to begin with.
+        Checkpoint (.pt) of YOLO26n-seg to begin with, not the detector's own.
     out : Path
         The ONNX file to write.
     options : ClassifierOptions, optional
@@ -206,7 +208,9 @@ def train_crops(
     ModelError
         If the checkpoint cannot be loaded.
     """
-    learnt = ~crops.held_out
+    reported = ~crops.is_fruit & (crops.confidence > DEFAULT_CONFIDENCE)
+    learnt = np.repeat(np.arange(len(reported)), np.where(reported, _REPEATS, 1))
+    learnt = learnt[~crops.held_out[learnt]]
     target = np.where(crops.is_fruit[learnt], 1 - _SMOOTH, _SMOOTH).astype(np.float32)
     network = fit_classifier(
         lambda: make_network(load_yolo(init)),
@@ -215,10 +219,22 @@ def train_crops(
         _augment,
         options or ClassifierOptions(),
     )
+    _without_prior(network, float(crops.is_fruit[learnt].mean()))
     export_classifier(network, out, (CROP_PX, CROP_PX), "crops")
     inner = slice((SURROUND_PX - CROP_PX) // 2, (SURROUND_PX + CROP_PX) // 2)
     log_odds = predict(network, crops.pictures[crops.held_out][:, inner, inner])
     return _result(log_odds, crops, out)
+
+
+def _without_prior(network: Any, share: float) -> None:
+    """Leave in a network's logits the evidence alone, without the share of fruit in its training.
+
+    How likely a detection is before its crop is looked at, the detector's confidence says.
+    """
+    import torch
+
+    with torch.no_grad():
+        network[-2].bias -= float(logit(share))
 
 
 def write_crops_card(

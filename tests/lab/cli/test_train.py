@@ -8,7 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.capture.pictures import write_png
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import MissingExtraError, TrainingError
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.cli.screen import epoch_line
 from cucumbervision_lab.cli.train import app
 from cucumbervision_lab.datasets.coco import write_coco
@@ -66,6 +69,31 @@ def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
     card = read_card(tmp_path / "out" / "cucumber-ends.json")
     assert card.task == "ends"
     assert card.metrics["fruit of other scenes judged by"] == 2
+    assert (tmp_path / "out" / card.file).stat().st_size == card.size_bytes
+
+
+@needs_extra
+@pytest.mark.train
+def test_the_second_look_is_learnt_from_labelled_sets_and_shown(tmp_path: Path) -> None:
+    color = next(iter(open_source(example_captures()))).load().color
+    height, width = color.shape[:2]
+    loader = NetworkLoader()
+    found = loader.yolo(loader.verify("cucumber-seg")["network"]).detect(color)
+    labels = tuple(Label(one.box) for one in found)
+    (tmp_path / "set" / "images").mkdir(parents=True)
+    write_png(tmp_path / "set" / "images" / "a.png", color)
+    pictures = tuple(
+        LabelledPicture("images/a.png", width, height, labels, split, split)
+        for split in ("train", "val")
+    )
+    write_coco(DataSet(tmp_path / "set", pictures), tmp_path / "set")
+    words = ["crops", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--epochs", "1"]
+    result = CliRunner().invoke(app, [*words, "--init", "yolo26n-seg.yaml"])
+    assert result.exit_code == 0, result.output
+    assert "false positives" in result.output
+    card = read_card(tmp_path / "out" / "cucumber-crops.json")
+    assert card.task == "crops"
+    assert card.metrics["true positives without it"] == len(found)
     assert (tmp_path / "out" / card.file).stat().st_size == card.size_bytes
 
 

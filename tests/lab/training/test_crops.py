@@ -28,7 +28,7 @@ from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
 pytestmark = pytest.mark.train
 
-DETECTOR = "yolo26n-seg.yaml"  # random weights; a checkout's checkpoints are not in the archive
+DETECTOR = "yolo26n-seg.yaml"  # random weights
 
 
 @pytest.fixture(scope="module")

@@ -27,15 +27,19 @@ _GUARD = Middleware(
     token=os.environ.get(TOKEN_VARIABLE, ""),
 )
 
+# Streamlit imports the last two within the first page that is drawn.
+_FIRST_USED = ("cucumbervision.dashboard.app", "pandas", "streamlit.emojis")
+
 
 @asynccontextmanager
 async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
     """Load networks, pages and the newest round, and measure what waits, before anybody comes."""
 
     def prepare() -> None:
-        with suppress(CucumberVisionError):  # every page says why
+        with suppress(CucumberVisionError, ImportError):  # every page says why
             resources.prepare()
-            import_module("cucumbervision.dashboard.app")
+            for name in _FIRST_USED:
+                import_module(name)
             resources.read_ahead()
 
     threading.Thread(target=prepare, name="preparing", daemon=True).start()

@@ -418,6 +418,10 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
     return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
 
 
+LINES = 20
+"""Fruit on one page of the list."""
+
+
 @st.cache_resource(show_spinner=False)
 def prepare() -> Job | None:
     """Load the networks before the first capture; measure the bundled ones into an empty store."""
@@ -434,7 +438,8 @@ def prepare() -> Job | None:
 def read_ahead() -> None:
     """Read the newest round, so that the first page that is opened need not wait for it."""
     for one in rounds()[:1]:
-        graded_round(one)
+        for view in graded_round(one).fruit[:LINES]:
+            thumbnail_of(view)
         rows_of(one)
         forecast_of(one)
         today_of(one)

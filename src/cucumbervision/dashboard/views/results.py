@@ -57,8 +57,6 @@ def _files(one: RoundView) -> None:
         st.html(f'<a class="load" href="/api/files/{one.key}?{asked}" download>Download</a>')
 
 
-_LINES = 20
-
 _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
 
 
@@ -156,11 +154,11 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
 
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
-    shown = page_elements.page_of(fruit, "list_page", _LINES)
+    shown = page_elements.page_of(fruit, "list_page", resources.LINES)
     lines = [_line(graded, view) for view in shown]
     words = f"{len(fruit)} fruit: tap one to open it"
     page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
-    page_elements.choose_page(fruit, "list_page", _LINES)
+    page_elements.choose_page(fruit, "list_page", resources.LINES)
 
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:

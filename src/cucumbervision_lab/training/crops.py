@@ -270,7 +270,8 @@ def write_crops_card(
         size_bytes=result.network.stat().st_size,
         checkpoint_sha256=sha256,
         began_with=Path(init).name,
-        command=f"cucumbervision train crops SETS --out DIR --epochs {epochs} --seed {seed}",
+        command=f"cucumbervision train crops SETS --init {Path(init).name} --out DIR "
+        f"--epochs {epochs} --seed {seed}",
         metrics={
             "crops learnt from": float(result.train_count),
             "crops of other scenes judged by": float(result.val_count),

@@ -256,7 +256,7 @@ def crops(
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
     init: Annotated[
         str,
-        typer.Option("--init", help="YOLO26n-seg (.pt) to begin with, not the detector's own."),
+        typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt)."),
     ],
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
     epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,

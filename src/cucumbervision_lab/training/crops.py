@@ -157,8 +157,7 @@ def _labels(
 def make_network(begin: Any) -> Any:
     """Build the network: the first layers of a network for other objects, and one new layer.
 
-    Random weights learn too little from so few crops, and those of the detector whose detections
-    are judged repeat its mistakes.
+    From random weights it learns less from so few crops.
 
     Parameters
     ----------
@@ -195,7 +194,7 @@ def train_crops(
     crops : Crops
         Training and validation crops from `collect_crops`.
     init : Path
-        Checkpoint (.pt) of YOLO26n-seg to begin with, not the detector's own.
+        Checkpoint (.pt) of YOLO26n-seg to begin with.
     out : Path
         The ONNX file to write.
     options : ClassifierOptions, optional

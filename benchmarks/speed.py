@@ -61,7 +61,7 @@ CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 PAPER_METHODS = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
 BINS, SAMPLES = 25, 1000
 TRIES = 4
-LOOK_MS = 10  # how often is looked for what a page is to show
+LOOK_MS = 10  # between two looks for what a page is to show
 PATIENCE_S = 300.0
 LIMITS = {
     "M1 to M5, times the plain NumPy floor": 4.0,

@@ -132,9 +132,11 @@ def test_a_keyboard_is_three_stops_from_the_list(
         if page.evaluate("document.activeElement.className") == "skip":
             break
     page.keyboard.press("Enter")
-    page.wait_for_url("**#list")
     page.keyboard.press("Space")
     page.locator('.fruit button[aria-pressed="true"]').first.wait_for()
+    # The way there works a second time.
+    page.locator(".skip").focus()
+    page.keyboard.press("Enter")
     page.keyboard.press("Space")
     page.get_by_text(re.compile(r"^0 of \d+ picked")).wait_for()
 

@@ -36,7 +36,7 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
     """Load networks, pages and the newest round, and measure what waits, before anybody comes."""
 
     def prepare() -> None:
-        with suppress(CucumberVisionError, ImportError):  # every page says why
+        with suppress(CucumberVisionError, ImportError):  # a page says why
             resources.prepare()
             for name in _FIRST_USED:
                 import_module(name)

@@ -60,6 +60,7 @@ from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
 KEPT = 8  # rounds, forecasts or fruit that are held at once
+LINES = 20  # fruit on one page of the list
 
 
 def where() -> str:
@@ -416,10 +417,6 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
         camera = CameraModel.model_validate(dict(taken.camera)).intrinsics
         color = drawn_on(color, tube, camera)
     return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
-
-
-LINES = 20
-"""Fruit on one page of the list."""
 
 
 @st.cache_resource(show_spinner=False)

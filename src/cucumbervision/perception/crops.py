@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 from scipy.special import expit, logit
 
-from cucumbervision.errors import ModelError
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.classifier import PictureClassifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,7 +101,7 @@ def lowered(confidence: float, log_odds: float) -> float:
     return float(expit(logit(np.clip(confidence, 1e-6, 1 - 1e-6)) + _WEIGHT * log_odds))
 
 
-class CropClassifier:
+class CropClassifier(PictureClassifier):
     """Tells cucumbers from what a detector takes for one.
 
     Parameters
@@ -119,20 +118,13 @@ class CropClassifier:
     """
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
-        chosen = "onnxruntime" if runtime == "auto" else runtime
-        self._network = open_network(path, chosen, full_precision=True)
-        shape = self._network.inputs[0].shape
-        if shape[1:] != (3, CROP_PX, CROP_PX) or len(self._network.outputs) != 1:
-            raise ModelError(
-                f"takes {shape}, not crops of {CROP_PX} px",
-                source=path,
-                remedy="name a network by `cucumbervision train crops`",
-            )
-
-    @property
-    def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
-        return self._network.runtime
+        super().__init__(
+            path,
+            runtime,
+            size_px=(CROP_PX, CROP_PX),
+            takes=f"crops of {CROP_PX} px",
+            command="train crops",
+        )
 
     def rescore(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
@@ -178,7 +170,4 @@ class CropClassifier:
         if not boxes:
             return np.zeros(0)
         crops = np.stack([crop_square(color_rgb, box) for box in boxes])
-        both = np.concatenate([crops, crops[:, :, ::-1]])
-        planes = both.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
-        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
-        return np.asarray(answer.reshape(2, -1).mean(axis=0), np.float64)
+        return self.mean_logits(crops, crops[:, :, ::-1])

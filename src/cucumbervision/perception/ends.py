@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import expit
 
-from cucumbervision.errors import ModelError
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.classifier import PictureClassifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -114,7 +113,7 @@ def _near(
     return part, low.astype(np.float64), after / before
 
 
-class EndClassifier:
+class EndClassifier(PictureClassifier):
     """Classifies which end of a fruit is the stem's.
 
     Parameters
@@ -131,20 +130,9 @@ class EndClassifier:
     """
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
-        chosen = "onnxruntime" if runtime == "auto" else runtime
-        self._network = open_network(path, chosen, full_precision=True)
-        shape = self._network.inputs[0].shape
-        if shape[1:] != (3, *STRIP_PX) or len(self._network.outputs) != 1:
-            raise ModelError(
-                f"takes {shape}, not fruit laid level",
-                source=path,
-                remedy="name a network by `cucumbervision train ends`",
-            )
-
-    @property
-    def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
-        return self._network.runtime
+        super().__init__(
+            path, runtime, size_px=STRIP_PX, takes="fruit laid level", command="train ends"
+        )
 
     def order_ends(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
@@ -192,10 +180,8 @@ class EndClassifier:
         seen = [strip for strip in strips if strip is not None]
         if not seen:
             return [None] * len(strips)
-        both = np.stack([*seen, *(strip[::-1] for strip in seen)])
-        planes = both.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
-        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
-        found = iter(answer.reshape(2, -1).mean(axis=0).tolist())
+        level = np.stack(seen)
+        found = iter(self.mean_logits(level, level[:, ::-1]).tolist())
         return [None if strip is None else next(found) for strip in strips]
 
 

@@ -42,6 +42,11 @@ Minutes = Annotated[
     typer.Option("--minutes", min=0, help="Time limit; stops after the current epoch."),
 ]
 Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Initial learning rate.")]
+Folder = Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")]
+Epochs = Annotated[int, typer.Option(min=1, help="Number of epochs.")]
+Credit = Annotated[
+    list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
+]
 
 
 @app.command("pose", help="Train boxes and the five keypoints.")
@@ -212,14 +217,12 @@ def house(
 @app.command()
 def ends(
     sets: Annotated[list[Path], typer.Argument(help="Data sets with keypoints.", metavar="SET...")],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    out: Folder,
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-ends",
-    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,
+    epochs: Epochs = 20,
     seed: Seed = 0,
     threads: Threads = 0,
-    credit: Annotated[
-        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
-    ] = None,
+    credit: Credit = None,
 ) -> None:
     """Train the network that identifies the stem end, and write it with its card."""
     from rich.console import Console
@@ -253,18 +256,13 @@ def crops(
     sets: Annotated[
         list[Path], typer.Argument(help="Data sets, completely labelled.", metavar="SET...")
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
-    init: Annotated[
-        str,
-        typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt)."),
-    ],
+    out: Folder,
+    init: Annotated[str, typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt).")],
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
-    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs.")] = 20,
+    epochs: Epochs = 20,
     seed: Seed = 0,
     threads: Threads = 0,
-    credit: Annotated[
-        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
-    ] = None,
+    credit: Credit = None,
 ) -> None:
     """Train the network that looks at each detection alone, and write it with its card."""
     from rich.console import Console
@@ -314,14 +312,12 @@ def average(
 @app.command()
 def export(
     source: Annotated[Path, typer.Argument(help="Folder of a run, or a checkpoint (.pt).")],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    out: Folder,
     name: Annotated[str, typer.Option("--name", help="Name of the model.")],
     evaluation: Annotated[
         Path | None, typer.Option("--evaluation", help="JSON file to include in the card.")
     ] = None,
-    credit: Annotated[
-        list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
-    ] = None,
+    credit: Credit = None,
     input_size: InputSize = "",
 ) -> None:
     """Export a network to ONNX with its card, and print its registry entry."""

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.export import halve_storage
+from cucumbervision_lab.training.publish import ModelCard, write_card
 
+_RATE, _WEIGHT_DECAY = 2e-3, 0.02  # of AdamW, with one cycle of the learning rate
 _JUDGED_AT_ONCE = 512
 
 
@@ -31,8 +35,6 @@ class ClassifierOptions:
         Number of torch threads; 0 uses all cores.
     batch : int
         Pictures of a step.
-    learning_rate, weight_decay : float
-        Of AdamW, with one cycle of the learning rate.
     progress : callable, optional
         Called after each epoch with the epoch number (from 1) and the mean loss.
     """
@@ -41,8 +43,6 @@ class ClassifierOptions:
     seed: int = 0
     threads: int = 0
     batch: int = 128
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.02
     progress: Callable[[int, float], None] | None = None
 
 
@@ -96,9 +96,8 @@ def fit_classifier(
     network = make()
     planes, wanted = _planes(pictures), torch.from_numpy(target)
     steps = options.epochs * (len(planes) // options.batch + 1)
-    rate = options.learning_rate
-    optimiser = torch.optim.AdamW(network.parameters(), rate, weight_decay=options.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, steps)
+    optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
     for epoch in range(options.epochs):
         network.train()
         losses = []
@@ -167,3 +166,48 @@ def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: s
     halve_storage(written)
     onnx.helper.set_model_props(written, {"task": task})
     onnx.save(written, out)
+
+
+def classifier_card(
+    network: Path,
+    name: str,
+    task: str,
+    *,
+    command: str,
+    metrics: Mapping[str, float],
+    credits: Sequence[str],
+    limits: Sequence[str],
+    began_with: str = "",
+) -> ModelCard:
+    """Write the model card next to a network.
+
+    Parameters
+    ----------
+    network : Path
+        The ONNX file.
+    name, task, began_with : str
+        As in `ModelCard`.
+    command : str
+        Arguments of `cucumbervision train`, without local paths.
+    metrics : mapping of str to float
+        Metrics of the validation set.
+    credits, limits : sequence of str
+        Credits and known limitations, one sentence each.
+    """
+    sha256 = file_sha256(network)
+    card = ModelCard(
+        name=name,
+        task=task,
+        file=network.name,
+        sha256=sha256,
+        size_bytes=network.stat().st_size,
+        checkpoint_sha256=sha256,
+        began_with=began_with,
+        command=f"cucumbervision train {command}",
+        metrics=dict(metrics),
+        credits=tuple(credits),
+        limits=tuple(limits),
+        versions={"torch": version("torch")},
+    )
+    write_card(card, network.parent)
+    return card

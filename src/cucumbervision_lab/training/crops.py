@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -20,18 +19,18 @@ from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CROP_MARGIN, CROP_PX, crop_square, lowered
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.networks import NetworkLoader
-from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture, ticked
 from cucumbervision_lab.detection.learn import true_positives
 from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.training.classifier import (
     ClassifierOptions,
+    classifier_card,
     export_classifier,
     fit_classifier,
     predict,
 )
 from cucumbervision_lab.training.export import load_yolo
-from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
+from cucumbervision_lab.training.publish import MAKERS, ModelCard
 
 SURROUND_PX = 128
 """Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
@@ -260,17 +259,12 @@ def write_crops_card(
     credits : sequence of str
         Publishers of training pictures.
     """
-    sha256 = file_sha256(result.network)
-    card = ModelCard(
-        name=name,
-        task="crops",
-        file=result.network.name,
-        sha256=sha256,
-        size_bytes=result.network.stat().st_size,
-        checkpoint_sha256=sha256,
-        began_with=Path(init).name,
-        command=f"cucumbervision train crops SETS --init {Path(init).name} --out DIR "
-        f"--epochs {epochs} --seed {seed}",
+    began = Path(init).name
+    return classifier_card(
+        result.network,
+        name,
+        "crops",
+        command=f"crops SETS --init {began} --out DIR --epochs {epochs} --seed {seed}",
         metrics={
             "crops learnt from": float(result.train_count),
             "crops of other scenes judged by": float(result.val_count),
@@ -281,10 +275,8 @@ def write_crops_card(
         },
         credits=(*MAKERS, *credits),
         limits=_LIMITS,
-        versions={"torch": version("torch")},
+        began_with=began,
     )
-    write_card(card, result.network.parent)
-    return card
 
 
 def _augment(crops: Any) -> Any:
@@ -314,15 +306,10 @@ def _result(log_odds: NDArray[np.float64], crops: Crops, out: Path) -> CropsResu
     before = crops.confidence[crops.held_out]
     after = np.array([lowered(*pair) for pair in zip(before, log_odds, strict=True)])
     is_fruit = crops.is_fruit[crops.held_out]
-    with_and_without = [one > DEFAULT_CONFIDENCE for one in (before, after)]
-    fruit, others = (
-        tuple(int((kept & group).sum()) for kept in with_and_without)
-        for group in (is_fruit, ~is_fruit)
-    )
-    return CropsResult(
-        out,
-        int((~crops.held_out).sum()),
-        len(before),
-        (fruit[0], fruit[1]),
-        (others[0], others[1]),
-    )
+
+    def reported(group: NDArray[np.bool_]) -> tuple[int, int]:
+        kept = (int((one[group] > DEFAULT_CONFIDENCE).sum()) for one in (before, after))
+        return next(kept), next(kept)
+
+    learnt = int((~crops.held_out).sum())
+    return CropsResult(out, learnt, len(before), reported(is_fruit), reported(~is_fruit))

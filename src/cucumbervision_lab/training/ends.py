@@ -15,17 +15,17 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orient
-from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.classifier import (
     ClassifierOptions,
+    classifier_card,
     convolution,
     export_classifier,
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import ModelCard, write_card
+from cucumbervision_lab.training.publish import ModelCard
 
 COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
@@ -249,31 +249,22 @@ def write_ends_card(
     credits : sequence of str
         Publishers of training pictures.
     """
-    from importlib.metadata import version
-
-    sha256 = file_sha256(result.network)
-    figures = {f"right, {kind}": share for kind, share in result.accuracy.items()}
-    card = ModelCard(
-        name=name,
-        task="ends",
-        file=result.network.name,
-        sha256=sha256,
-        size_bytes=result.network.stat().st_size,
-        checkpoint_sha256=sha256,
-        command=f"cucumbervision train ends SETS --out DIR --epochs {epochs} --seed {seed}",
+    right = {f"right, {kind}": share for kind, share in result.accuracy.items()}
+    return classifier_card(
+        result.network,
+        name,
+        "ends",
+        command=f"ends SETS --out DIR --epochs {epochs} --seed {seed}",
         metrics={
             "fruit learnt from": float(result.train_count),
             "fruit of other scenes judged by": float(result.val_count),
-            **figures,
+            **right,
             "at least 90 % sure": result.confident_share,
             "right of these": result.confident_accuracy,
         },
-        credits=tuple(credits),
+        credits=credits,
         limits=_LIMITS,
-        versions={"torch": version("torch")},
     )
-    write_card(card, result.network.parent)
-    return card
 
 
 def _augment(fruit: Any) -> Any:

@@ -18,8 +18,13 @@ export default function (component) {
   list.setAttribute("aria-label", data.label);
   if (!own.heard) {
     root.host.id = "list"; // where the link at the page's top leads
-    own.heard = () => { if (location.hash === "#list") list.querySelector("button")?.focus(); };
-    addEventListener("hashchange", own.heard);
+    // On the click, not on a new address: so a key that follows at once finds the focus there, and the link works twice.
+    own.heard = (event) => {
+      if (!event.target.closest?.('a[href="#list"]') || document.getElementById("list") !== root.host) return;
+      event.preventDefault();
+      list.querySelector("button")?.focus();
+    };
+    addEventListener("click", own.heard);
   }
   const isPicked = (one) => (one.key in own.mine ? own.mine[one.key] : one.picked);
   const total = () => {

@@ -40,6 +40,9 @@ Point = tuple[float, float]
 FIRST = "first audit"
 """Name of the test with the photos of the first audit, regardless of their setting."""
 
+OTHER_PLANTS = "other plants"
+"""Name of the test with tomatoes, gourds, beans and other fruit on the plant."""
+
 
 class AuditKind(StrEnum):
     """Kind of an audited box."""
@@ -162,8 +165,8 @@ class Audit:
             'negatives' for photos without fruit, 'on the plant', or the test of the collection.
         """
         named = self.sets[photo.collection].get("test", "loose fruit")
-        if named == FIRST:
-            return FIRST
+        if named in (FIRST, OTHER_PLANTS):
+            return named
         if not photo.boxes:
             return "negatives"
         if photo.setting == "plant":

@@ -8,6 +8,7 @@ import pytest
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.detection.photo_audit import (
     FIRST,
+    OTHER_PLANTS,
     Audit,
     AuditedBox,
     AuditedPhoto,
@@ -85,21 +86,24 @@ def test_every_test_named_apart_has_enough_in_it() -> None:
         photos.setdefault(audit.test_of(p), []).append(p)
     assert set(photos) == {
         *(FIRST, "trial board", "hands and tiles", "on the plant", "market", "loose fruit"),
-        "negatives",
+        *("negatives", OTHER_PLANTS),
     }
     required = {
         name: sum(b.kind is AuditKind.CUCUMBER for p in some for b in p.boxes)
         for name, some in photos.items()
     }
-    assert required.pop("negatives") == 0
+    assert required.pop("negatives") == required.pop(OTHER_PLANTS) == 0
     assert min(required.values()) >= 14
-    assert len(photos["negatives"]) >= 40
+    assert min(len(photos["negatives"]), len(photos[OTHER_PLANTS])) >= 40
 
 
 def test_about_a_fifth_of_the_second_audit_is_test_and_a_tenth_val() -> None:
     audit = load_audit()
-    third = ("greenhouse_phone", "on_plant_web", "cucumber_d435")  # for training only
-    second = [p for p in audit.photos if audit.test_of(p) != FIRST and p.collection not in third]
+    third = ("greenhouse_phone", "on_plant_web", "cucumber_d435", "greenery")  # for training only
+    apart = (FIRST, OTHER_PLANTS)
+    second = [
+        p for p in audit.photos if audit.test_of(p) not in apart and p.collection not in third
+    ]
     shares = {
         split: sum(p.split == split for p in second) / len(second) for split in ("val", "test")
     }
@@ -186,13 +190,15 @@ def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) 
         ("stall", "hand", True, "market"),
         ("stall", "plant", True, "on the plant"),
         ("stall", "none", False, "negatives"),
+        ("field", "none", False, OTHER_PLANTS),
         ("web", "white", True, "loose fruit"),
     ],
 )
 def test_a_photos_test(collection: str, setting: str, boxed: bool, name: str) -> None:
     boxes = (AuditedBox((0, 0, 9, 9), AuditKind.CUCUMBER),) if boxed else ()
     one = AuditedPhoto("a", "0", collection, "s", setting, "test", 64, 48, boxes)
-    sets = {"old": {"test": FIRST}, "stall": {"test": "market"}, "web": {}}
+    named = {"old": FIRST, "stall": "market", "field": OTHER_PLANTS}
+    sets = {**{place: {"test": test} for place, test in named.items()}, "web": {}}
     assert Audit((one,), sets).test_of(one) == name
 
 

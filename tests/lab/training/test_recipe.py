@@ -194,7 +194,7 @@ def test_packaged_recipe_is_half_real() -> None:
     recipe = read_recipe(PACKAGED)
     shares = {source.name: source.weight for source in recipe.sources}
     assert sum(shares.values()) == pytest.approx(1)
-    real = ("photo", "greenhouse", "d435")
+    real = ("photo", "greenhouse", "on-plant", "d435")
     assert sum(w for name, w in shares.items() if name.startswith(real)) == pytest.approx(0.5)
     assert set(recipe.schedules) == {"seg", "pose"}
 

@@ -290,16 +290,10 @@ def measure_fruit(
     measurements = {method: one for method, (one, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
-    if cut_by_frame(instance.box, mask, capture.width, capture.height):
-        flags.append(Flag.CUT_BY_FRAME)
-    if chosen is not None and chosen.fit is not None:
-        flags.extend(chosen.fit.flags)
-    flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
     sure = instance.end_confidence
     if capture.gravity is not None and chosen is not None and chosen.path_m is not None:
         sure = turned[chosen.method][1]
-    if sure is not None and sure < LEAST_END_CONFIDENCE:
-        flags.append(Flag.ENDS_UNSURE)
+    flags += _flags(capture, instance, mask, chosen, sure)
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
@@ -327,6 +321,25 @@ def measure_fruit(
         pose=pose,
     )
     return with_length(fruit, definition, scale_known=scale_known, models=models)
+
+
+def _flags(
+    capture: Capture,
+    instance: Instance,
+    mask: NDArray[np.bool_] | None,
+    chosen: Measurement | None,
+    sure: float | None,
+) -> list[Flag]:
+    """Return what is flagged of the frame, the fit and the ends, known with probability `sure`."""
+    flags = []
+    if cut_by_frame(instance.box, mask, capture.width, capture.height):
+        flags.append(Flag.CUT_BY_FRAME)
+    if chosen is not None and chosen.fit is not None:
+        flags.extend(chosen.fit.flags)
+    flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
+    if sure is not None and sure < LEAST_END_CONFIDENCE:
+        flags.append(Flag.ENDS_UNSURE)
+    return flags
 
 
 def with_length(

@@ -42,6 +42,7 @@ Minutes = Annotated[
     typer.Option("--minutes", min=0, help="Time limit; stops after the current epoch."),
 ]
 Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Initial learning rate.")]
+First = Annotated[str, typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt).")]
 Folder = Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")]
 Epochs = Annotated[int, typer.Option(min=1, help="Number of epochs.")]
 Credit = Annotated[
@@ -218,6 +219,7 @@ def house(
 def ends(
     sets: Annotated[list[Path], typer.Argument(help="Data sets with keypoints.", metavar="SET...")],
     out: Folder,
+    init: First,
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-ends",
     epochs: Epochs = 20,
     seed: Seed = 0,
@@ -239,10 +241,11 @@ def ends(
     with ticking("training", epochs) as tick:
         result = train_ends(
             strips,
+            init,
             out / f"{name}.onnx",
             ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
         )
-    write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
+    write_ends_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
     table = Table("fruit of validation scenes", "ends identified", title=str(result.network))
     for kind, share in result.accuracy.items():
         table.add_row(kind, f"{100 * share:.1f} %")
@@ -257,7 +260,7 @@ def crops(
         list[Path], typer.Argument(help="Data sets, completely labelled.", metavar="SET...")
     ],
     out: Folder,
-    init: Annotated[str, typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt).")],
+    init: First,
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
     epochs: Epochs = 20,
     seed: Seed = 0,

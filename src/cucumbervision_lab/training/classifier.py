@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.export import halve_storage
+from cucumbervision_lab.training.export import halve_storage, load_yolo
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
+CHANNELS = 128
+"""Channels of `first_layers`."""
+
+_LAYERS = 7
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02  # of AdamW, with one cycle of the learning rate
 _JUDGED_AT_ONCE = 512
 
@@ -46,12 +50,26 @@ class ClassifierOptions:
     progress: Callable[[int, float], None] | None = None
 
 
-def convolution(inner: int, outer: int, stride: int) -> list[Any]:
-    """Return the modules of one layer: a 3x3 convolution, batch norm and SiLU."""
-    from torch import nn
+def first_layers(init: Path | str) -> list[Any]:
+    """Load the first layers of YOLO26n, which give `CHANNELS` channels of a sixteenth of the size.
 
-    weights = nn.Conv2d(inner, outer, 3, stride, 1, bias=False)
-    return [weights, nn.BatchNorm2d(outer), nn.SiLU()]
+    With weights for other objects a network learns more from few pictures than with random ones.
+
+    Parameters
+    ----------
+    init : Path
+        Checkpoint (.pt) of YOLO26n, or an Ultralytics .yaml for random weights.
+
+    Returns
+    -------
+    list of torch.nn.Module
+
+    Raises
+    ------
+    ModelError, MissingExtraError
+        As `load_yolo`.
+    """
+    return list(load_yolo(init).model.model)[:_LAYERS]
 
 
 def fit_classifier(

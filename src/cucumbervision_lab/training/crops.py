@@ -23,13 +23,14 @@ from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture, ticked
 from cucumbervision_lab.detection.learn import true_positives
 from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.training.classifier import (
+    CHANNELS,
     ClassifierOptions,
     classifier_card,
     export_classifier,
+    first_layers,
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.export import load_yolo
 from cucumbervision_lab.training.publish import MAKERS, ModelCard
 
 SURROUND_PX = 128
@@ -37,7 +38,6 @@ SURROUND_PX = 128
 
 _HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split val
 _MOST = 12  # candidates of a picture
-_LAYERS, _CHANNELS = 7, 128  # of YOLO26n, up to a sixteenth of the crop's size
 _SMOOTH = 0.02
 _REPEATS = 4  # of false positives that the detector alone would report: few, and what it is for
 _TURN_RAD, _SCALE, _SHIFT = 0.25, 0.12, 0.08  # largest random changes of a crop
@@ -153,15 +153,13 @@ def _labels(
     return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
 
 
-def make_network(begin: Any) -> Any:
-    """Build the network: the first layers of a network for other objects, and one new layer.
-
-    From random weights it learns less from so few crops.
+def make_network(init: Path | str) -> Any:
+    """Build the network: the first layers of YOLO26n, and one new layer.
 
     Parameters
     ----------
-    begin : ultralytics.YOLO
-        YOLO26n-seg, from `load_yolo`.
+    init : Path
+        As in `first_layers`.
 
     Returns
     -------
@@ -171,13 +169,12 @@ def make_network(begin: Any) -> Any:
     """
     from torch import nn
 
-    layers = list(begin.model.model)[:_LAYERS]
     network = nn.Sequential(
-        *layers,
+        *first_layers(init),
         nn.AdaptiveAvgPool2d(1),
         nn.Flatten(),
         nn.Dropout(0.2),
-        nn.Linear(_CHANNELS, 1),
+        nn.Linear(CHANNELS, 1),
         nn.Flatten(0),
     ).float()
     return network.requires_grad_(True)
@@ -211,7 +208,7 @@ def train_crops(
     learnt = learnt[~crops.held_out[learnt]]
     target = np.where(crops.is_fruit[learnt], 1 - _SMOOTH, _SMOOTH).astype(np.float32)
     network = fit_classifier(
-        lambda: make_network(load_yolo(init)),
+        lambda: make_network(init),
         crops.pictures[learnt],
         target,
         _augment,

@@ -18,14 +18,15 @@ from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orien
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.classifier import (
+    CHANNELS,
     ClassifierOptions,
     classifier_card,
-    convolution,
     export_classifier,
+    first_layers,
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import ModelCard
+from cucumbervision_lab.training.publish import MAKERS, ModelCard
 
 COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
@@ -161,21 +162,19 @@ def _copies(
     return strips
 
 
-def make_network() -> Any:
-    """Build the network with random weights.
+def make_network(init: Path | str) -> Any:
+    """Build the network: the first layers of YOLO26n, and one new layer.
+
+    Parameters
+    ----------
+    init : Path
+        As in `first_layers`.
 
     Returns
     -------
     torch.nn.Module
         Input: strips, float32 of shape (N, 3, 64, 192), range 0 to 1. Output: logits of shape (N,)
         for 'the stem end is to the right'. Rotating a strip by 180 degrees negates its logit.
-
-    Examples
-    --------
-    >>> import torch
-    >>> network, fruit = make_network().eval(), torch.rand(2, 3, 64, 192)
-    >>> bool(torch.allclose(network(fruit), -network(fruit.flip(2, 3)), atol=1e-6))
-    True
     """
     import torch
     from torch import nn
@@ -185,35 +184,35 @@ def make_network() -> Any:
 
         def __init__(self) -> None:
             super().__init__()
+            height, width = (side // 16 for side in STRIP_PX)
             self.score = nn.Sequential(
-                *convolution(3, 16, 2),
-                *convolution(16, 32, 2),
-                *convolution(32, 64, 2),
-                *convolution(64, 96, 2),
-                *convolution(96, 96, 1),
-                nn.AvgPool2d((STRIP_PX[0] // 16, 2)),
+                *first_layers(init),
+                nn.AvgPool2d((height, 1)),
                 nn.Flatten(),
                 nn.Dropout(0.2),
-                nn.Linear(96 * STRIP_PX[1] // 32, 1),
-            )
+                nn.Linear(CHANNELS * width, 1),
+            ).float()
 
         def forward(self, fruit: Any) -> Any:
             """Return the logits."""
             # One batch for both orientations, so that batch norm treats them alike.
-            both = torch.cat([fruit, torch.flip(fruit, (2, 3))]) - 0.45
-            right, left = self.score(both).view(2, -1)
+            right, left = self.score(torch.cat([fruit, torch.flip(fruit, (2, 3))])).view(2, -1)
             return right - left
 
-    return Ends()
+    return Ends().requires_grad_(True)
 
 
-def train_ends(strips: Strips, out: Path, options: ClassifierOptions | None = None) -> EndsResult:
+def train_ends(
+    strips: Strips, init: Path | str, out: Path, options: ClassifierOptions | None = None
+) -> EndsResult:
     """Train the network and export it to ONNX.
 
     Parameters
     ----------
     strips : Strips
         Training and validation strips from `collect_strips`.
+    init : Path
+        Checkpoint (.pt) of YOLO26n-seg to begin with.
     out : Path
         The ONNX file to write.
     options : ClassifierOptions, optional
@@ -223,18 +222,26 @@ def train_ends(strips: Strips, out: Path, options: ClassifierOptions | None = No
     ------
     MissingExtraError
         If the extra `train` is not installed.
+    ModelError
+        If the checkpoint cannot be loaded.
     """
     learnt = strips.pictures[~strips.held_out]
     target = np.full(len(learnt), 1 - _SMOOTH, np.float32)
     options = options or ClassifierOptions()
-    network = fit_classifier(make_network, learnt, target, _augment, options)
+    network = fit_classifier(lambda: make_network(init), learnt, target, _augment, options)
     export_classifier(network, out, STRIP_PX, "ends")
     logits = predict(network, strips.pictures[strips.held_out])
     return _result(logits, strips.seen[strips.held_out], out, len(learnt))
 
 
 def write_ends_card(
-    result: EndsResult, name: str, *, epochs: int, seed: int, credits: Sequence[str] = ()
+    result: EndsResult,
+    name: str,
+    init: Path | str,
+    *,
+    epochs: int,
+    seed: int,
+    credits: Sequence[str] = (),
 ) -> ModelCard:
     """Write the model card next to the network.
 
@@ -244,17 +251,20 @@ def write_ends_card(
         Result of `train_ends`.
     name : str
         Name of the network.
+    init : Path
+        The checkpoint it began with.
     epochs, seed : int
         Training options to record.
     credits : sequence of str
         Publishers of training pictures.
     """
+    began = Path(init).name
     right = {f"right, {kind}": share for kind, share in result.accuracy.items()}
     return classifier_card(
         result.network,
         name,
         "ends",
-        command=f"ends SETS --out DIR --epochs {epochs} --seed {seed}",
+        command=f"ends SETS --init {began} --out DIR --epochs {epochs} --seed {seed}",
         metrics={
             "fruit learnt from": float(result.train_count),
             "fruit of other scenes judged by": float(result.val_count),
@@ -262,8 +272,9 @@ def write_ends_card(
             "at least 90 % sure": result.confident_share,
             "right of these": result.confident_accuracy,
         },
-        credits=credits,
+        credits=(*MAKERS, *credits),
         limits=_LIMITS,
+        began_with=began,
     )
 
 

@@ -197,8 +197,6 @@ _TITLES = {
     "crops": "Whether a detection is a cucumber",
 }
 
-_FROM = {"ends": "CucumberVision"}
-
 _ENTRY = re.compile(r"^\[\[models\]\]$", re.MULTILINE)
 
 
@@ -285,7 +283,7 @@ def registry_entry(card: ModelCard) -> str:
         "task": card.task,
         "licence": card.licence,
         "title": what,
-        "origin": _FROM.get(card.task, "CucumberVision, begun with Ultralytics' weights"),
+        "origin": "CucumberVision, begun with Ultralytics' weights",
         "card": f"{card.name}.md",
     }
     lines = ["[[models]]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]

@@ -62,7 +62,8 @@ def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
         name = f"images/{number}.png"
         pictures.append(LabelledPicture(name, 96, 64, (label,), f"s{number}", "train"))
     write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
-    words = ["ends", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--epochs", "1"]
+    words = ["ends", str(tmp_path / "set"), "--init", "yolo26n-seg.yaml", "--epochs", "1"]
+    words += ["--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert "ends identified" in result.output

@@ -28,7 +28,7 @@ from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
 pytestmark = pytest.mark.train
 
-DETECTOR = "yolo26n-seg.yaml"  # random weights
+CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
 
 
 def drawn(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -63,7 +63,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 
 def test_a_fruit_turned_round_gives_the_opposite_answer() -> None:
-    network = make_network(DETECTOR).eval()
+    network = make_network("yolo26n-seg.yaml").eval()
     fruit = torch.rand(5, 3, *STRIP_PX)
     with torch.no_grad():
         ahead, turned = network(fruit), network(torch.flip(fruit, (2, 3)))
@@ -82,8 +82,10 @@ def test_strips_hold_every_fruit_and_whole_scenes_are_held_out(pictures: DataSet
 def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     pictures: DataSet, tmp_path: Path
 ) -> None:
-    strips, options = collect_strips([pictures]), ClassifierOptions(25)
-    result = train_ends(strips, DETECTOR, tmp_path / "ends.onnx", options)
+    if not CHECKPOINT.is_file():
+        pytest.skip("the source archive holds no checkpoints")
+    strips, options = collect_strips([pictures]), ClassifierOptions(6, batch=32)
+    result = train_ends(strips, CHECKPOINT, tmp_path / "ends.onnx", options)
     assert result.accuracy["all"] > 0.9
     assert result.accuracy["2 ends in sight"] == result.accuracy["all"]
     assert (result.train_count, result.val_count) == (70, 10)
@@ -98,7 +100,7 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
         assert ordered.keypoints is not None
         right += bool(np.allclose(ordered.keypoints[-1, :2], points[-1]))
     assert right >= 26
-    card = write_ends_card(result, "ends", DETECTOR, epochs=25, seed=0, credits=("Ann",))
+    card = write_ends_card(result, "ends", CHECKPOINT, epochs=6, seed=0, credits=("Ann",))
     again = read_card(tmp_path / "ends.json")
     assert again == card
     assert again.sha256 == file_sha256(tmp_path / "ends.onnx")

@@ -151,3 +151,12 @@ def test_a_pose_votes_for_one_detection_only() -> None:
     twice = [fruit_at(0, 0.8), fruit_at(1, 0.6, width=9)]
     found = each_fruit_once(twice, [fruit_at(0, 1.0)], confidence=0.31)
     assert [one.confidence for one in found] == [0.9]
+
+
+def test_a_detectors_file_takes_the_second_look_where_it_is_asked_for() -> None:
+    loader = NetworkLoader()
+    file = loader.verify("cucumber-seg")["network"]
+    assert loader.yolo("cucumber-seg").crops is not None
+    assert loader.yolo("cucumber-seg", second_look=False).crops is None
+    assert loader.yolo(file).crops is None
+    assert loader.yolo(file, second_look=True).crops is not None

@@ -344,11 +344,26 @@ class NetworkLoader:
             self._files[name] = self.registry.resolve(name)
         return self._files[name]
 
-    def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
+    def yolo(
+        self,
+        chosen: Path | str,
+        confidence: float | None = None,
+        *,
+        second_look: bool | None = None,
+    ) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
-        If it orders keypoints by position, the registry's network for stem ends is loaded too;
-        beside the registry's detector, the network that looks at each detection alone.
+        If it orders keypoints by position, the registry's network for stem ends is loaded too.
+
+        Parameters
+        ----------
+        chosen : Path or str
+            The file or the name.
+        confidence : float, optional
+            Detections below it are omitted; by default the loader's.
+        second_look : bool, optional
+            Whether a detector takes the registry's network that looks at each detection alone; by
+            default those of the registry do.
 
         Raises
         ------
@@ -372,7 +387,8 @@ class NetworkLoader:
         if network.by_place:
             network.ends = self._beside("ends", EndClassifier)
             self._with_ends = network if network.ends else self._with_ends
-        if isinstance(chosen, str) and network.task == "segment":
+        looks_twice = isinstance(chosen, str) if second_look is None else second_look
+        if looks_twice and network.task == "segment":
             network.crops = self._beside("crops", CropClassifier)
         return network
 

@@ -91,14 +91,14 @@ def open_networks(
     confidence: float = DEFAULT_CONFIDENCE,
     ranked: bool = True,
     input_sizes: tuple[int, ...] = (),
+    second_look: bool | None = None,
 ) -> Networks:
     """Load the networks to evaluate.
 
     Parameters
     ----------
     segment, pose : Path or str, optional
-        ONNX files, or names of the registry. A detector with a name takes the second look
-        (`CropClassifier`) that it has in `detect` and `measure`; a file is judged by itself.
+        ONNX files, or names of the registry.
     segmenter : str, optional
         Name of a SAM in the registry.
     runtime : str
@@ -109,6 +109,9 @@ def open_networks(
         Also return detections below the threshold, which average precision needs; slower.
     input_sizes : tuple of int
         Long sides of the detector input, see `NetworkLoader`.
+    second_look : bool, optional
+        As in `NetworkLoader.yolo`: by default a detector of the registry takes the second look that
+        it has in `detect` and `measure`, and a file is evaluated by itself.
 
     Raises
     ------
@@ -123,7 +126,8 @@ def open_networks(
         most=MOST,
         input_sizes=input_sizes,
     )
-    detector, points = (None if one is None else loader.yolo(one) for one in (segment, pose))
+    detector = None if segment is None else loader.yolo(segment, second_look=second_look)
+    points = None if pose is None else loader.yolo(pose)
     sam = None if segmenter is None else loader.segmenter(segmenter)
     return Networks(detector, points, sam, confidence, loader.models)
 

@@ -327,7 +327,9 @@ def _drawn_test(out: Path, frames: int, workers: int) -> Path:
 def evaluate_detector(
     network: Path, house: Path, drawn: Path, photos: Path | None = None, most: int = 256
 ) -> tuple[DetectorScore, ...]:
-    """Evaluate the boxes that a detector reports together with the pose network in use.
+    """Evaluate the boxes that a detector would report as the one in use.
+
+    The pose network in use votes on them, and the second look may lower their confidence.
 
     Parameters
     ----------
@@ -342,7 +344,8 @@ def evaluate_detector(
     most : int
         Maximum number of photos, evenly spaced.
     """
-    networks = open_networks(*chosen_networks(network, None), None, ranked=False)
+    chosen = chosen_networks(network, None)
+    networks = open_networks(*chosen, None, ranked=False, second_look=True)
     threshold = networks.confidence
     found = []
     for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.export import halve_storage, load_yolo
-from cucumbervision_lab.training.publish import ModelCard, write_card
+from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
 
 CHANNELS = 128
 """Channels of `first_layers`."""
@@ -190,12 +190,13 @@ def classifier_card(
     network: Path,
     name: str,
     task: str,
+    init: Path | str,
     *,
-    command: str,
+    epochs: int,
+    seed: int,
     metrics: Mapping[str, float],
     credits: Sequence[str],
     limits: Sequence[str],
-    began_with: str = "",
 ) -> ModelCard:
     """Write the model card next to a network.
 
@@ -203,16 +204,23 @@ def classifier_card(
     ----------
     network : Path
         The ONNX file.
-    name, task, began_with : str
-        As in `ModelCard`.
-    command : str
-        Arguments of `cucumbervision train`, without local paths.
+    name : str
+        Name of the network.
+    task : str
+        'ends' or 'crops', as the command that trains it.
+    init : Path
+        The checkpoint it began with.
+    epochs, seed : int
+        Training options to record.
     metrics : mapping of str to float
         Metrics of the validation set.
-    credits, limits : sequence of str
-        Credits and known limitations, one sentence each.
+    credits : sequence of str
+        Publishers of training pictures.
+    limits : sequence of str
+        Known limitations, one sentence each.
     """
-    sha256 = file_sha256(network)
+    sha256, began = file_sha256(network), Path(init).name
+    options = f"--init {began} --out DIR --epochs {epochs} --seed {seed}"
     card = ModelCard(
         name=name,
         task=task,
@@ -220,10 +228,10 @@ def classifier_card(
         sha256=sha256,
         size_bytes=network.stat().st_size,
         checkpoint_sha256=sha256,
-        began_with=began_with,
-        command=f"cucumbervision train {command}",
+        began_with=began,
+        command=f"cucumbervision train {task} SETS {options}",
         metrics=dict(metrics),
-        credits=tuple(credits),
+        credits=(*MAKERS, *credits),
         limits=tuple(limits),
         versions={"torch": version("torch")},
     )

@@ -31,7 +31,7 @@ from cucumbervision_lab.training.classifier import (
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import MAKERS, ModelCard
+from cucumbervision_lab.training.publish import ModelCard
 
 SURROUND_PX = 128
 """Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
@@ -256,12 +256,13 @@ def write_crops_card(
     credits : sequence of str
         Publishers of training pictures.
     """
-    began = Path(init).name
     return classifier_card(
         result.network,
         name,
         "crops",
-        command=f"crops SETS --init {began} --out DIR --epochs {epochs} --seed {seed}",
+        init,
+        epochs=epochs,
+        seed=seed,
         metrics={
             "crops learnt from": float(result.train_count),
             "crops of other scenes judged by": float(result.val_count),
@@ -270,9 +271,8 @@ def write_crops_card(
             "false positives without it": float(result.others[0]),
             "false positives with it": float(result.others[1]),
         },
-        credits=(*MAKERS, *credits),
+        credits=credits,
         limits=_LIMITS,
-        began_with=began,
     )
 
 

@@ -26,7 +26,7 @@ from cucumbervision_lab.training.classifier import (
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import MAKERS, ModelCard
+from cucumbervision_lab.training.publish import ModelCard
 
 COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
@@ -258,13 +258,14 @@ def write_ends_card(
     credits : sequence of str
         Publishers of training pictures.
     """
-    began = Path(init).name
     right = {f"right, {kind}": share for kind, share in result.accuracy.items()}
     return classifier_card(
         result.network,
         name,
         "ends",
-        command=f"ends SETS --init {began} --out DIR --epochs {epochs} --seed {seed}",
+        init,
+        epochs=epochs,
+        seed=seed,
         metrics={
             "fruit learnt from": float(result.train_count),
             "fruit of other scenes judged by": float(result.val_count),
@@ -272,9 +273,8 @@ def write_ends_card(
             "at least 90 % sure": result.confident_share,
             "right of these": result.confident_accuracy,
         },
-        credits=(*MAKERS, *credits),
+        credits=credits,
         limits=_LIMITS,
-        began_with=began,
     )
 
 

@@ -12,7 +12,14 @@ from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.instances import Instance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+DETECTOR_SIZES_PX = (640, 896)
+"""Default input sizes of the detectors that are exported here.
+
+At these two, on real photos, scenes on the plant and drawn scenes, more fruit are found and fewer
+false positives than at 640 alone, for three times its computing time.
+"""
 
 _SIZE_STEP_PX, _LARGEST_PX = 32, 4096
 
@@ -71,8 +78,8 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     -------
     tuple of Instance
         Boxes of one class that overlap by an IoU of more than 0.5 are merged: the box is the mean
-        weighted by confidence, everything else is from the most confident one. Boxes that overlap
-        less are merged by their masks, as at one size (`merge_instances`).
+        weighted by confidence, everything else is from the first size that finds it. Boxes that
+        overlap less are merged by their masks, as at one size (`merge_instances`).
 
     Examples
     --------
@@ -80,7 +87,7 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     >>> two = Instance(np.array([0.0, 0, 96, 20]), 0.9, input_size_px=896)
     >>> (best,) = merge_sizes([[one], [two]])
     >>> best.confidence, best.box.round(1).tolist(), best.input_size_px
-    (0.75, [0.0, 0.0, 97.6, 20.0], 896)
+    (0.75, [0.0, 0.0, 97.6, 20.0], 640)
     >>> merge_sizes([[one], []])[0].confidence
     0.3
     """
@@ -97,11 +104,11 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
             free[int(ious.argmax())][size] = one
         else:
             groups.append({size: one})
-    merged = [_mean_find(tuple(group.values()), len(found)) for group in groups]
+    merged = [_mean_find(group, len(found)) for group in groups]
     return tuple(sorted(merged, key=lambda one: -one.confidence))
 
 
-def _mean_find(finds: Sequence[Instance], sizes: int) -> Instance:
-    confidences = [one.confidence for one in finds]
-    box = np.average([one.box for one in finds], axis=0, weights=confidences)
-    return replace(finds[0], box=box, confidence=sum(confidences) / sizes)
+def _mean_find(finds: Mapping[int, Instance], sizes: int) -> Instance:
+    confidences = [one.confidence for one in finds.values()]
+    box = np.average([one.box for one in finds.values()], axis=0, weights=confidences)
+    return replace(finds[min(finds)], box=box, confidence=sum(confidences) / sizes)

@@ -128,6 +128,35 @@ class Instance:
         return cls(box_of_mask(pixels), mask=pixels, mask_source=source)
 
 
+def mirrored(instance: Instance, width: int) -> Instance:
+    """Return an instance with left and right swapped, as in the mirror image of its picture.
+
+    Parameters
+    ----------
+    instance : Instance
+        With box, masks and keypoints of the picture.
+    width : int
+        Width of the picture, pixels.
+
+    Examples
+    --------
+    >>> mask = np.zeros((20, 60), bool)
+    >>> mask[5:15, 10:50] = True
+    >>> one = mirrored(Instance.of_mask(mask), 60)
+    >>> one.box.tolist(), one.mask[10].nonzero()[0][[0, -1]].tolist()
+    ([9.5, 4.5, 49.5, 14.5], [10, 49])
+    """
+    x1, y1, x2, y2 = instance.box
+    mask, own, points = instance.mask, instance.detector_mask, instance.keypoints
+    return replace(
+        instance,
+        box=np.array([width - 1 - x2, y1, width - 1 - x1, y2]),
+        mask=None if mask is None else np.ascontiguousarray(mask[:, ::-1]),
+        detector_mask=None if own is None else np.ascontiguousarray(own[:, ::-1]),
+        keypoints=None if points is None else points * [-1, 1, 1] + [width - 1, 0, 0],
+    )
+
+
 _SAME_IOU = 0.5  # of two masks of one fruit
 _INSIDE = 0.8  # share of the smaller mask inside the larger one, for masks of one fruit
 _SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks

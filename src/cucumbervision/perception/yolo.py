@@ -14,7 +14,7 @@ from cucumbervision.geometry.threads import OneThread
 from cucumbervision.perception.boxes import suppress
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
-from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.instances import Instance, mirrored
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
 
@@ -431,7 +431,7 @@ class YoloDetector:
     def detect(
         self, color_rgb: NDArray[np.uint8], confidence: float | None = None
     ) -> tuple[Instance, ...]:
-        """Find fruit in one picture, at every input size.
+        """Find fruit in one picture, at every input size; every second one sees the mirror image.
 
         Parameters
         ----------
@@ -454,7 +454,13 @@ class YoloDetector:
         """
         confidence = self._confidence if confidence is None else confidence
         least = detector_floor(confidence, votes=len(self._sizes_px) > 1)
-        every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
+        # A network's mistakes on the mirror image are others, those at another size are often not.
+        every = [
+            self._detect_mirrored(color_rgb, size_px, least)
+            if number % 2
+            else self._detect_at(color_rgb, size_px, least)
+            for number, size_px in enumerate(self._sizes_px)
+        ]
         merged = merge_sizes(every)[: self._most]
         if self.crops is not None:
             merged = self.crops.rescore(color_rgb, merged)
@@ -480,6 +486,13 @@ class YoloDetector:
                     source=layout.source,
                     remedy="choose another --input-size",
                 )
+
+    def _detect_mirrored(
+        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
+    ) -> tuple[Instance, ...]:
+        flipped = np.ascontiguousarray(color_rgb[:, ::-1])
+        found = self._detect_at(flipped, size_px, confidence)
+        return tuple(mirrored(one, color_rgb.shape[1]) for one in found)
 
     def _detect_at(
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float

@@ -22,6 +22,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, TrainingError
+from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, require_layers
@@ -231,7 +232,7 @@ def export_trained(
     credits : sequence of str
         Further credits for the card, such as the publishers of training pictures.
     input_sizes : sequence of int
-        See `export_yolo`.
+        As for `export_yolo`; if empty, a detector gets `DETECTOR_SIZES_PX`.
 
     Returns
     -------
@@ -270,6 +271,8 @@ def export_trained(
             source=checkpoint,
             remedy="give a segment or pose network with one class",
         )
+    if model.task == "segment":
+        input_sizes = input_sizes or DETECTOR_SIZES_PX
     path = export_yolo(model, out / f"{name}.onnx", input_sizes=input_sizes)
     run_entries = _card_entries(source) if source.is_dir() else {}
     card = ModelCard(

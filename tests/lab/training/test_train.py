@@ -19,6 +19,7 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.yolo import SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, stored_run_state
 from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
@@ -319,6 +320,7 @@ def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
     judged.write_text('{"command": "evaluate", "recall": 0.9}')
     card = export_trained(seg_run, tmp_path, "tiny-seg", evaluation=judged, credits=["Photos: A"])
     assert card.plan == "24 of 64x16,96x8 pictures in 0.0 h"
+    assert open_network(tmp_path / card.file, "onnxruntime").metadata[SIZES_KEY] == "640,896"
     assert card.began_with == "yolo26n-seg.yaml"
     assert card.metrics["size_px"] == 96
     assert card.metrics["mAP50(M)"] == last_metrics(seg_run / "metrics.csv")["mAP50(M)"]

@@ -1,6 +1,6 @@
 """Cucumbers on the plant before a real D435: recall, precision and lengths.
 
-    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--sheet PNG]
+    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--input-size 640]
 
 FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
@@ -26,6 +26,7 @@ from rich.table import Table
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
@@ -142,8 +143,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--confidence", type=float, default=DEFAULT_CONFIDENCE)
+    parser.add_argument("--input-size", default="", help="as `measure --input-size`")
     given = parser.parse_args()
-    measurer = Measurer(MeasureOptions(instances="models", confidence=given.confidence))
+    options = MeasureOptions(
+        instances="models",
+        confidence=given.confidence,
+        input_sizes=parse_input_sizes(given.input_size),
+    )
+    measurer = Measurer(options)
     marks = {one["name"]: one for one in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=given.folder / "intrinsics.json")
     judged, with_stickers = [], []

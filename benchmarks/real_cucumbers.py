@@ -1,6 +1,7 @@
 """Real cucumbers before a real D435: every method against lengths read off a ruler and a grid.
 
-    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--calibration FILE]
+    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--input-size 640]
+        [--calibration FILE]
 
 FOLDER holds `beside_ruler/`, `on_grid/` and `intrinsics.json`. 26 colour pictures show 28 marked
 fruit; `real_cucumbers.json` holds what was marked in them, twice, without depth and before anything
@@ -42,6 +43,7 @@ from rich.table import Table
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Flag, Method
+from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -177,16 +179,14 @@ def depth_scale(capture: Capture, truths: list[Truth], covered: NDArray[np.bool_
     return float(np.median(ratio[np.abs(ratio - 1) < 0.06]))
 
 
-def compare(
-    folder: Path, segmenter: str | None, calibration: Path | None = None
-) -> tuple[list[Compared], int]:
+def compare(folder: Path, options: MeasureOptions) -> tuple[list[Compared], int]:
     """Measure all captures; return the marked fruit, and how many others were found."""
     camera = json.loads((folder / "intrinsics.json").read_text())
     matrix = np.array(
         [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1.0]]
     )
     truths, compared, others = read_truth(matrix), [], 0
-    measurer = Measurer(MeasureOptions(segmenter=segmenter, calibration=calibration))
+    measurer = Measurer(options)
     reading = ReadOptions(intrinsics=folder / "intrinsics.json")
     for capture in read_captures([folder / place for place in PLACES], reading):
         if isinstance(capture, Failure):
@@ -339,8 +339,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--segmenter", help="as `measure --segmenter`")
     parser.add_argument("--calibration", type=Path, help="as `measure --calibration`")
+    parser.add_argument("--input-size", default="", help="as `measure --input-size`")
     given = parser.parse_args()
-    compared, others = compare(given.folder, given.segmenter, given.calibration)
+    options = MeasureOptions(
+        segmenter=given.segmenter,
+        calibration=given.calibration,
+        input_sizes=parse_input_sizes(given.input_size),
+    )
+    compared, others = compare(given.folder, options)
     console = Console(width=170, highlight=False)
     console.print(fruit_table(compared))
     console.print(methods_table(compared))

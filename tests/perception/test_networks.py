@@ -163,11 +163,11 @@ def test_a_detectors_file_takes_the_second_look_where_it_is_asked_for() -> None:
     assert loader.yolo(file, second_look=True).crops is not None
 
 
-def test_the_shipped_detector_takes_the_looks_that_the_documentation_names() -> None:
-    # It once lost the second look, as an export without sizes replaced it, and no test noticed.
+def test_the_shipped_detector_runs_at_the_sizes_that_the_documentation_names() -> None:
+    # An export without sizes once replaced it, and no test noticed.
     detector = NetworkLoader().yolo("cucumber-seg")
     assert detector.looks == len(DETECTOR_SIZES_PX) == 2
     page = Path(__file__).parents[2].joinpath("docs/models.md").read_text(encoding="utf-8")
     first, second = DETECTOR_SIZES_PX
-    assert f"at the picture at {first} pixels, and at its mirror image at {second} pixels" in page
+    assert f"on the picture at {first} pixels, and on its mirror image at {second} pixels" in page
     assert f"writes {first},{second} for a detector" in page

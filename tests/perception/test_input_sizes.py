@@ -21,10 +21,11 @@ def test_the_confidence_is_the_mean_over_the_sizes_and_the_box_the_weighted_mean
     assert one.input_size_px == 640
 
 
-def test_mask_and_size_are_those_of_the_first_size_that_finds_it() -> None:
-    (both,) = merge_sizes([[find(0, 0.2, 640)], [find(0, 0.9, 896)]])
+def test_the_mask_is_that_of_the_first_size_that_is_half_as_sure_as_the_best() -> None:
+    (both,) = merge_sizes([[find(0, 0.45, 640)], [find(0, 0.9, 896)]])
+    (weak,) = merge_sizes([[find(0, 0.44, 640)], [find(0, 0.9, 896)]])
     (large,) = merge_sizes([[], [find(0, 0.9, 896)]])
-    assert (both.input_size_px, large.input_size_px) == (640, 896)
+    assert [one.input_size_px for one in (both, weak, large)] == [640, 896, 896]
 
 
 def test_boxes_that_agree_less_and_other_classes_stay_apart() -> None:

@@ -62,6 +62,8 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
 SAME_IOU = 0.5
 """IoU above which two boxes are the same detection."""
 
+_TRUSTED = 0.5  # of the best confidence, from which a size gives the mask
+
 
 def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     """Merge a network's detections at several input sizes, best first.
@@ -78,8 +80,9 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     -------
     tuple of Instance
         Boxes of one class that overlap by an IoU of more than 0.5 are merged: the box is the mean
-        weighted by confidence, everything else is from the first size that finds it. Boxes that
-        overlap less are merged by their masks, as at one size (`merge_instances`).
+        weighted by confidence, everything else is from the first size that gives it at least half
+        of the best confidence. Boxes that overlap less are merged by their masks, as at one size
+        (`merge_instances`).
 
     Examples
     --------
@@ -111,4 +114,5 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
 def _mean_find(finds: Mapping[int, Instance], sizes: int) -> Instance:
     confidences = [one.confidence for one in finds.values()]
     box = np.average([one.box for one in finds.values()], axis=0, weights=confidences)
-    return replace(finds[min(finds)], box=box, confidence=sum(confidences) / sizes)
+    sure = [size for size, one in finds.items() if one.confidence >= _TRUSTED * max(confidences)]
+    return replace(finds[min(sure)], box=box, confidence=sum(confidences) / sizes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.boxes import box_ious
-from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.instances import TRUSTED_SHARE, Instance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -62,8 +62,6 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
 SAME_IOU = 0.5
 """IoU above which two boxes are the same detection."""
 
-_TRUSTED = 0.5  # of the best confidence, from which a size gives the mask
-
 
 def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     """Merge a network's detections at several input sizes, best first.
@@ -114,5 +112,6 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
 def _mean_find(finds: Mapping[int, Instance], sizes: int) -> Instance:
     confidences = [one.confidence for one in finds.values()]
     box = np.average([one.box for one in finds.values()], axis=0, weights=confidences)
-    sure = [size for size, one in finds.items() if one.confidence >= _TRUSTED * max(confidences)]
+    least = TRUSTED_SHARE * max(confidences)
+    sure = [size for size, one in finds.items() if one.confidence >= least]
     return replace(finds[min(sure)], box=box, confidence=sum(confidences) / sizes)

@@ -157,10 +157,12 @@ def mirrored(instance: Instance, width: int) -> Instance:
     )
 
 
+TRUSTED_SHARE = 0.5
+"""Share of a fruit's best confidence from which another detection of it may give the mask."""
+
 _SAME_IOU = 0.5  # of two masks of one fruit
 _INSIDE = 0.8  # share of the smaller mask inside the larger one, for masks of one fruit
 _SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
-_TRUSTED = 0.5  # of the best confidence: least confidence for keeping the largest mask
 _MUCH_CUT = 0.3  # share of a mask lost to others from which its box is recomputed
 
 
@@ -358,7 +360,7 @@ def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
 def _kept(group: Sequence[_Region]) -> Instance:
     members = sorted(group, key=_best_first)
     best = members[0].instance.confidence
-    trusted = [one for one in members if one.instance.confidence >= _TRUSTED * best]
+    trusted = [one for one in members if one.instance.confidence >= TRUSTED_SHARE * best]
     kept = max(trusted, key=lambda one: one.area).instance
     posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
     if not posed:

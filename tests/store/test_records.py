@@ -11,7 +11,6 @@ from cucumbervision.measurement.result import Length
 from cucumbervision.store.records import (
     DetectionRecord,
     checked_key,
-    content_sha256,
     key_of,
     new_key,
     record_json,
@@ -42,11 +41,3 @@ def test_a_key_is_the_same_however_it_is_written() -> None:
 def test_only_finite_plain_numbers_are_stored(value: float) -> None:
     with pytest.raises(StoreError, match="cannot be stored"):
         record_json(DetectionRecord(1, length=Length(value)))
-
-
-def test_a_content_hash_tells_records_apart_to_the_last_digit() -> None:
-    one = DetectionRecord(1, length=Length(0.3))
-    assert content_sha256(one) == content_sha256(DetectionRecord(1, length=Length(0.3)))
-    assert content_sha256(one) != content_sha256(
-        DetectionRecord(1, length=Length(math.nextafter(0.3, 1)))
-    )

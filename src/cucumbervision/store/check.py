@@ -1,180 +1,36 @@
-"""Verify a store: the hashes of its rows, and its pictures.
+"""Verify a store: the hashes of its rows (`hashes.py`), and its pictures.
 
-A stop's hash is of all that was measured there and of where that was: its line, captures, fruit,
-masks, methods and artifacts, as the database gives them back. Rounds, corrections, links, the log,
-joint measurements and where merging put a stop have a hash a line. Changes by another program and
-bit flips on the disk are found by `check_store`, and before an export.
+Changes by another program and bit flips on the disk are found here, and before an export.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import bindparam, or_, select, update
+from sqlalchemy import or_, select
 
 from cucumbervision.errors import StoredImageError, StoreError
 from cucumbervision.store.cells import cells_of, columns_of, round_id_of
+from cucumbervision.store.hashes import HASHED_LINES, sha256_of, stop_hashes
 from cucumbervision.store.records import ImageRef
 from cucumbervision.store.schema import (
     IMAGE_COLUMNS,
-    ROUND_CELLS,
-    Action,
-    Artifact,
-    CaptureLine,
     DetectionLine,
     Image,
-    JointLine,
     LinkLine,
     Mark,
-    MaskLine,
-    MethodLine,
     RoundLine,
-    Row,
-    StopArtifact,
     StopLine,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from sqlalchemy import Connection
-
     from cucumbervision.store.engine import Database
 
 _AT_ONCE = 100  # stops whose lines are read together
-_NOT_HASHED = {"rows_sha256", "fitted_m", "fitted_sd_m", "sha256"}  # the last is of the others
-
-
-def sha256_of(*values: Any) -> str:
-    """Return the SHA-256 of values that are JSON or bytes, hexadecimal.
-
-    Examples
-    --------
-    >>> sha256_of("verdict", {"at_s": 1.5}) == sha256_of("verdict", {"at_s": 1.25})
-    False
-    """
-    text = json.dumps(values, sort_keys=True, ensure_ascii=False, default=bytes.hex)
-    return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
-
-
-def seal_stops(connection: Connection, which: Any) -> None:
-    """Update the hash of all lines of some stops; call it after every change of them.
-
-    Parameters
-    ----------
-    connection : Connection
-        In the transaction that changes them.
-    which : SQL expression
-        Which lines of `StopLine`.
-    """
-    ids = connection.execute(select(StopLine.id).where(which)).scalars().all()
-    for stop_id, sha256 in _hashes(connection, ids).items():
-        line = update(StopLine).where(StopLine.id == stop_id)
-        connection.execute(line.values(rows_sha256=sha256))
-
-
-def _hashes(connection: Connection, stop_ids: Sequence[int]) -> dict[int, str]:
-    """Return the hashes of all lines of stops, by the stops' numbers."""
-    found = {stop_id: hashlib.sha256() for stop_id in stop_ids}
-    for query in _lines_of(stop_ids):
-        for stop_id, *cells in cells_of(connection, query):
-            found[stop_id].update(sha256_of(*cells).encode())
-    return {stop_id: digest.hexdigest() for stop_id, digest in found.items()}
-
-
-def _lines_of(stop_ids: Sequence[int]) -> Iterator[Any]:
-    """Yield queries of all lines of stops, each line with its stop's number first."""
-    own = [one for one in StopLine.__table__.columns if one.name not in _NOT_HASHED]
-    query = select(StopLine.id, Row.name, *own).outerjoin(Row, Row.id == StopLine.row_id)
-    yield query.where(StopLine.id.in_(stop_ids))
-    query = select(StopArtifact.stop_id, StopArtifact.number, *Artifact.__table__.columns)
-    query = query.join(Artifact, Artifact.id == StopArtifact.artifact_id)
-    ordered = query.order_by(StopArtifact.stop_id, StopArtifact.number)
-    yield ordered.where(StopArtifact.stop_id.in_(stop_ids))
-    there, of = CaptureLine.stop_id.in_(stop_ids), CaptureLine.stop_id
-    yield select(of, *CaptureLine.__table__.columns).where(there).order_by(CaptureLine.id)
-    names = (CaptureLine.color_sha256, CaptureLine.depth_sha256, CaptureLine.thumbnail_sha256)
-    query = select(of, *IMAGE_COLUMNS).join(Image, or_(*(Image.sha256 == name for name in names)))
-    yield query.where(there).order_by(CaptureLine.id, Image.sha256)
-    in_capture = CaptureLine.id == DetectionLine.capture_id
-    query = select(of, *DetectionLine.__table__.columns).join(CaptureLine, in_capture)
-    yield query.where(there).order_by(DetectionLine.id)
-    for table in (MaskLine, MethodLine):
-        query = select(of, *table.__table__.columns)
-        query = query.join(DetectionLine, DetectionLine.id == table.fruit_id)
-        query = query.join(CaptureLine, in_capture).where(there)
-        yield query.order_by(*table.__table__.primary_key)
-
-
-# Of tables whose lines have a hash each: their name, and the columns that it is of.
-_HASHED: dict[Any, tuple[str, tuple[str, ...]]] = {
-    RoundLine: ("round", (*ROUND_CELLS, "deleted")),
-    StopLine: ("position of stop", ("key", "fitted_m", "fitted_sd_m")),
-    Mark: ("correction", ("fruit_id", "slot", "value", "details", "action_id", "ended_by_id")),
-    LinkLine: (
-        "link",
-        (
-            *("kind", "first_id", "second_id", "first_round_id", "second_round_id", "score"),
-            *("action_id", "ended_by_id"),
-        ),
-    ),
-    Action: (
-        "line of the log",
-        ("at_s", "by", "kind", "round_id", "fruit", "details", "undoes_id"),
-    ),
-    JointLine: (
-        "joint measurement",
-        ("key", "round_id", "first", "views", "reason", "record", "drawing"),
-    ),
-}
-
-
-def with_hash(table: Any, cells: dict[str, Any]) -> dict[str, Any]:
-    """Return the cells of a new line of a table whose lines have a hash each, with that hash."""
-    columns = columns_of(table, _HASHED[table][1])
-    said = [_as_stored(column, cells.get(column.name)) for column in columns]
-    return {**cells, "sha256": sha256_of(*said)}
-
-
-def _as_stored(column: Any, value: Any) -> Any:
-    """Return a cell's value as the database gives it back: 1 is 1.0 among floats."""
-    return float(value) if value is not None and column.type.python_type is float else value
-
-
-def change(connection: Connection, table: Any, which: Any, **values: Any) -> int:
-    """Change lines of a table whose lines have a hash each; return how many.
-
-    Parameters
-    ----------
-    connection : Connection
-        In a transaction.
-    table : type
-        The table.
-    which : SQL expression
-        Which of its lines; no other transaction changes them until this one ends.
-    **values
-        What they get.
-    """
-    names = _HASHED[table][1]
-    query = select(table.id, *columns_of(table, names)).where(which)
-    lines = cells_of(connection, query.with_for_update(key_share=True))
-    changed = [
-        {
-            "line": line,
-            "hash": with_hash(table, {**dict(zip(names, cells, strict=True)), **values})["sha256"],
-        }
-        for line, *cells in lines
-    ]
-    if changed:
-        one = update(table).where(table.id == bindparam("line"))
-        connection.execute(one.values(**values, sha256=bindparam("hash")), changed)
-    return len(changed)
 
 
 def refuse_changed(store: Database, round_key: str) -> None:
@@ -205,7 +61,7 @@ def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
     StoreError
         If the stored data cannot be read.
     """
-    found = []
+    faults = []
     with store.reading() as connection:
         number = None if round_key is None else round_id_of(connection, round_key)
         stops = select(StopLine.id, StopLine.key, StopLine.rows_sha256).order_by(StopLine.id)
@@ -213,19 +69,23 @@ def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
             stops = stops.where(StopLine.round_id == number)
         rows = cells_of(connection, stops)
         for first in range(0, len(rows), _AT_ONCE):
-            some = rows[first : first + _AT_ONCE]
-            now = _hashes(connection, [row[0] for row in some])
-            found += [f"stop {key} is not as it was saved" for i, key, was in some if now[i] != was]
-        for table, (what, names) in _HASHED.items():
+            chunk = rows[first : first + _AT_ONCE]
+            hashes = stop_hashes(connection, [row[0] for row in chunk])
+            faults += [
+                f"stop {key} is not as it was saved"
+                for stop_id, key, sha256 in chunk
+                if hashes[stop_id] != sha256
+            ]
+        for table, (noun, names) in HASHED_LINES.items():
             lines = select(table.id, table.sha256, *columns_of(table, names)).order_by(table.id)
             if number is not None and table is Mark:
                 lines = lines.join(DetectionLine, DetectionLine.id == Mark.fruit_id)
             if number is not None:
                 lines = lines.where(_in_round(table, number))
-            for line, was, *cells in cells_of(connection, lines):
-                if sha256_of(*cells) != was:
-                    found.append(f"{what} {line} is not as it was saved")
-    return found
+            for line, sha256, *cells in cells_of(connection, lines):
+                if sha256_of(*cells) != sha256:
+                    faults.append(f"{noun} {line} is not as it was saved")
+    return faults
 
 
 def _in_round(table: Any, number: int) -> Any:

@@ -15,8 +15,8 @@ from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import round_id_of, row_id_of
-from cucumbervision.store.check import change, seal_stops, with_hash
 from cucumbervision.store.engine import SIGNED_BY, Database
+from cucumbervision.store.hashes import change, seal_stops, with_hash
 from cucumbervision.store.links import LinkKind, group_detections
 from cucumbervision.store.queries import links_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 import uuid
@@ -437,15 +436,3 @@ def record_json(record: Any) -> dict[str, Any]:
             f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
         ) from None
     return values
-
-
-def content_sha256(record: Any) -> str:
-    """Return the SHA-256 of a record's content: equal records have equal hashes.
-
-    Examples
-    --------
-    >>> content_sha256(DetectionRecord(1)) == content_sha256(DetectionRecord(2))
-    False
-    """
-    text = json.dumps(record_json(record), sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()

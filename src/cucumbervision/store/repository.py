@@ -20,7 +20,6 @@ from cucumbervision.store.cells import (
     round_id_of,
     row_id_of,
 )
-from cucumbervision.store.check import change, seal_stops, with_hash
 from cucumbervision.store.corrections import (
     MEASURE_AGAIN,
     Corrections,
@@ -32,6 +31,7 @@ from cucumbervision.store.corrections import (
     original_name,
 )
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
+from cucumbervision.store.hashes import change, content_sha256, seal_stops, with_hash
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.queries import Queries
@@ -41,7 +41,6 @@ from cucumbervision.store.records import (
     Saved,
     StopRecord,
     checked_key,
-    content_sha256,
     key_of,
     new_key,
     record_json,

@@ -30,9 +30,9 @@ def test_size_and_fill(capture: Capture) -> None:
         ({"color": np.zeros((48, 64, 3), np.uint16)}, "colour is uint16"),
         ({"depth_m": np.zeros((48, 64))}, "depth is float64"),
         ({"depth_m": np.zeros((48, 64, 1), np.float32)}, "depth is float32 .48, 64, 1."),
-        ({"depth_m": np.zeros((48, 60), np.float32)}, "colour 64x48, depth 60x48, intrinsics"),
+        ({"depth_m": np.zeros((48, 60), np.float32)}, "colour 64x48, depth 60x48"),
         ({"masks": (np.zeros((24, 32), bool),)}, "mask 0 32x24"),
-        ({"intrinsics": Intrinsics(32, 24, 30, 30, 16, 12)}, "intrinsics 32x24"),
+        ({"intrinsics": Intrinsics(32, 24, 30, 30, 16, 12)}, "the intrinsics are for 32x24"),
     ],
 )
 def test_parts_that_disagree(capture: Capture, change: dict[str, Any], words: str) -> None:

@@ -3,7 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
+from cucumbervision.capture.intrinsics import (
+    Intrinsics,
+    Stream,
+    check_intrinsics,
+    is_off_centre,
+)
 from cucumbervision.errors import IntrinsicsError
 from cucumbervision.geometry.camera import Distortion
 
@@ -116,3 +121,44 @@ def test_projection_undoes_deprojection() -> None:
 def test_a_principal_point_outside_the_picture_is_refused(cx: float, cy: float) -> None:
     with pytest.raises(IntrinsicsError, match=r"^k\.json: the principal point .* outside"):
         check_intrinsics(Intrinsics(64, 48, 60.0, 60.0, cx, cy), 64, 48, source="k.json")
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        # The matrix of 1280x720: f is right for that size, so twice too large for 640x360.
+        ((640, 360), r"1280x720, 2 times as large as 640x360.*about -50 % wrong"),
+        # 1280/848 is 1.51, 720/480 is 1.5; 1 / 1.505 - 1.
+        ((848, 480), r"1\.5 times as large as 848x480.*about -34 % wrong"),
+        # 1280/1920, two thirds.
+        ((1920, 1080), r"0\.67 times as large as 1920x1080.*about \+50 % wrong"),
+    ],
+)
+def test_a_matrix_of_another_size_is_told_by_its_principal_point(
+    size: tuple[int, int], words: str
+) -> None:
+    edited = Intrinsics(*size, 910.0, 910.0, 640.0, 360.0)
+    with pytest.raises(IntrinsicsError, match=rf"k\.json: the principal point .*{words}"):
+        check_intrinsics(edited, *size, source="k.json")
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        # As calibrated: D435, D415, Kinect v1, Azure Kinect, an iPhone.
+        Intrinsics(1280, 720, 927.2, 927.4, 651.3, 349.6),
+        Intrinsics(640, 480, 617.3, 617.0, 313.9, 238.1),
+        Intrinsics(640, 480, 525.0, 525.0, 318.6, 255.3),
+        Intrinsics(1920, 1080, 918.1, 917.9, 957.0, 552.1),
+        Intrinsics(1920, 1440, 1592.0, 1592.0, 952.4, 722.1),
+    ],
+)
+def test_calibrated_cameras_are_not_doubted(camera: Intrinsics) -> None:
+    assert check_intrinsics(camera, *camera.size) is camera
+    assert not is_off_centre(camera)
+
+
+def test_a_cut_out_is_doubted_and_not_refused() -> None:
+    cut_out = Intrinsics(400, 300, 910.5, 909.8, 345.2, 96.1)
+    assert check_intrinsics(cut_out, 400, 300) is cut_out
+    assert is_off_centre(cut_out)

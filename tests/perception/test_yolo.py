@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.yolo import (
-    SIZES_KEY,
-    YoloDetector,
-    choose_raw,
-    choose_rows,
-)
+from cucumbervision.perception.yolo import SIZES_KEY, YoloDetector
 
 onnx = pytest.importorskip("onnx")
 
@@ -217,7 +212,7 @@ def test_confidence_is_the_users() -> None:
     [
         (network(np.zeros((1, 1000))), "its outputs are output0 1x1000"),
         (network(np.zeros((1, 6, 5)), props={"task": "obb"}), "its task is 'obb'"),
-        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is not a detect head"),
+        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is no detect head"),
         (network(np.zeros((1, 5, 84)), shape=(4, 3, 64, 64)), "it takes 4 pictures at once"),
         (network(np.zeros((1, 5, 84)), shape=(1, 1, 64, 64)), "its inputs are images 1x1x64x64"),
         (network(np.zeros((1, 5, 84)), props={"names": "__import__('os')"}), "its 'names' is"),
@@ -229,44 +224,45 @@ def test_other_networks_are_refused(graph: bytes, fault: str) -> None:
         YoloDetector(graph)
 
 
-def raw(*anchors: tuple[float, ...]) -> np.ndarray:
-    return np.array(anchors, np.float32).T
+# 64x64 pixels are 64 + 16 + 4 cells of strides 8, 16 and 32.
+def of_yolov5(box: list[float], objectness: float, score: float, *extras: float) -> np.ndarray:
+    """Lay one detection out as YOLOv5 does: three rows for each of 84 cells."""
+    rows = np.zeros((1, 3 * 84, 6 + len(extras)), np.float32)
+    rows[0, 100] = [*box, objectness, score, *extras]
+    return rows
 
 
-def test_rows_keep_their_order_and_exceed_the_confidence() -> None:
-    rows = np.array([[0, 0, 1, 1, s, 0, 7] for s in (0.5, 0.25, 0.75)], np.float32)
-    assert choose_rows(rows, 0.25)[:, 4].tolist() == [0.5, 0.75]
+@pytest.mark.parametrize("props", [{}, {"names": {0: "cucumber"}, "stride": 32}])
+def test_rows_of_yolov5_with_one_class_are_centres_and_objectness(props: dict[str, object]) -> None:
+    detector = YoloDetector(network(of_yolov5([24, 25, 32, 10], 0.8, 0.9), props=props))
+    (fruit,) = detector.detect(PICTURE)
+    assert fruit.confidence == pytest.approx(0.72)
+    assert fruit.box.tolist() == [7.5, 3.5, 39.5, 13.5]
 
 
-def test_centres_become_corners_and_extras_follow() -> None:
-    out = choose_raw(raw((10, 20, 4, 8, 0.5, -1, 3)), 1, 0.3, one_to_one=True)
-    assert out.tolist() == [[8, 16, 12, 24, 0.5, 0, -1, 3]]
+def test_rows_of_another_detector_are_refused_and_not_read_as_boxes() -> None:
+    # RT-DETR with two classes: centre and size as shares of the picture, and two scores.
+    rows = np.tile([0.4, 0.5, 0.5, 0.2, 0.05, 0.9], (1, 300, 1))
+    names = {"names": {0: "leaf", 1: "cucumber"}}
+    detector = YoloDetector(network(rows, props=names))
+    with pytest.raises(ModelError, match="its rows are not x1, y1, x2, y2, score, class"):
+        detector.detect(PICTURE)
+    with pytest.raises(ModelError, match="300x5 is no detect head of 1 classes"):
+        YoloDetector(network(rows[..., :5], props={"names": {0: "cucumber"}}))
 
 
-def test_one_to_one_is_sorted_and_never_suppressed() -> None:
-    out = choose_raw(raw((5, 5, 4, 4, 0.5), (5, 5, 4, 4, 0.75)), 1, 0.3, one_to_one=True)
-    assert out[:, 4].tolist() == [0.75, 0.5]
+@pytest.mark.parametrize("stride", [0, -32, 1.5, "'a'", 4096])
+def test_a_stride_that_is_none_is_refused(stride: object) -> None:
+    with pytest.raises(ModelError, match="its 'stride' is"):
+        YoloDetector(network(np.zeros((1, 6, 84)), props=CUCUMBER | {"stride": stride}))
 
 
-def test_one_to_one_anchor_may_answer_for_two_classes() -> None:
-    out = choose_raw(raw((5, 5, 4, 4, 0.5, 0.75)), 2, 0.3, one_to_one=True)
-    assert out[:, 4:6].tolist() == [[0.75, 1], [0.5, 0]]
-
-
-def test_one_to_one_takes_at_most_300() -> None:
-    anchors = [(5.0, 5.0, 4.0, 4.0, 0.4 + i * 1e-4) for i in range(400)]
-    out = choose_raw(raw(*anchors), 1, 0.3, one_to_one=True)
-    assert len(out) == 300
-    assert out[-1, 4] == pytest.approx(0.41)
-
-
-def test_one_to_many_suppresses_within_a_class_only() -> None:
-    same = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0.8, 0)), 2, 0.3, one_to_one=False)
-    other = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0, 0.8)), 2, 0.3, one_to_one=False)
-    assert (len(same), len(other)) == (1, 2)
-
-
-def test_nothing_above_the_confidence() -> None:
-    for one_to_one in (True, False):
-        out = choose_raw(raw((5, 5, 4, 4, 0.3, 1, 2)), 1, 0.3, one_to_one=one_to_one)
-        assert out.shape == (0, 8)
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_output_that_is_not_finite_is_refused(runtime: str, value: float) -> None:
+    pytest.importorskip(runtime)
+    rows = chosen([8, 20, 40, 30, 0.75, 0])
+    rows[0, 7, 2] = value
+    detector = YoloDetector(network(rows, props=CUCUMBER), runtime)
+    with pytest.raises(ModelError, match="numbers that are not finite"):
+        detector.detect(PICTURE)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.capsules import capsule_capture, lying
 
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CaptureError, InstancesError
-from cucumbervision.measurement.result import FruitMeasurement, LengthDefinition
+from cucumbervision.errors import CaptureError, DepthError, InstancesError, IntrinsicsError
+from cucumbervision.measurement.result import Flag, FruitMeasurement, LengthDefinition
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.results import measure
+
+CAMERA_1280 = Intrinsics(1280, 720, 924.0, 924.0, 639.5, 359.5)
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +92,47 @@ def test_what_is_missing_or_too_much_is_said(bench: Capture) -> None:
         measure(bench.color, bench.depth_m[:100], bench.intrinsics, masks=bench.masks)
     with pytest.raises(InstancesError, match="no pixel"):
         measure(bench.color, bench.depth_m, bench.intrinsics, masks=[0 * bench.masks[0]])
+
+
+def halved(capture: Capture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return capture.color[::2, ::2], capture.depth_m[::2, ::2], capture.masks[0][::2, ::2]
+
+
+def test_a_matrix_of_the_unscaled_picture_is_refused() -> None:
+    capture = capsule_capture(lying(0.16), camera=CAMERA_1280)
+    color, depth_m, mask = halved(capture)
+    matrix = CAMERA_1280.matrix
+    with pytest.raises(IntrinsicsError, match=r"2 times as large as 640x360.*-50 % wrong"):
+        measure(color, depth_m, matrix, masks=[mask])
+    matrix[:2] /= 2
+    (fruit,) = measure(color, depth_m, matrix, masks=[mask]).fruit
+    assert fruit.length is not None
+    assert fruit.length.value_m == pytest.approx(0.16, abs=0.002)
+
+
+def test_a_cut_out_with_the_matrix_of_the_whole_is_doubted() -> None:
+    capture = capsule_capture(lying(0.16, tilt_deg=35))
+    part = slice(80, 280), slice(160, 560)
+    color, depth_m, mask = (
+        array[part] for array in (capture.color, capture.depth_m, capture.masks[0])
+    )
+    matrix = capture.intrinsics.matrix
+    (fruit,) = measure(color, depth_m, matrix, masks=[mask]).fruit
+    assert Flag.PRINCIPAL_POINT in fruit.flags
+
+
+@pytest.mark.parametrize(
+    ("depth", "words"),
+    [
+        (lambda depth_m: np.rint(depth_m * 255).astype(np.uint8), "depth has 8 bits"),
+        (lambda depth_m: depth_m * 1000, "declared in metres, but 100 %.*0.001 m"),
+        (lambda depth_m: depth_m > 0.5, "depth has 8 bits .bool"),
+        (lambda depth_m: np.rint(depth_m).astype(np.uint16), "declared in millimetres, but"),
+    ],
+)
+def test_depth_that_is_no_metres_is_refused(
+    depth: Callable[[np.ndarray], np.ndarray], words: str
+) -> None:
+    capture = capsule_capture(lying(0.16, distance_m=0.9), wall_m=1.4)
+    with pytest.raises(DepthError, match=words):
+        measure(capture.color, depth(capture.depth_m), capture.intrinsics, masks=capture.masks)

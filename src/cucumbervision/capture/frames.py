@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
 from cucumbervision.capture.motion import moved_px, still_px
 from cucumbervision.errors import CaptureError, DepthError
 
@@ -16,13 +18,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision.capture.intrinsics import Intrinsics
-
 DEPTH_MIN_M = 0.1
 
 DEPTH_MAX_M = 5.0
 
 _STRIP_ROWS = 64
+
+
+class Doubt(StrEnum):
+    """What makes the data of a capture doubtful; a flag of every fruit in it has the same name."""
+
+    PRINCIPAL_POINT = "principal-point"
+    DEPTH_RESAMPLED = "depth-resampled"
 
 
 @dataclass(frozen=True)
@@ -71,11 +78,15 @@ class Capture:
         What else the source says: camera name, serial number, software.
     gravity : tuple of float, optional
         Direction of gravity in camera coordinates, where the camera's pose is known.
+    doubts : tuple of Doubt
+        What its reader found doubtful.
 
     Raises
     ------
     CaptureError
-        If sizes of colour, depth, masks and intrinsics differ, or a dtype is wrong.
+        If sizes of colour, depth and masks differ, or a dtype is wrong.
+    IntrinsicsError
+        If the intrinsics belong to another stream or size of picture.
 
     Examples
     --------
@@ -105,6 +116,7 @@ class Capture:
     source: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     gravity: tuple[float, float, float] | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Capture {self.name}: {self.width}x{self.height}>"
@@ -125,7 +137,6 @@ class Capture:
         sizes = {
             "colour": self.color.shape[:2],
             "depth": self.depth_m.shape,
-            "intrinsics": (self.intrinsics.height, self.intrinsics.width),
             **{f"mask {i}": m.shape for i, m in enumerate(self.masks)},
         }
         if len(set(sizes.values())) > 1:
@@ -133,8 +144,11 @@ class Capture:
             raise CaptureError(
                 f"sizes differ: {text}",
                 source=self.source or self.name,
-                remedy="align depth to colour and give the colour intrinsics at that size",
+                remedy="align depth to colour, and give masks of the picture's own size",
             )
+        check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
+        if is_off_centre(self.intrinsics) and Doubt.PRINCIPAL_POINT not in self.doubts:
+            object.__setattr__(self, "doubts", (*self.doubts, Doubt.PRINCIPAL_POINT))
 
     @classmethod
     def from_arrays(
@@ -143,7 +157,7 @@ class Capture:
         depth: NDArray[Any],
         intrinsics: Intrinsics | ArrayLike,
         *,
-        depth_unit_m: float = 0.001,
+        depth_unit_m: float | None = None,
         name: str = "arrays",
     ) -> Self:
         """Return a capture of arrays as other programs have them.
@@ -153,19 +167,23 @@ class Capture:
         color : ndarray of uint8, shape (H, W, 3)
             RGB.
         depth : ndarray, shape (H, W)
-            Aligned to colour: floating point is metres, with NaN where there is no reading; whole
-            numbers are multiples of `depth_unit_m`.
+            Aligned to colour, one value a pixel, with 0 or NaN where there is no reading.
         intrinsics : Intrinsics or array_like, shape (3, 3)
             The colour camera's, or its matrix in pixels.
-        depth_unit_m : float
-            Metres of one step of whole numbers.
+        depth_unit_m : float, optional
+            Metres of one step of depth; by default 0.001 for whole numbers and 1 for floating
+            point.
         name : str
             What it is called.
 
         Raises
         ------
-        CaptureError, IntrinsicsError
-            If the arrays do not fit each other, or the matrix is none of a camera.
+        CaptureError
+            If the arrays do not fit each other.
+        DepthError
+            If depth has 8 bits, or its unit is not the declared one.
+        IntrinsicsError
+            If the matrix is none of a camera, or belongs to another size of picture.
 
         Examples
         --------
@@ -175,14 +193,13 @@ class Capture:
         >>> float(capture.depth_m[0, 0]), capture.intrinsics.fx_px
         (0.5, 60.0)
         """
-        from cucumbervision.capture.intrinsics import Intrinsics
+        from cucumbervision.capture.depth import depth_to_metres
 
-        scale = 1.0 if np.issubdtype(depth.dtype, np.floating) else depth_unit_m
-        depth_m = np.nan_to_num(depth * np.float32(scale), nan=0.0, posinf=0.0, neginf=0.0)
+        depth_m = depth_to_metres(np.asarray(depth), depth_unit_m, source=name)
         if not isinstance(intrinsics, Intrinsics):
             height, width = color.shape[:2]
             intrinsics = Intrinsics.from_matrix(intrinsics, width, height)
-        return cls(np.ascontiguousarray(color), depth_m.astype(np.float32), intrinsics, name)
+        return cls(np.ascontiguousarray(color), depth_m, intrinsics, name)
 
     @property
     def width(self) -> int:

@@ -6,6 +6,7 @@ RealSense SDK; a box's edges lie half a pixel outside its outermost pixel centre
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,10 @@ _SQUARE = 1.5  # maximum ratio of the focal lengths
 _CURVED = 1e3  # maximum distortion coefficient
 _MOST_PX = 1e9  # maximum of a camera matrix
 _WIDEST = 20.0  # maximum tangent of a pixel's viewing angle
+# A principal point that lies off the middle by the same factor in both directions, within
+# `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
+_SAME_FACTOR, _CENTRED = 0.06, 0.09
+_OFF_CENTRE = 0.06  # share of the picture's size
 
 
 class Stream(StrEnum):
@@ -226,7 +231,8 @@ def check_intrinsics(
 
     Depth aligned to colour needs the intrinsics of the colour camera. Those of another stream or
     size scale every length; the error message states by how much for a fruit across the view:
-    f_right / f_wrong - 1. The check uses stream and size, not the value of the focal length.
+    f_right / f_wrong - 1. The check uses stream, size and the principal point, which tells the size
+    of picture that a matrix belongs to; not the value of the focal length.
 
     Parameters
     ----------
@@ -277,13 +283,7 @@ def check_intrinsics(
             source=source,
             remedy=f"give the colour stream's intrinsics at {width}x{height}",
         )
-    if not (0 <= given.cx_px <= width and 0 <= given.cy_px <= height):
-        raise IntrinsicsError(
-            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is outside the picture of "
-            f"{width}x{height}",
-            source=source,
-            remedy="give cx and cy in pixels of this picture",
-        )
+    _check_principal_point(given, source)
     with np.errstate(all="ignore"):
         corners = given.rays(
             np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height])
@@ -295,6 +295,47 @@ def check_intrinsics(
             remedy="give k1, k2, p1, p2, k3 of this camera",
         )
     return given
+
+
+def _check_principal_point(given: Intrinsics, source: object) -> None:
+    """Refuse a principal point that no camera's picture has, or that fits another picture size."""
+    width, height = given.size
+    across, down = 2 * given.cx_px / width, 2 * given.cy_px / height
+    factor = math.sqrt(max(across * down, 0.0))
+    is_scaled = min(across, down) > 0 and abs(across - down) <= _SAME_FACTOR * factor
+    if is_scaled and abs(factor - 1) > _CENTRED:
+        size = f"{width * factor:.0f}x{height * factor:.0f}"
+        raise IntrinsicsError(
+            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is the middle of a picture "
+            f"of about {size}, {factor:.2g} times as large as {width}x{height}: lengths would come "
+            f"out about {100 * (1 / factor - 1):+.0f} % wrong",
+            source=source,
+            remedy=f"divide fx, fy, cx, cy by {factor:.2g}, or give the calibration of this size",
+        )
+    if not (0 <= given.cx_px <= width and 0 <= given.cy_px <= height):
+        raise IntrinsicsError(
+            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is outside the picture of "
+            f"{width}x{height}",
+            source=source,
+            remedy="give cx and cy in pixels of this picture",
+        )
+
+
+def is_off_centre(intrinsics: Intrinsics) -> bool:
+    """Return whether the principal point lies where cameras do not have it, but a cut-out may.
+
+    Real colour cameras have it within 4 % of the picture's size from the middle. A picture that
+    was cut out of a larger one may have it anywhere; so does a matrix of another picture.
+
+    Examples
+    --------
+    >>> is_off_centre(Intrinsics(1280, 720, 910.2, 910.4, 642.8, 358.5))
+    False
+    >>> is_off_centre(Intrinsics(1280, 720, 910.2, 910.4, 900.0, 358.5))
+    True
+    """
+    across, down = intrinsics.cx_px / intrinsics.width, intrinsics.cy_px / intrinsics.height
+    return max(abs(across - 0.5), abs(down - 0.5)) > _OFF_CENTRE
 
 
 def _wrong_by(given: Intrinsics, right_px: float | None, about: str = "") -> str:

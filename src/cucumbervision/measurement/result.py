@@ -121,6 +121,8 @@ class Flag(StrEnum):
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
     DEPTH_UNIT = "depth-unit"
+    PRINCIPAL_POINT = "principal-point"
+    DEPTH_RESAMPLED = "depth-resampled"
     DOUBTFUL = "doubtful"
 
 
@@ -141,6 +143,8 @@ _FLAG_WORDS = {
     Flag.OTHER_MASK: "the site's calibration was made with other outlines",
     Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
     Flag.DEPTH_UNIT: "too large: check the depth's unit",
+    Flag.PRINCIPAL_POINT: "check the camera's intrinsics",
+    Flag.DEPTH_RESAMPLED: "depth is coarser than colour",
     Flag.DOUBTFUL: "added by hand, and may be no fruit",
 }
 

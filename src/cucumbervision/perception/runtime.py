@@ -102,7 +102,8 @@ class Network:
         Raises
         ------
         ModelError
-            If an input is missing or unknown, or the network cannot take the shapes.
+            If an input is missing or unknown, the network cannot take the shapes, or an output is
+            not finite.
         """
         if set(feeds) != {i.name for i in self.inputs}:
             raise ModelError(
@@ -122,6 +123,13 @@ class Network:
                 source=self.source,
                 remedy="give pictures of the size that it was exported for",
             ) from error
+        for info, array in zip(self.outputs, outputs, strict=True):
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise ModelError(
+                    f"the network's output {info.name!r} has numbers that are not finite",
+                    source=self.source,
+                    remedy="export it again; half precision may overflow",
+                )
         return {
             info.name: array.astype(np.float32) if array.dtype == np.float16 else array
             for info, array in zip(self.outputs, outputs, strict=True)

@@ -11,12 +11,18 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.geometry.threads import OneThread
-from cucumbervision.perception.boxes import suppress
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
 from cucumbervision.perception.instances import Instance, mirrored
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.yolo_rows import (
+    RowKind,
+    choose_raw,
+    choose_rows,
+    raw_of,
+    row_kind,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,6 +50,7 @@ _TASKS = ("detect", "segment", "pose")
 _REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
 _DEFAULT_SIZE_PX = 640
 _DEFAULT_STRIDE_PX = 32
+_LARGEST_STRIDE_PX = 1024
 
 
 @dataclass(frozen=True)
@@ -98,32 +105,37 @@ class YoloLayout:
     by_place: bool
     source: str
 
-    def raw_classes(self, shape: tuple[int, ...]) -> int | None:
-        """Return how many classes a raw output has, or None where the output is end-to-end.
+    def rows_of(
+        self, shape: tuple[int, ...], input_px: tuple[int, int] | None = None
+    ) -> tuple[RowKind, int]:
+        """Return how an output's detections are written, and how many classes they have.
 
         Parameters
         ----------
         shape : tuple of int
             Shape of the detections without the batch: (a, b).
+        input_px : tuple of int, optional
+            Height and width of the input that gave them; `size_px` if not given.
 
         Raises
         ------
         ModelError
-            If the shape fits neither layout.
+            If the shape fits no layout that is read.
         """
-        channels, last = shape
-        classes = len(self.names) or channels - 4 - self.extra
-        raw = classes > 0 and channels == 4 + classes + self.extra
-        chosen = last == 6 + self.extra
-        if chosen and (self.end_to_end or not raw or not self.names):
-            return None
-        if raw:
-            return classes
+        kind = row_kind(
+            shape,
+            classes=len(self.names),
+            extra=self.extra,
+            input_px=input_px or self.size_px,
+            end_to_end=self.end_to_end,
+        )
+        if kind is not None:
+            return kind
         raise ModelError(
-            f"the output {channels}x{last} is not a {self.task} head of {len(self.names)} classes "
-            f"({6 + self.extra} columns or {4 + classes + self.extra} rows)",
+            f"the output {shape[0]}x{shape[1]} is no {self.task} head of {len(self.names)} classes",
             source=self.source,
-            remedy=_REMEDY,
+            remedy="export it with Ultralytics, or from YOLOv5 or YOLOv7, without changes; other "
+            "detectors take part from Python, as a function that returns instances",
         )
 
 
@@ -164,7 +176,7 @@ def _read_layout(network: Network) -> YoloLayout:
         size_px=size,
         sizes_px=_own_sizes(data, source),
         free_size=free_size,
-        stride_px=int(_literal(data, "stride", _DEFAULT_STRIDE_PX, source)),
+        stride_px=_stride(data, source),
         extra=int(prototypes[0].shape[1] or 32) if prototypes else keypoints[0] * keypoints[1],
         keypoints=keypoints,
         end_to_end=bool(
@@ -177,7 +189,7 @@ def _read_layout(network: Network) -> YoloLayout:
     )
     _, channels, last = rows[0].shape
     if channels is not None and last is not None:
-        layout.raw_classes((channels, last))
+        layout.rows_of((channels, last))
     return layout
 
 
@@ -231,98 +243,29 @@ def _pair(
     return value[0], value[1]
 
 
+def _stride(data: Mapping[str, str], source: str) -> int:
+    value = _literal(data, "stride", _DEFAULT_STRIDE_PX, source)
+    if not isinstance(value, int | float) or not 1 <= value <= _LARGEST_STRIDE_PX or value % 1:
+        raise _bad_metadata(data, "stride", source)
+    return int(value)
+
+
 def _names(data: Mapping[str, str], source: str) -> dict[int, str]:
     value = _literal(data, "names", {}, source)
     if isinstance(value, (list, tuple)):
         return {i: str(name) for i, name in enumerate(value)}
     if not isinstance(value, dict):
         raise _bad_metadata(data, "names", source)
-    return {int(i): str(name) for i, name in value.items()}
+    try:
+        return {int(i): str(name) for i, name in value.items()}
+    except (TypeError, ValueError, OverflowError) as error:
+        raise _bad_metadata(data, "names", source) from error
 
 
 def _bad_metadata(data: Mapping[str, str], key: str, source: str) -> ModelError:
     return ModelError(
         f"its {key!r} is {data.get(key, 'missing')[:60]!r}", source=source, remedy="export it again"
     )
-
-
-_MAX_DETECTIONS = 300
-
-_NMS_IOU = 0.7
-
-
-def choose_rows(output: NDArray[np.floating], confidence: float) -> NDArray[np.float32]:
-    """Take the rows of an end-to-end output whose score exceeds the confidence.
-
-    Parameters
-    ----------
-    output : ndarray, shape (rows, 6 + extra)
-        x1, y1, x2, y2, score, class, extras.
-    confidence : float
-        0 to 1.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, 6 + extra)
-
-    Examples
-    --------
-    >>> choose_rows(np.array([[0, 0, 4, 4, 0.9, 0], [0, 0, 4, 4, 0.3, 0]]), 0.3).shape
-    (1, 6)
-    """
-    return np.asarray(output[output[:, 4] > confidence], np.float32)
-
-
-def choose_raw(
-    output: NDArray[np.floating], classes: int, confidence: float, *, one_to_one: bool
-) -> NDArray[np.float32]:
-    """Select the detections of a raw output.
-
-    Parameters
-    ----------
-    output : ndarray, shape (4 + classes + extra, N)
-        Centre x, centre y, width, height, scores, extras.
-    classes : int
-        How many classes.
-    confidence : float
-        0 to 1; a score must exceed it.
-    one_to_one : bool
-        True keeps the best 300 (`Detect.get_topk_index`); False suppresses overlaps within a class
-        (`non_max_suppression`, IoU 0.7).
-
-    Returns
-    -------
-    ndarray of float32, shape (M, 6 + extra)
-        x1, y1, x2, y2, score, class, extras; best first.
-
-    Examples
-    --------
-    >>> raw = np.array([[5.0, 5.1], [5, 5], [4, 4], [2, 2], [0.75, 0.5]])
-    >>> choose_raw(raw, 1, 0.3, one_to_one=False).tolist()
-    [[3.0, 4.0, 7.0, 6.0, 0.75, 0.0]]
-    >>> len(choose_raw(raw, 1, 0.3, one_to_one=True))
-    2
-    """
-    anchors = np.asarray(output[:, output[4 : 4 + classes].max(axis=0) > confidence].T, np.float32)
-    boxes, scores, extras = np.split(anchors, [4, 4 + classes], axis=1)
-    half = boxes[:, 2:] / 2
-    boxes = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
-    if one_to_one:
-        best = _descending(scores.max(axis=1))[:_MAX_DETECTIONS]
-        # As in Ultralytics, one anchor may give detections of several classes.
-        flat = _descending(scores[best].ravel())[:_MAX_DETECTIONS]
-        index, labels = best[flat // classes], flat % classes
-    else:
-        labels = scores.argmax(axis=1)
-        index = suppress(boxes, scores.max(axis=1), labels, _NMS_IOU)[:_MAX_DETECTIONS]
-        labels = labels[index]
-    score = scores[index, labels]
-    rows = np.column_stack([boxes[index], score, labels, extras[index]]).astype(np.float32)
-    return rows[score > confidence]
-
-
-def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
-    return np.argsort(-values, kind="stable")
 
 
 _KEYPOINTS = 5
@@ -502,11 +445,13 @@ class YoloDetector:
         box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
         outputs = self._network.run({layout.input_name: box.as_input(color_rgb)})
         output = outputs[layout.rows_name][0]
-        classes = layout.raw_classes(output.shape)
+        kind, classes = layout.rows_of(output.shape, (box.input_height, box.input_width))
         rows = (
-            choose_rows(output, confidence)
-            if classes is None
-            else choose_raw(output, classes, confidence, one_to_one=layout.one_to_one)
+            choose_rows(output, confidence, source=layout.source)
+            if kind is RowKind.FINAL
+            else choose_raw(
+                raw_of(output, kind, classes), classes, confidence, one_to_one=layout.one_to_one
+            )
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
         found = self._instances(rows[: self._most], prototypes, box)

@@ -358,7 +358,8 @@ class Measurer:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
         models = () if self._finder is None else self._finder.models_of(found.stages)
-        doubted = with_unit_doubts(fruit)
+        doubts = [Flag(doubt) for doubt in capture.doubts]
+        doubted = tuple(one.flagged(*doubts) for one in with_unit_doubts(fruit))
         return CaptureResult(capture, doubted, tuple(refused), None, found.stages, models)
 
     def measure_instance(

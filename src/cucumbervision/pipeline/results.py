@@ -87,7 +87,7 @@ def measure(
     *,
     masks: Iterable[NDArray[Any]] | None = None,
     instances: str | Path | Sequence[Instance] | Detector | None = None,
-    depth_unit_m: float = 0.001,
+    depth_unit_m: float | None = None,
     options: MeasureOptions | None = None,
     **choices: Any,
 ) -> Results:

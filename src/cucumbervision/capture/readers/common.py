@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
 
-_MIDDLE = 0.3  # minimum relative position of the principal point
+_MIDDLE = 0.4  # minimum relative position of the principal point of a matrix without a size
 
 
 def choose_intrinsics(

@@ -74,13 +74,10 @@ def capsule_capture(
 def _depth_of(capsule: Capsule, rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return z of a capsule's first point on each ray, infinite where there is none."""
     first, second = np.array(capsule.first_m), np.array(capsule.second_m)
-    return np.minimum.reduce(
-        [
-            _cylinder(first, second, capsule.radius_m, rays),
-            _sphere(first, capsule.radius_m, rays),
-            _sphere(second, capsule.radius_m, rays),
-        ]
+    ends = np.minimum(
+        _sphere(first, capsule.radius_m, rays), _sphere(second, capsule.radius_m, rays)
     )
+    return np.minimum(_cylinder(first, second, capsule.radius_m, rays), ends)
 
 
 def _sphere(
@@ -107,7 +104,9 @@ def _cylinder(
     return np.where(inside, depth, np.inf)
 
 
-def _nearer_root(a: NDArray[np.float64], b: NDArray[np.float64], c: float) -> NDArray[np.float64]:
+def _nearer_root(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: float | NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the smaller root of a z² - 2 b z + c, infinite where there is none."""
     inside = b**2 - a * c
     return np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0.0))) / a, np.inf)

@@ -166,18 +166,19 @@ class AccessError(CucumberVisionError):
 
 
 class MissingExtraError(CucumberVisionError):
-    """A feature needs an optional extra that is not installed.
+    """A feature needs a package that is not installed: of an optional extra, or any other.
 
     Examples
     --------
     >>> print(MissingExtraError("pyrealsense2", "camera"))
     pyrealsense2 is not installed; pip install 'cucumbervision[camera]'
+    >>> print(MissingExtraError("pandas"))
+    pandas is not installed; pip install pandas
     """
 
-    def __init__(self, package: str, extra: str) -> None:
-        super().__init__(
-            f"{package} is not installed", remedy=f"pip install 'cucumbervision[{extra}]'"
-        )
+    def __init__(self, package: str, extra: str = "") -> None:
+        wanted = f"'cucumbervision[{extra}]'" if extra else package
+        super().__init__(f"{package} is not installed", remedy=f"pip install {wanted}")
 
     def at(self, source: object) -> Self:  # noqa: ARG002 - no file is at fault
         """Return the error itself."""

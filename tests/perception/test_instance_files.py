@@ -142,8 +142,11 @@ def test_a_polygons_pixels_are_the_same_anywhere_in_the_picture(left: int, top: 
 
 def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
     file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
-    for name in ("row1/a.png", "a.png", "other/a.jpg", "a"):
+    for name in ("row1/a.png", "a.png", "row1/a.jpg", "a"):
         assert len(file.for_capture([name], WIDTH, HEIGHT).instances) == 1
+    # Another row's picture of the same name is not the one that was labelled.
+    assert file.for_capture(["other/a.png"], WIDTH, HEIGHT).instances == ()
+    assert file.for_capture(["a", "walk/other/a.png"], WIDTH, HEIGHT).instances == ()
     # Its image id is no running number: the seventh capture of a folder is another picture.
     assert file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances == ()
 
@@ -260,7 +263,10 @@ def test_yolo_labels_folder_and_single_file(tmp_path: Path) -> None:
 def test_yolo_polygon_and_pose(tmp_path: Path) -> None:
     points = " ".join(f"{0.1 * i:.1f} 0.5 {i % 3}" for i in range(5))
     folder = yolo(
-        tmp_path / "l", "a.v1.txt", "0 0.1 0.1 0.3 0.1 0.3 0.3 0.1 0.3", f"0 .5 .5 .2 .4 {points}"
+        tmp_path / "l",
+        "a.v1.txt",
+        "0 0.1 0.1 0.2 0.1 0.3 0.1 0.3 0.3 0.1 0.3",
+        f"0 .5 .5 .2 .4 {points}",
     )
     outline, pose = get(folder, "a.v1").instances
     expected = np.zeros((HEIGHT, WIDTH), bool)
@@ -312,4 +318,48 @@ def test_same_name_twice_is_refused(tmp_path: Path) -> None:
     file = read_instances(path)
     assert len(file.for_capture(["x/a.png"], WIDTH, HEIGHT).instances) == 1
     with pytest.raises(InstancesError, match=r"names a\.png 2 times"):
-        file.for_capture(["z/a.png"], WIDTH, HEIGHT)
+        file.for_capture(["a.png"], WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "1f3a9c02-color_1.png",  # Label Studio
+        "images/1f3a9c02-color_1.png",
+        "/data/upload/3/1f3a9c02-color_1.png",
+        "color_1_png.rf.0f1e2d3c4b5a69788796a5b4c3d2e1f0.jpg",  # Roboflow
+        "train/images/color_1_jpg.rf.0f1e2d3c4b5a69788796a5b4c3d2e1f0.jpg",
+        "color%5F1.png",
+    ],
+)
+def test_what_label_tools_add_to_names_is_left_out(tmp_path: Path, label: str) -> None:
+    file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, file_name=label))
+    names = ["color_1", "/home/ana/walk/color_1.png"]
+    assert len(file.for_capture(names, WIDTH, HEIGHT).instances) == 1
+    assert file.for_capture(["color_11", "walk/color_11.png"], WIDTH, HEIGHT).instances == ()
+
+
+def test_sizes_written_as_text_are_numbers(tmp_path: Path) -> None:
+    path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, width="20", height="10.0")
+    assert len(get(path).instances) == 1
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [2, 1, 12, 1, 12, 4, 2, 4],
+        [2, 1, 12, 1, 12, 4, 2, 4, 2, 1],  # closed
+        [4, 1, 10, 3, 9, 6, 3, 4],  # turned
+    ],
+)
+def test_four_corners_of_a_rectangle_are_a_box(tmp_path: Path, corners: list[float]) -> None:
+    (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": [corners]})).instances
+    assert fruit.mask is None
+    xs, ys = corners[::2], corners[1::2]
+    assert fruit.box.tolist() == [min(xs) - 0.5, min(ys) - 0.5, max(xs) - 0.5, max(ys) - 0.5]
+
+
+def test_an_outline_with_a_fifth_corner_is_an_outline(tmp_path: Path) -> None:
+    outline = [2, 1, 12, 1, 13, 3, 12, 4, 2, 4]
+    (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": [outline]})).instances
+    assert fruit.mask is not None

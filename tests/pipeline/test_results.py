@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,6 +94,50 @@ def test_what_is_missing_or_too_much_is_said(bench: Capture) -> None:
         measure(bench.color, bench.depth_m[:100], bench.intrinsics, masks=bench.masks)
     with pytest.raises(InstancesError, match="no pixel"):
         measure(bench.color, bench.depth_m, bench.intrinsics, masks=[0 * bench.masks[0]])
+
+
+def test_masks_and_boxes_that_do_not_fit_are_named_and_the_others_measured() -> None:
+    capture = capsule_capture(lying(0.16))
+    mask = capture.masks[0]
+    good = Instance.of_mask(mask)
+    small = Instance.of_mask(mask[::2, ::2])
+    nowhere = replace(good, box=np.array([700.0, 10, 800, 40]))
+    unknown = replace(good, box=np.array([np.nan, 10, 800, 40]))
+    unsure = replace(good, confidence=np.nan)
+    found = measure(capture, instances=[small, nowhere, good, unknown, unsure])
+    assert values(found.fruit) == pytest.approx([0.16], abs=0.002)
+    told = [failure.message for failure in found.failures]
+    assert len(told) == 4
+    assert "instance 1: the mask is 320x180, the picture 640x360" in told[0]
+    assert "instance 2: the box [700, 10, 800, 40] has no area inside" in told[1]
+    assert "instance 4: the box [nan, 10, 800, 40] is not finite" in told[2]
+    assert "instance 5: the confidence is nan" in told[3]
+
+
+def test_a_box_beyond_the_picture_is_cut_and_flagged() -> None:
+    capture = capsule_capture(lying(0.16))
+    wide = replace(Instance.of_mask(capture.masks[0]), box=np.array([-40.0, 100, 400, 220]))
+    (fruit,) = measure(capture, instances=[wide]).fruit
+    assert fruit.instance.box.tolist() == [-0.5, 100, 400, 220]
+    assert Flag.BOX_CLIPPED in fruit.flags
+
+
+def test_classes_choose_what_is_measured() -> None:
+    capture = capsule_capture(lying(0.16, down_m=-0.05), lying(0.14, down_m=0.06))
+    pair = [Instance.of_mask(mask) for mask in capture.masks]
+    labelled = [replace(pair[0], class_name="Cucumber "), replace(pair[1], class_name="leaf")]
+    assert len(measure(capture, instances=labelled).fruit) == 2
+    results = measure(capture, instances=labelled, classes="cucumber")
+    assert values(results.fruit) == pytest.approx([0.16], abs=0.002)
+    assert results.captures[0].left_out == {"leaf": 1}
+
+
+def test_a_file_that_names_none_of_the_captures_is_a_failure(tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps([{"file_name": "other.png", "bbox": [1, 1, 5, 5]}]))
+    (failure,) = measure(capsule_capture(lying(0.16)), instances=path).failures
+    assert failure.error == "InstancesError"
+    assert "names none of the captures (capsules); it names other.png" in failure.message
 
 
 def halved(capture: Capture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

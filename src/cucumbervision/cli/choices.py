@@ -108,8 +108,19 @@ UpperEdge = Annotated[
 ]
 
 
+Classes = Annotated[
+    str,
+    typer.Option(
+        help="Classes to measure, separated by commas, as the file or network names them. "
+        "Default: all.",
+        metavar="NAME[,NAME]",
+    ),
+]
+
+
 def measure_options(
     instances: Instances = "auto",
+    classes: Classes = "",
     pose: PoseNetwork = None,
     methods: Methods = "",
     selector: SelectorRule = Selector.BEST,
@@ -135,6 +146,7 @@ def measure_options(
 
     options = MeasureOptions(
         instances=instances,
+        classes=classes,  # type: ignore[arg-type]  # it reads names
         pose=pose,
         segmenter=segmenter,
         methods=methods or "all",  # type: ignore[arg-type]  # it reads names

@@ -6,11 +6,13 @@ pixel is subtracted.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -108,7 +110,9 @@ def _coco_pictures(data: Any, path: Path) -> list[LabelledImage]:
     for image in data.get("images", []) if annotated else []:
         if not isinstance(image, dict) or "id" not in image:
             raise InstancesError("has an image without id", source=path, remedy="give COCO JSON")
-        size = (image["width"], image["height"]) if {"width", "height"} <= set(image) else None
+        size = None
+        if {"width", "height"} <= set(image):  # some tools write them as text
+            size = int(float(image["width"])), int(float(image["height"]))
         name, number = str(image.get("file_name", "")), image["id"]
         pictures[str(number)] = LabelledImage(name, _number(number), size, [])
     categories = data.get("categories", []) if annotated else []
@@ -288,7 +292,8 @@ class InstanceFile:
         ----------
         names : sequence of str
             Possible names of the picture: the capture's name, its colour file. Compared in full,
-            then without folder, then without folder and extension.
+            then without folder, without extension, and without what label tools add. A folder
+            that the file names must be one of the picture's own.
         width, height : int
             The picture's size in pixels.
         frame : int, optional
@@ -369,12 +374,17 @@ class InstanceFile:
         for short, called in self._by_name.items():
             # A capture's name may contain dots without having an extension.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
-            found = [picture for name in wanted for picture in called.get(name, ())]
-            if len(found) == 1:
-                return found[0]
-            if found:
+            matches = [
+                picture
+                for name in wanted
+                for picture in called.get(name, ())
+                if short is str or _in_folder(picture.name, names)
+            ]
+            if len(matches) == 1:
+                return matches[0]
+            if matches:
                 raise InstancesError(
-                    f"names {' or '.join(sorted(wanted))} {len(found)} times",
+                    f"names {' or '.join(sorted(wanted))} {len(matches)} times",
                     source=self.source,
                     remedy="give the pictures different names",
                 )
@@ -385,9 +395,9 @@ class InstanceFile:
 
     @cached_property
     def _by_name(self) -> dict[Callable[[str], str], dict[str, list[LabelledImage]]]:
-        """The pictures by their names in full, without folder, and without extension too."""
+        """The pictures by their names in full, and by these shortened more and more."""
         shortened: dict[Callable[[str], str], dict[str, list[LabelledImage]]] = {}
-        for short in (str, _file_name, _stem):
+        for short in (str, _file_name, _stem, _untagged):
             called = shortened[short] = defaultdict(list)
             for picture in self.pictures:
                 if picture.name:
@@ -407,6 +417,7 @@ def read_instances(path: Path | str) -> InstanceFile:
     Returns
     -------
     InstanceFile
+        An outline that is the four corners of a rectangle is a box without a mask.
 
     Raises
     ------
@@ -461,15 +472,13 @@ def _or_error(
 
 def _instance(record: LabelledInstance, width: int, height: int) -> tuple[Instance, bool]:
     scale = np.array([width, height] if record.normalised else [1, 1], np.float64)
-    mask = _mask(record, scale, width, height)
-    if record.box is not None:
-        box, clipped = _clip(record.box * np.tile(scale, 2), width, height)
-    elif mask is not None:
-        outline = [p * scale for p in record.polygons]
-        reach = np.concatenate(outline) if outline else np.zeros((1, 2))
-        box, clipped = box_of_mask(mask), bool(_beyond(reach, width, height).any())
+    polygons = [points * scale for points in record.polygons]
+    if len(polygons) == 1 and is_rectangle(polygons[0]):  # an oriented box is no outline
+        box, clipped = _clip(_around(polygons[0]), width, height)
+        mask = None
     else:
-        raise ValueError("has neither box nor mask")
+        mask = _mask(record, scale, width, height)
+        box, clipped = _box(record, polygons, mask, scale, width, height)
     keypoints = None
     if record.keypoints is not None:
         keypoints = record.keypoints.copy()
@@ -484,6 +493,51 @@ def _instance(record: LabelledInstance, width: int, height: int) -> tuple[Instan
         mask_source=None if mask is None else MaskSource.DATASET,
         keypoints=keypoints,
     ), clipped
+
+
+def _box(
+    record: LabelledInstance,
+    polygons: Sequence[NDArray[np.float64]],
+    mask: NDArray[np.bool_] | None,
+    scale: NDArray[np.float64],
+    width: int,
+    height: int,
+) -> tuple[NDArray[np.float64], bool]:
+    """Return an instance's box from the first pixel's centre, and whether it was clipped."""
+    if record.box is not None:
+        return _clip(record.box * np.tile(scale, 2), width, height)
+    if mask is None:
+        raise ValueError("has neither box nor mask")
+    corners = np.concatenate(polygons) if polygons else np.zeros((1, 2))
+    return box_of_mask(mask), bool(_beyond(corners, width, height).any())
+
+
+def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+
+_RIGHT_ANGLE = 0.05  # largest cosine of a rectangle's corner
+
+
+def is_rectangle(points: NDArray[np.float64]) -> bool:
+    """Return whether a polygon is the four corners of a rectangle, which box tools write.
+
+    Examples
+    --------
+    >>> is_rectangle(np.array([[0.0, 0], [6, 2], [5, 5], [-1, 3], [0, 0]]))
+    True
+    >>> is_rectangle(np.array([[0.0, 0], [6, 0], [7, 2], [6, 4], [0, 4]]))
+    False
+    """
+    corners = points[:-1] if len(points) == 5 and np.allclose(points[0], points[-1]) else points
+    if len(corners) != 4:
+        return False
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    if not (lengths > 0).all():
+        return False
+    cosines = (sides * np.roll(sides, -1, axis=0)).sum(axis=1) / (lengths * np.roll(lengths, -1))
+    return bool((np.abs(cosines) < _RIGHT_ANGLE).all())
 
 
 def _mask(
@@ -514,3 +568,45 @@ def _file_name(name: str) -> str:
 
 def _stem(name: str) -> str:
     return PurePosixPath(_file_name(name)).stem
+
+
+_TAGS = (
+    re.compile(r"^[0-9a-f]{8}-(?=.)"),  # Label Studio
+    re.compile(r"_(png|jpe?g|bmp|tiff?|webp)\.rf\.[0-9A-Za-z]{16,}$", re.IGNORECASE),  # Roboflow
+    re.compile(r"\.(png|jpe?g|bmp|tiff?|webp)$", re.IGNORECASE),  # Supervisely: color_1.png.json
+)
+# Folders of label tools and data sets, which are none of the capture's.
+_TOOL_FOLDERS = frozenset(
+    {
+        *("d", "data", "ds", "export", "image", "images", "img", "input", "label", "labels"),
+        *("local-files", "obj_train_data", "obj_valid_data", "test", "train", "upload", "val"),
+        "valid",
+    }
+)
+
+
+def _untagged(name: str) -> str:
+    """Return a name without folder, extension and what label tools add to it.
+
+    Examples
+    --------
+    >>> _untagged("images/1f3a9c02-color_1.png"), _untagged("color_1.png")
+    ('color_1', 'color_1')
+    >>> _untagged("color_1_png.rf.0f1e2d3c4b5a69788796a5b4c3d2e1f0.jpg")
+    'color_1'
+    """
+    plain = _stem(unquote(name))
+    for tag in _TAGS:
+        plain = tag.sub("", plain)
+    return plain
+
+
+def _in_folder(label: str, names: Sequence[str]) -> bool:
+    """Return whether the folder that a label names is one of the picture's own.
+
+    Folders of label tools, and numbers, say nothing; nor does a picture without a folder.
+    """
+    folders = PurePosixPath(label.replace("\\", "/")).parts[:-1]
+    telling = [f for f in folders if f.lower() not in _TOOL_FOLDERS and not f.isdecimal()]
+    parts = {part for name in names for part in PurePosixPath(name.replace("\\", "/")).parts[:-1]}
+    return not telling or not parts or telling[-1] in parts

@@ -128,6 +128,48 @@ class Instance:
         return cls(box_of_mask(pixels), mask=pixels, mask_source=source)
 
 
+def in_picture(instance: Instance, width: int, height: int) -> Instance:
+    """Return an instance with its box cut to the picture.
+
+    Raises
+    ------
+    InstancesError
+        If a mask has another size, the box is not finite, has no area or lies outside, or the
+        confidence is not between 0 and 1.
+
+    Examples
+    --------
+    >>> in_picture(Instance(np.array([0.0, 0.0, np.nan, 8.0])), 64, 48)
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.InstancesError: the box [0, 0, nan, 8] is not finite; ...
+    """
+    for mask in (instance.mask, instance.detector_mask):
+        if mask is not None and mask.shape != (height, width):
+            raise InstancesError(
+                f"the mask is {mask.shape[1]}x{mask.shape[0]}, the picture {width}x{height}",
+                remedy="give masks of the picture's own size",
+            )
+    box = np.asarray(instance.box, np.float64)
+    text = ", ".join(f"{edge:g}" for edge in box.ravel())
+    if box.shape != (4,) or not np.isfinite(box).all():
+        raise InstancesError(
+            f"the box [{text}] is not finite", remedy="give x1, y1, x2, y2 in pixels"
+        )
+    low, high = np.maximum(box[:2], -0.5), np.minimum(box[2:], (width - 0.5, height - 0.5))
+    if (high <= low).any():
+        raise InstancesError(
+            f"the box [{text}] has no area inside the picture of {width}x{height}",
+            remedy="give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower "
+            "right",
+        )
+    if not 0 <= instance.confidence <= 1:
+        raise InstancesError(
+            f"the confidence is {instance.confidence:g}", remedy="give a number from 0 to 1"
+        )
+    return replace(instance, box=np.concatenate([low, high]))
+
+
 def mirrored(instance: Instance, width: int) -> Instance:
     """Return an instance with left and right swapped, as in the mirror image of its picture.
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.m6 import fits_well, measure_m6
 from cucumbervision.measurement.result import Selector
-from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
+from cucumbervision.perception.instances import (
+    Instance,
+    MaskSource,
+    in_picture,
+    with_keypoints,
+)
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import box_of_mask, without_flower
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
@@ -46,6 +54,8 @@ class Found:
         Whether a pose network looked for keypoints.
     tubes : tuple of Measurement or None
         M6 of each instance's mask, where it was measured to judge the mask; empty if none was.
+    left_out : mapping of str to int
+        How many were left out by class, since another one was asked for.
     """
 
     instances: tuple[Instance, ...]
@@ -55,6 +65,24 @@ class Found:
     labels: tuple[str, ...] = ()
     posed: bool = False
     tubes: tuple[Measurement | None, ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    def of_classes(self, classes: Collection[str]) -> Found:
+        """Return the same with the instances of some classes alone; with all if there are none."""
+        if not classes:
+            return self
+        chosen = [k for k, one in enumerate(self.instances) if _class_of(one) in classes]
+        others = [one for one in self.instances if _class_of(one) not in classes]
+        return replace(
+            self,
+            instances=tuple(self.instances[k] for k in chosen),
+            clipped=frozenset(n for n, k in enumerate(chosen) if k in self.clipped),
+            left_out=Counter(one.class_name for one in others),
+        )
+
+
+def _class_of(instance: Instance) -> str:
+    return instance.class_name.strip().casefold()
 
 
 Find: TypeAlias = Callable[["Capture"], Found]
@@ -142,7 +170,7 @@ def make_finder(
     boxes = _box_finder(options, networks) if detector is None else _found_by(detector)
 
     def find(capture: Capture) -> Found:
-        found = boxes(capture)
+        found = boxes(capture).of_classes(options.classes)
         if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
             found = _with_fitting_masks(capture, found)
         # Masks that were given are used as they are unless a segmenter was asked for.
@@ -224,8 +252,26 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
+_ROUNDING_PX = 0.51  # boxes that are counted from the picture's corner reach half a pixel beyond
+
+
 def _found_by(detector: Detector) -> Find:
-    return lambda capture: Found(tuple(detector(capture)))
+    def find(capture: Capture) -> Found:
+        instances: list[Instance] = []
+        clipped: set[int] = set()
+        refused: list[CucumberVisionError] = []
+        for number, instance in enumerate(detector(capture), 1):
+            try:
+                inside = in_picture(instance, capture.width, capture.height)
+            except InstancesError as error:
+                refused.append(error.at(f"{capture.source or capture.name}, instance {number}"))
+                continue
+            if np.abs(inside.box - instance.box).max() > _ROUNDING_PX:
+                clipped.add(len(instances))
+            instances.append(inside)
+        return Found(tuple(instances), frozenset(clipped), tuple(refused))
+
+    return find
 
 
 def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
@@ -310,6 +356,46 @@ def _file_finder(path: Path) -> Find:
         return Found(given.instances, cut, given.refused, (Stage.LISTED,))
 
     return find
+
+
+def instance_notes(
+    instances: str, captures: Sequence[tuple[Sequence[str], int | None]]
+) -> list[str]:
+    """Return which captures and which pictures of a file of instances have no counterpart.
+
+    Parameters
+    ----------
+    instances : str
+        As `MeasureOptions.instances`; there are no notes where it is no file of instances.
+    captures : sequence of (sequence of str, int or None)
+        Names and number of each capture, as `InstanceFile.for_capture` takes them.
+
+    Raises
+    ------
+    InstancesError
+        If the file names none of the captures.
+    """
+    from cucumbervision.perception.instance_files import read_instances
+
+    path = Path(instances)
+    if instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
+        return []
+    missing, unused = read_instances(path).coverage(captures)
+    if missing and len(missing) == len(captures):
+        raise InstancesError(
+            f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
+            source=path,
+            remedy="name its pictures as the captures are called",
+        )
+    notes = [f"{path}: no fruit given for {', '.join(missing)}"] if missing else []
+    if unused and captures:
+        notes.append(f"{path}: no capture is called {', '.join(unused)}")
+    return notes
+
+
+def _shortened(names: Sequence[str], most: int = 5) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
 
 
 def _dataset_or_error(capture: Capture) -> Found:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -38,7 +38,7 @@ from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.pipeline.stages import StageHashes
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Mapping
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
@@ -175,6 +175,8 @@ class CaptureResult:
         What the fruit went through.
     models : tuple of dict
         Name, SHA-256 and runtime of each network that took part.
+    left_out : mapping of str to int
+        How many detections were left out by class, since another one was asked for.
     """
 
     capture: Capture
@@ -183,6 +185,7 @@ class CaptureResult:
     error: CucumberVisionError | None = None
     stages: tuple[Stage, ...] = ()
     models: tuple[dict[str, Any], ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
@@ -360,7 +363,9 @@ class Measurer:
         models = () if self._finder is None else self._finder.models_of(found.stages)
         doubts = [Flag(doubt) for doubt in capture.doubts]
         doubted = tuple(one.flagged(*doubts) for one in with_unit_doubts(fruit))
-        return CaptureResult(capture, doubted, tuple(refused), None, found.stages, models)
+        return CaptureResult(
+            capture, doubted, tuple(refused), None, found.stages, models, found.left_out
+        )
 
     def measure_instance(
         self, capture: Capture, instance: Instance, tube: Measurement | None = None

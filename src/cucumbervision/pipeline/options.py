@@ -48,6 +48,9 @@ class MeasureOptions:
         'auto' (the data set's own masks where a capture has them, the models otherwise),
         'models', 'dataset', or the path of a file: COCO JSON, YOLO txt (or a folder of them),
         or a YOLO ONNX export.
+    classes : tuple of str
+        The classes to measure, as the file or network names them, in any case; also as one text,
+        'cucumber,gherkin'. All if empty.
     pose : Path, optional
         A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
         package's own gives them to fruit of the package's own detector only.
@@ -94,6 +97,7 @@ class MeasureOptions:
     """
 
     instances: str = "auto"
+    classes: tuple[str, ...] = ()
     pose: Path | None = None
     keypoints: bool = True
     segmenter: str | None = None
@@ -122,11 +126,15 @@ class MeasureOptions:
         """
         for name, kind in (("length", LengthDefinition), ("selector", Selector)):
             object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
+        classes: Any = self.classes
+        names = classes.split(",") if isinstance(classes, str) else classes
+        wanted = tuple(name.strip().casefold() for name in names if name.strip())
+        object.__setattr__(self, "classes", wanted)
         given: Any = self.methods  # people write names, or 'all', or one text such as 'm1,m5'
         given = given.split(",") if isinstance(given, str) else given
-        names = {str(one).strip().upper() for one in given}
-        methods = (_choice("methods", one, Method) for one in sorted(names))
-        chosen = AVAILABLE if names == {"ALL"} else tuple(methods)
+        methods = {str(name).strip().upper() for name in given}
+        listed = (_choice("methods", name, Method) for name in sorted(methods))
+        chosen = AVAILABLE if methods == {"ALL"} else tuple(listed)
         object.__setattr__(self, "methods", chosen)
         named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
         if self.camera_up is not None:

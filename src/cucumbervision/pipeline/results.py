@@ -15,8 +15,9 @@ from cucumbervision.errors import CaptureError, MissingExtraError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.finders import instance_notes
 from cucumbervision.pipeline.inputs import Listed, list_captures
-from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ class Results:
         try:
             import pandas as pd
         except ModuleNotFoundError:
-            raise MissingExtraError("pandas", "dashboard") from None
+            raise MissingExtraError("pandas") from None
         return pd.DataFrame(self.rows(), columns=[one.name for one in FIELDS])
 
     def __iter__(self) -> Iterator[CaptureResult]:
@@ -164,7 +165,13 @@ def measure(
 
     done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
     results = [one.value for one in done if one.value is not None and one.value.error is None]
-    return Results(tuple(results), tuple(failure for one in done for failure in one.failures))
+    failures = [failure for outcome in done for failure in outcome.failures]
+    chosen = measurer.options.instances
+    names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
+    if detector is None:
+        with Boundary(failures, chosen):
+            instance_notes(chosen, names)
+    return Results(tuple(results), tuple(failures))
 
 
 def _always(instances: Sequence[Instance]) -> Detector:

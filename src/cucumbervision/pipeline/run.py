@@ -15,8 +15,7 @@ import numpy as np
 
 from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
 from cucumbervision.capture.urls import as_path
-from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.perception.instance_files import read_instances
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.batch import (
     Item,
     LoopOptions,
@@ -25,6 +24,7 @@ from cucumbervision.pipeline.batch import (
     Worker,
     measure_all,
 )
+from cucumbervision.pipeline.finders import instance_notes
 from cucumbervision.pipeline.folder import Journal, JournalRecord, OutputFolder, place_of
 from cucumbervision.pipeline.inputs import Listed, distinct, each_once, list_captures
 from cucumbervision.pipeline.measurer import (
@@ -34,7 +34,6 @@ from cucumbervision.pipeline.measurer import (
     Measurer,
     exit_code,
 )
-from cucumbervision.pipeline.options import INSTANCE_SOURCES
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import (
     capture_json,
@@ -333,8 +332,8 @@ class _Run:
         with Boundary(result.failures, str(self.out.path)):
             self.journal.flush()
         with Boundary(result.failures, options.instances):
-            self._note_instances(options.instances)
-        result.notes += result.summary.unit_hints()
+            result.notes += instance_notes(options.instances, self.seen)
+        result.notes += result.summary.doubts()
         about = provenance_of(options, result.summary.models, site, self.started)
         about["notes"] = result.notes
         result.failures += write_reports(
@@ -375,7 +374,7 @@ class _Run:
                 self.journal.append(record)
             record = record if len(failures) == noted else None
         if record is not None:
-            self.result.summary.add(record.rows, record.models)
+            self.result.summary.add(record.rows, record.models, record.capture.get("left_out"))
             self.order.append(bytes.fromhex(record.place))
             capture = record.capture
             names = (str(capture["name"]), str(capture.get("source") or ""))
@@ -383,27 +382,5 @@ class _Run:
         self.result.failures += failures
         return Step(name, record, before, tuple(failures))
 
-    def _note_instances(self, instances: str) -> None:
-        """Note which captures and which pictures of a file of instances have no counterpart."""
-        path = Path(instances)
-        if instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
-            return
-        missing, unused = read_instances(path).coverage(self.seen)
-        if missing and len(missing) == len(self.seen):
-            raise InstancesError(
-                f"names none of the captures ({_some(missing)}); it names {_some(unused)}",
-                source=path,
-                remedy="name its pictures as the captures are called",
-            )
-        if missing:
-            self.result.notes.append(f"{path}: no fruit given for {', '.join(missing)}")
-        if unused and self.seen:
-            self.result.notes.append(f"{path}: no capture is called {', '.join(unused)}")
-
     def _records(self) -> Iterator[JournalRecord]:
         return self.journal.records(place.hex() for place in self.order)
-
-
-def _some(names: Sequence[str], most: int = 5) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"

@@ -107,7 +107,7 @@ class StageHashes:
         site = options.calibration and _path_sha256(options.calibration)
         how = [list(options.methods), str(options.selector), str(options.length)]
         sizes = options.accepted_m, options.accepted_diameter_m
-        crop = *sizes, options.cut_beyond_m, options.camera_up
+        crop = *sizes, options.cut_beyond_m, options.camera_up, list(options.classes)
         table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
         return [__version__, how, site, options.reading.depth_unit_m, *crop, table]
 

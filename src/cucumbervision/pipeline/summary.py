@@ -21,6 +21,46 @@ _STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
 _USUAL_CM = (5.0, 50.0)
 
 
+# What a flag makes doubtful in a batch, and what to do.
+_DATA_DOUBTS = {
+    Flag.PRINCIPAL_POINT: (
+        "the intrinsics' principal point lies off the middle of the picture",
+        "check that they are of this size of picture",
+    ),
+    Flag.DEPTH_RESAMPLED: (
+        "depth has fewer pixels than colour and was enlarged",
+        "record depth aligned to colour at its size",
+    ),
+}
+
+
+def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
+    """Return what the data of a batch makes doubtful, a line a flag, with the remedy.
+
+    Parameters
+    ----------
+    flags : mapping of str to int
+        How many fruit have each flag.
+    fruit : int
+        How many there are.
+
+    Examples
+    --------
+    >>> data_doubts({"principal-point": 3, "ends-unsure": 2}, 4)[0]
+    "3 of 4 fruit: the intrinsics' principal point lies off the middle of the picture; check ..."
+    """
+    return [
+        f"{flags[flag]} of {fruit} fruit: {words}; {remedy}"
+        for flag, (words, remedy) in _DATA_DOUBTS.items()
+        if flags.get(flag)
+    ]
+
+
+def _by_class(counts: Mapping[str, int]) -> str:
+    named = ((name or "without a name", count) for name, count in counts.items())
+    return ", ".join(f"{count} of class {name}" for name, count in named)
+
+
 @dataclass
 class Summary:
     """Counts and lengths of a run; uses eight bytes per fruit.
@@ -37,6 +77,10 @@ class Summary:
         How many of these are too long or too thick.
     methods, masks : Counter
         Fruit by the method that was chosen, and by who drew the mask; '' for none.
+    labels, left_out : Counter
+        Fruit by class, and detections of classes that were not asked for.
+    flags : Counter
+        Fruit by flag.
     simulated : bool
         Whether drawn captures are among them.
     models : list of dict
@@ -58,6 +102,9 @@ class Summary:
     too_large: int = 0
     methods: Counter[str] = field(default_factory=Counter)
     masks: Counter[str] = field(default_factory=Counter)
+    labels: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+    flags: Counter[str] = field(default_factory=Counter)
     simulated: bool = False
     models: list[dict[str, Any]] = field(default_factory=list)
 
@@ -67,10 +114,14 @@ class Summary:
         return len(self.lengths_cm)
 
     def add(
-        self, rows: Iterable[Mapping[str, Cell]], models: Iterable[dict[str, Any]] = ()
+        self,
+        rows: Iterable[Mapping[str, Cell]],
+        models: Iterable[dict[str, Any]] = (),
+        left_out: Mapping[str, int] | None = None,
     ) -> None:
         """Count a capture."""
         self.captures += 1
+        self.left_out.update(left_out or {})
         for row in rows:
             self.fruit += 1
             if row["length_cm"] is not None:
@@ -83,8 +134,30 @@ class Summary:
                 read = [row[f"{method.lower()}_cm"] for method in reversed(Method)]
                 self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
+            self.labels[str(row.get("label") or "")] += 1
+            self.flags.update(str(row.get("flags") or "").split())
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
+
+    def doubts(self) -> list[str]:
+        """Return what the data makes doubtful, a line each with the remedy."""
+        return [*self.unit_hints(), *self._class_notes(), *data_doubts(self.flags, self.fruit)]
+
+    def _class_notes(self) -> list[str]:
+        """Return which classes were measured and left out, where there are several.
+
+        Examples
+        --------
+        >>> Summary(labels=Counter(cucumber=2, leaf=1))._class_notes()
+        ['measured as fruit: 2 of class cucumber, 1 of class leaf; --classes chooses among them']
+        """
+        notes = []
+        if len(self.labels) > 1:
+            remedy = "--classes chooses among them"
+            notes.append(f"measured as fruit: {_by_class(self.labels)}; {remedy}")
+        if self.left_out:
+            notes.append(f"left out: {_by_class(self.left_out)}")
+        return notes
 
     def unit_hints(self) -> list[str]:
         """Return likely explanations if all sizes are impossible, or half too large.

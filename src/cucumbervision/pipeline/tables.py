@@ -257,6 +257,7 @@ def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> d
         "intrinsics": {"stream": "", **json_value(vars(capture.intrinsics))},
         "provenance": json_value(dict(capture.provenance)),
         "fill": round(capture.fill, 4),
+        "left_out": dict(result.left_out),
         "fruit": [
             {
                 **row,

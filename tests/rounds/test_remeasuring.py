@@ -147,3 +147,38 @@ def test_a_round_is_measured_again_from_what_it_keeps(store: Store, folder: Path
     # The depth that is kept is rounded to a fraction of a millimetre.
     assert chords_m(store) == pytest.approx(before, rel=2e-3)
     assert np.isfinite([one.along_m for one in now.values()]).all()  # type: ignore[arg-type]
+
+
+def stem_heights_m(store: Store) -> list[float]:
+    """How far below the blossom end each fruit's stem end lies, in order along the row."""
+    fruit = (one.record for one in fruit_of(store).values())
+    return [(one.stem_y_m or 0.0) - (one.blossom_y_m or 0.0) for one in fruit]
+
+
+def test_which_way_is_down_stays_known_when_a_stop_is_measured_again(
+    store: Store, folder: Path
+) -> None:
+    """The pictures are turned: what lies lower in them hung higher."""
+    path = folder / "capture.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"gravity": [0.0, -0.98, 0.199]}))
+    [done] = add_captures(store, MORNING, [folder], OPTIONS)
+    before = stem_heights_m(store)
+    assert len(before) == 3
+    assert min(before) > 0.1
+    assert store.stop(done.stop_key).captures[0].gravity == (0.0, -0.98, 0.199)
+    assert measure_round_again(store, MORNING, OPTIONS) == (1, [])
+    assert stem_heights_m(store) == pytest.approx(before, abs=0.01)
+    # How the camera was held is only a default: the capture's own gravity stands.
+    measure_round_again(store, MORNING, replace(OPTIONS, camera_up="top"))
+    assert stem_heights_m(store) == pytest.approx(before, abs=0.01)
+    assert check_store(store).sound
+
+
+def test_how_the_camera_was_held_can_be_said_anew(store: Store, folder: Path) -> None:
+    [done] = add_captures(store, MORNING, [folder], replace(OPTIONS, camera_up="bottom"))
+    assert min(stem_heights_m(store)) > 0.1
+    measure_round_again(store, MORNING, OPTIONS)
+    assert min(stem_heights_m(store)) > 0.1
+    measure_round_again(store, MORNING, replace(OPTIONS, camera_up="top"))
+    assert max(stem_heights_m(store)) < -0.1
+    assert store.stop(done.stop_key).captures[0].gravity == (0.0, 1.0, 0.0)

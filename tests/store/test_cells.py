@@ -4,13 +4,16 @@ import math
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.errors import StoreError
+from cucumbervision.measurement.result import IntervalBasis, Length, LengthDefinition
 from cucumbervision.store import queries
 from cucumbervision.store.cells import detection_from_json, pack_um, points, unpack_um
+from cucumbervision.store.check import changed_lines
 from cucumbervision.store.records import DetectionRecord, JointRecord, key_of, record_json
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
@@ -74,6 +77,21 @@ def test_a_defect_of_ours_is_not_called_damage(
 def test_a_fruit_comes_back_from_json() -> None:
     fruit = DetectionRecord(3, keypoints=((1.5, 2.5, 0.25),), mask="123", flags="end-hidden")
     assert detection_from_json(record_json(fruit)) == fruit
+
+
+def test_a_captures_gravity_and_a_raw_lengths_interval_come_back(
+    store: Store, make_stop: MakeStop
+) -> None:
+    centreline, own = LengthDefinition.CENTRELINE, IntervalBasis.OWN_TRUTH
+    raw = Length(0.25, centreline, 0.24, 0.27, centreline, IntervalBasis.SIMULATED)
+    fruit = DetectionRecord(1, length=Length(0.26, centreline, 0.25, 0.27, centreline, own))
+    stop = make_stop()
+    [capture] = stop.captures
+    turned = replace(capture, gravity=(0.0, 0.6, 0.8), fruit=(replace(fruit, raw_length=raw),))
+    store.save_stop(replace(stop, captures=(turned,)))
+    [read] = store.stop(stop.key).captures
+    assert read == turned
+    assert changed_lines(store) == []
 
 
 def test_paths_keep_whole_micrometres() -> None:

@@ -7,6 +7,7 @@ import math
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 
@@ -15,7 +16,7 @@ import pytest
 from cucumbervision.measurement.result import Length
 from cucumbervision.store.check import changed_lines
 from cucumbervision.store.hashes import content_sha256
-from cucumbervision.store.records import DetectionRecord
+from cucumbervision.store.records import DetectionRecord, new_key
 from cucumbervision.store.repository import open_store
 
 STORE = Path(__file__).parent / "stores" / "house-9771f34.db.gz"
@@ -78,6 +79,21 @@ def test_a_store_of_an_earlier_version_is_sound(database: Path) -> None:
     with open_store(database) as store:
         assert len(store.rounds()) == 2
         assert changed_lines(store) == []
+
+
+def test_an_earlier_store_takes_what_captures_have_gained(database: Path) -> None:
+    with open_store(database) as store:
+        old = store.stop(store.stops(store.rounds()[0].key)[0].key)
+        [capture] = old.captures
+        assert (capture.gravity, capture.fruit[0].raw_length) == (None, None)
+        turned = replace(capture, name="turned", gravity=(0.0, 0.6, 0.8))
+        new = replace(old, key=new_key(), captures=(turned,))
+        store.save_stop(new)
+        assert store.stop(new.key).captures[0].gravity == (0.0, 0.6, 0.8)
+        assert changed_lines(store) == []
+    execute(database, "UPDATE captures SET gravity = '[0.0, 1.0, 0.0]' WHERE name = 'turned'")
+    with open_store(database) as store:
+        assert len(changed_lines(store)) == 1
 
 
 def test_a_change_of_an_earlier_store_is_found(database: Path) -> None:

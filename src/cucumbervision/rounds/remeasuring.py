@@ -23,6 +23,7 @@ from cucumbervision.pipeline.batch import (
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
+from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
 from cucumbervision.rounds.poses import placed_fruit, placed_stop, stored_pose
 from cucumbervision.rounds.stop_records import (
     fruit_record,
@@ -85,7 +86,8 @@ def measure_round_again(
                 yield Failure.of(error, key, name)
                 continue
             for one in stop.captures:
-                ref = CaptureRef(one.name, one.frame or 0, partial(_as_read, store, one, stop))
+                load = partial(_as_read, store, one, stop, options)
+                ref = CaptureRef(one.name, one.frame or 0, load)
                 yield Listed(key, ref, one.name)
 
     measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.stop)
@@ -102,9 +104,13 @@ def measure_round_again(
     return done, failures
 
 
-def _as_read(store: Store, record: CaptureRecord, stop: StopRecord) -> Capture:
+def _as_read(
+    store: Store, record: CaptureRecord, stop: StopRecord, options: MeasureOptions
+) -> Capture:
     """Return a stored capture as it was before a calibration, with the data set's own masks."""
     capture = stored_capture(store.images, record, stop)
+    if options.camera_up is not None and capture.gravity in GRAVITY_BY_EDGE.values():
+        capture = replace(capture, gravity=None)  # an option's, which is named anew
     for one in stop.artifacts:
         if one.kind == "calibration":
             site = SiteCalibration.model_validate(dict(one.details))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import si_values
+from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
 from cucumbervision.pipeline.stages import Stage
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (
@@ -52,7 +53,10 @@ _QUALITY_FLAGS = frozenset(
         *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
     }
 )
-AS_READ = ("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source")
+AS_READ = (
+    *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
+    "gravity",
+)
 _STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
@@ -142,7 +146,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
             source=record.name,
             remedy="measure the capture again",
         )
-    return Capture(
+    capture = Capture(
         images.read_color(record.color),
         images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
         CameraModel.model_validate(dict(record.camera)).intrinsics,
@@ -150,6 +154,14 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         provenance=dict[str, Any](record.provenance),
         **{name: getattr(record, name) for name in AS_READ},
     )
+    # Stores of 0.1.0 kept how the camera was held, and not the direction that follows from it.
+    return capture if capture.gravity else replace(capture, gravity=_gravity_by_option(stop))
+
+
+def _gravity_by_option(stop: StopRecord) -> tuple[float, float, float] | None:
+    """Return the direction of gravity that the options of a stop named; None without one."""
+    options = next((one.details for one in stop.artifacts if one.kind == "config"), {})
+    return GRAVITY_BY_EDGE.get(str(options.get("camera_up")))
 
 
 def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:

@@ -319,6 +319,8 @@ class CaptureRecord:
         Its pictures in the `ImageStore`.
     depth_unit_m : float, optional
         Metres of one step of the depth picture.
+    gravity : tuple of float, optional
+        Direction of gravity in camera coordinates that it was measured with.
     fruit : tuple of DetectionRecord
         Its fruit, each number once.
     """
@@ -336,6 +338,7 @@ class CaptureRecord:
     camera: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     depth_unit_m: float | None = None
+    gravity: tuple[float, float, float] | None = None
     color: ImageRef | None = None
     depth: ImageRef | None = None
     thumbnail: ImageRef | None = None

@@ -179,6 +179,7 @@ class CaptureLine(Base):
     name: Mapped[str]
     simulated: Mapped[bool]
     camera: Mapped[dict[str, Any]]
+    gravity: Mapped[list[Any] | None] = mapped_column(JsonList(none_as_null=True))
     color_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     depth_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     thumbnail_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
@@ -207,6 +208,10 @@ class DetectionLine(Base):
     interval_basis: Mapped[str | None]
     raw_length_m: Mapped[float | None]
     raw_length_kind: Mapped[str | None]
+    raw_interval_low_m: Mapped[float | None]
+    raw_interval_high_m: Mapped[float | None]
+    raw_interval_of: Mapped[str | None]
+    raw_interval_basis: Mapped[str | None]
 
 
 class MaskLine(Base):
@@ -338,7 +343,7 @@ LENGTH_CELLS = (
     *("length_m", "length_kind"),
     *("interval_low_m", "interval_high_m", "interval_of", "interval_basis"),
 )
-RAW_LENGTH_CELLS = ("raw_length_m", "raw_length_kind")
+RAW_LENGTH_CELLS = tuple(f"raw_{name}" for name in LENGTH_CELLS)
 DETECTION_CELLS = (
     *_lay_out(
         DetectionLine,

@@ -122,6 +122,7 @@ def _add_capture(connection: Connection, stop_id: int, number: int, capture: Cap
         **cells_by_name(capture, CAPTURE_CELLS),
         "camera": dict(capture.camera),
         "provenance": dict(capture.provenance),
+        "gravity": capture.gravity and list(capture.gravity),
         **{f"{name}_sha256": ref and ref.sha256 for name, ref in refs.items()},
         "stop_id": stop_id,
         "number": number,
@@ -230,14 +231,23 @@ def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, .
     of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
     images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
     return tuple(
-        record_of(
-            CaptureRecord,
-            *row[4:],
-            *(images.get(sha256) for sha256 in row[1:4]),
+        _capture_of(
+            dict(zip(CAPTURE_CELLS, row[4:], strict=True)),
+            [images.get(sha256) for sha256 in row[1:4]],
             tuple(detections.get(row[0], ())),
         )
         for row in rows
     )
+
+
+def _capture_of(
+    cells: dict[str, Any],
+    pictures: Sequence[ImageRef | None],
+    fruit: tuple[DetectionRecord, ...],
+) -> CaptureRecord:
+    color, depth, thumbnail = pictures
+    cells = {**cells, "gravity": cells["gravity"] and tuple(cells["gravity"])}
+    return CaptureRecord(**cells, color=color, depth=depth, thumbnail=thumbnail, fruit=fruit)
 
 
 def _records_of(connection: Connection, stop_id: int) -> dict[int, list[DetectionRecord]]:

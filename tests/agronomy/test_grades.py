@@ -6,16 +6,24 @@ import numpy as np
 import pytest
 
 from cucumbervision.agronomy.grades import (
-    OUT_OF_GRADE,
     GradeStatus,
     GradingTraits,
     grade,
     share_below,
 )
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision.measurement.result import (
+    LOWER_BOUND,
+    Flag,
+    Length,
+    LengthDefinition,
+    LengthKind,
+)
 
 LONG = load_profile("long-cucumber")
+ALL = ("too short", "II", "I", "too long")
+PART = "undecided (only part of it is seen)"
+NO_TUBE = "undecided (no centreline length)"
 STRICT = LONG.model_copy(update={"size_rules": "decide"})
 # 400 g at 960 kg/m3, straight, as long as the weight asks for.
 SOUND = GradingTraits(
@@ -37,12 +45,12 @@ def sure(centreline_m: float, half: float) -> GradingTraits:
 @pytest.mark.parametrize(
     ("centreline_m", "name", "said"),
     [
-        (0.1999, OUT_OF_GRADE, "centreline length 20.0 cm is under 20"),
+        (0.1999, "too short", "centreline length 20.0 cm is under 20"),
         (0.20, "II", "class II: centreline length 20.0 cm is in [20, 25)"),
         (0.2499, "II", "class II: centreline length 25.0 cm is in [20, 25)"),
         (0.25, "I", "class I: centreline length 25.0 cm is in [25, 35)"),
         (0.3499, "I", "class I"),
-        (0.35, OUT_OF_GRADE, "too long: centreline length 35.0 cm is 35 or more"),
+        (0.35, "too long", "too long: centreline length 35.0 cm is 35 or more"),
     ],
 )
 def test_classes_of_the_paper_hold_their_lower_end(
@@ -51,7 +59,8 @@ def test_classes_of_the_paper_hold_their_lower_end(
     found = grade(replace(SOUND, centreline_m=centreline_m), LONG)
     assert found.name == name
     assert said in found.rules[0]
-    assert found.verdict is (GradeStatus.OUT if name == OUT_OF_GRADE else GradeStatus.IN_CLASS)
+    outside = name.startswith("too")
+    assert found.verdict is (GradeStatus.NO_CLASS if outside else GradeStatus.IN_CLASS)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +89,7 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
 
 def test_light_fruit_is_in_no_class() -> None:
     found = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
-    assert (found.verdict, found.name) == (GradeStatus.OUT, OUT_OF_GRADE)
+    assert (found.verdict, found.name) == (GradeStatus.NO_CLASS, "no class")
     assert found.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
 
 
@@ -101,24 +110,104 @@ def test_heavy_fruit_must_be_long_for_class_one() -> None:
 
 def test_probabilities_come_from_the_interval() -> None:
     found = grade(sure(0.25, 0.02), LONG)
-    assert found.probabilities == pytest.approx({"I": 0.5, "II": 0.5, OUT_OF_GRADE: 0.0}, abs=1e-6)
-    assert found.verdict is GradeStatus.BORDERLINE
-    assert found.rules[0].startswith("borderline: ")
+    halves = {"I": 0.5, "II": 0.5, "too short": 0.0, "too long": 0.0}
+    assert found.probabilities == pytest.approx(halves, abs=1e-6)
     clear = grade(sure(0.30, 0.02), LONG)
-    assert clear.verdict is GradeStatus.IN_CLASS
     assert clear.probabilities["I"] > 0.999
 
 
-def test_borderline_begins_at_80_percent() -> None:
-    # 5 % of each side is beyond an end of the interval: the end at 25 cm leaves 95 % for class I.
-    assert grade(sure(0.25 * 1.02, 0.02), LONG).probabilities["I"] == pytest.approx(0.95, abs=1e-6)
-    # Half a standard deviation above the limit leaves 69 %.
-    assert grade(sure(0.25 * 1.02 ** (0.5 / 1.6449), 0.02), LONG).verdict is GradeStatus.BORDERLINE
+@pytest.mark.parametrize(
+    ("ends_cm", "words", "possible"),
+    [
+        ((25.0, 27.0), "class I", ("I",)),
+        ((24.9, 27.0), "undecided: class II or I", ("II", "I")),
+        ((23.0, 25.0), "class II (by length)", ("II",)),
+        ((23.0, 25.1), "undecided: class II or I", ("II", "I")),
+        ((9.6, 37.2), "undecided: too short, class II, I or too long", ALL),
+        ((9.6, 19.9), "too short", ("too short",)),
+        ((19.0, 21.0), "undecided: too short or class II", ("too short", "II")),
+        ((35.0, 37.0), "too long", ("too long",)),
+        ((34.0, 37.0), "undecided: class I or too long", ("I", "too long")),
+    ],
+)
+def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
+    ends_cm: tuple[float, float], words: str, possible: tuple[str, ...]
+) -> None:
+    low_m, high_m = ends_cm[0] / 100, ends_cm[1] / 100
+    kind = LengthDefinition.CENTRELINE
+    # Wherever in its interval the length itself lies.
+    for value_m in (low_m, (low_m + high_m) / 2, high_m - 1e-3):
+        length = Length(value_m, kind, low_m, high_m, interval_of=kind)
+        found = grade(replace(SOUND, centreline_m=value_m, length=length), LONG)
+        assert (found.words, found.possible) == (words, possible)
+        decided = GradeStatus.NO_CLASS if words.startswith("too") else GradeStatus.IN_CLASS
+        assert found.verdict is (decided if len(possible) == 1 else GradeStatus.UNDECIDED)
+
+
+@pytest.mark.parametrize("flag", LOWER_BOUND)
+@pytest.mark.parametrize(
+    ("length_cm", "words"),
+    [
+        (13.0, PART),
+        (17.1, PART),
+        (21.0, PART),
+        (26.0, PART),
+        (36.0, "too long"),
+    ],
+)
+def test_a_lower_bound_is_never_too_short(flag: Flag, length_cm: float, words: str) -> None:
+    """Not even where the model of intervals puts the whole fruit's length into one class."""
+    kind, value_m = LengthDefinition.CENTRELINE, length_cm / 100
+    length = Length(value_m, kind, 1.16 * value_m, 1.17 * value_m, interval_of=kind)
+    traits = replace(SOUND, centreline_m=value_m, length=length, flags=f"ends-unsure {flag}")
+    for profile in (LONG, STRICT):
+        # Nor is what is seen of it too light or too thin.
+        found = grade(replace(traits, volume_m3=1e-4, diameter_max_m=0.02), profile)
+        assert (found.words, found.probabilities) == (words, {})
+        assert "too short" not in " ".join(found.rules)
+
+
+def test_an_uncertain_length_decides_nothing() -> None:
+    """Its interval spans more than a factor of four, and was left out."""
+    length = Length(0.30, LengthDefinition.CENTRELINE)
+    traits = replace(SOUND, length=length, flags="interval-too-wide")
+    found = grade(traits, LONG)
+    assert (found.name, found.possible) == ("undecided", ALL)
+    assert found.words == "undecided (the length is uncertain)"
+    assert grade(replace(traits, flags=""), LONG).name == "I"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, "class I"),
+        ({"centreline_m": 0.24}, "class II (by length)"),
+        ({"centreline_m": 0.275, "inner_arc_mm_per_10cm": 15.0}, "class II (slightly crooked)"),
+        ({"centreline_m": 0.24, "inner_arc_mm_per_10cm": 15.0}, "class II (by length)"),
+        ({"volume_m3": 0.249 / 960}, "no class (too light)"),
+        ({"volume_m3": 0.5 / 960, "chord_m": 0.299}, "class II (short for its weight)"),
+        ({"centreline_m": None}, "not measured"),
+        ({"centreline_m": None, "length": Length(0.2, LengthKind.BOX_CHORD)}, NO_TUBE),
+        ({"centreline_m": 1.48}, "undecided (such a length cannot be)"),
+    ],
+)
+def test_the_reason_stands_beside_the_class(change: dict[str, float | None], words: str) -> None:
+    assert grade(replace(SOUND, **change), STRICT).words == words  # type: ignore[arg-type]
+
+
+def test_the_interval_of_another_length_of_the_tube_holds_in_proportion() -> None:
+    """The thread is known to 4 %; so is the centreline, 25.2 cm."""
+    thread = LengthDefinition.THREAD
+    length = Length(0.28, thread, 0.28 / 1.04, 0.28 * 1.04, interval_of=thread)
+    found = grade(replace(SOUND, centreline_m=0.252, length=length), LONG)
+    assert found.words == "undecided: class II or I"
 
 
 def test_shape_moves_probability_to_the_class_it_allows() -> None:
     found = grade(replace(sure(0.25, 0.02), inner_arc_mm_per_10cm=15.0), LONG)
-    assert found.probabilities == pytest.approx({"I": 0.0, "II": 1.0, OUT_OF_GRADE: 0.0}, abs=1e-6)
+    assert found.probabilities == pytest.approx(
+        {"I": 0.0, "II": 1.0, "too short": 0.0, "too long": 0.0}, abs=1e-6
+    )
     assert found.verdict is GradeStatus.IN_CLASS
 
 
@@ -139,7 +228,7 @@ def test_missing_traits_are_named() -> None:
         "interval of the centreline length",
     ]
     nothing = grade(GradingTraits(thread_m=0.3), LONG)
-    assert (nothing.verdict, nothing.name) == (GradeStatus.MISSING, "")
+    assert (nothing.verdict, nothing.name) == (GradeStatus.MISSING, "not measured")
     assert nothing.missing[0].startswith("centreline length: no tube could be fitted")
 
 
@@ -205,8 +294,10 @@ def test_ends_and_median_are_the_intervals_quantiles() -> None:
     )
 
 
-def test_side_without_width_is_a_step() -> None:
+def test_ends_of_the_interval_are_quantiles_and_one_without_width_is_a_step() -> None:
+    """Of a length at an end of its interval the median is the geometric middle."""
     length = Length(0.25, low_m=0.25, high_m=0.26)
-    np.testing.assert_allclose(share_below(length, [0.2499, 0.25, 0.26]), [0, 0.5, 0.95], atol=1e-5)
+    limits = [0.25, np.sqrt(0.25 * 0.26), 0.26]
+    np.testing.assert_allclose(share_below(length, limits), [0.05, 0.5, 0.95], atol=1e-5)
     exact = Length(0.25, low_m=0.25, high_m=0.25)
     assert share_below(exact, [0.2499, 0.25, 0.2501]).tolist() == [0.0, 0.0, 1.0]

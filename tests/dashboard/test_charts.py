@@ -8,13 +8,13 @@ from cucumbervision.dashboard import charts
 from cucumbervision.dashboard.settings import Units
 
 COLORS = {
-    "domain": ["class I", "class II", "no class", "class unsure"],
+    "domain": ["class I", "class II", "no class", "undecided"],
     "range": ["#1B7837", "#5AAE61", "#E69F00", "#999999"],
 }
 
 
 def test_every_class_of_the_lines_has_its_colour() -> None:
-    named = ("class unsure", "class II", "no class", "class I", "class II")
+    named = ("undecided", "class II", "no class", "class I", "class II")
     lines = [
         {"length": 20.0 + k, "class": name, "along": 0.1 * k, "height": 0.0, "mark": "seen"}
         for k, name in enumerate(named)

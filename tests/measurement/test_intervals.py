@@ -108,6 +108,25 @@ def test_a_raw_lengths_interval_is_about_the_centreline(seen: tuple[Capture, Ins
     assert length.high_m == pytest.approx(length.value_m * np.exp(half(20.0)))
 
 
+@pytest.mark.parametrize(("bias", "ends"), [(-0.25, (0.0, 0.28)), (0.25, (-0.28, 0.0))])
+def test_the_interval_of_a_method_that_reads_wrong_holds_what_it_read(
+    seen: tuple[Capture, Instance], bias: float, ends: tuple[float, float]
+) -> None:
+    """A quarter too short or long on what it was learnt from, give or take 3 %."""
+    bands = {"": Band(bias, 3.0, 3.0, 500)}
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands)
+    length = length_of(
+        seen, LengthDefinition.CENTRELINE, models=IntervalModels(0.9, {"M6": model}, 100)
+    )
+    assert length.low_m is not None
+    assert length.high_m is not None
+    found = np.log([length.low_m / length.value_m, length.high_m / length.value_m])
+    more = float(np.hypot(0.03, 1.6449 * REAL_SD)) - 0.03
+    assert found == pytest.approx(
+        [ends[0] - more * (ends[0] < 0), ends[1] + more * (ends[1] > 0)], abs=1e-4
+    )
+
+
 def test_what_was_not_measured_has_no_length(seen: tuple[Capture, Instance]) -> None:
     capture, instance = seen
     dark = replace(capture, depth_m=np.zeros_like(capture.depth_m))

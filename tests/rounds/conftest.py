@@ -18,7 +18,7 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store, open_store
 
-THREAD = LengthDefinition.THREAD
+CENTRELINE = LengthDefinition.CENTRELINE
 MORNING = Round(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 
 
@@ -56,9 +56,13 @@ def _stop(walk: Walk, number: int, record: Round, row: str) -> StopRecord:
             score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",
             length=Length(
-                length, THREAD, length * (1 - 1.645 * sd), length * (1 + 1.645 * sd), THREAD
+                length,
+                CENTRELINE,
+                length * (1 - 1.645 * sd),
+                length * (1 + 1.645 * sd),
+                CENTRELINE,
             ),
-            thread_m=length,
+            centreline_m=length,
             diameter_max_m=float(views.diameter_m[k]),
             centre_x_m=sign * x,
             centre_y_m=-up,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
+from cucumbervision.agronomy.classes import UNDECIDED, class_of
 from cucumbervision.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
@@ -35,6 +36,7 @@ from cucumbervision.store.repository import Store
 
 Save = Callable[..., None]
 LONG = load_profile("long-cucumber")
+KIND = LengthDefinition.CENTRELINE
 ROW = SimulatedRow(fruit=60, per_m=10)
 MORNING = key_of("rounds", "morning")
 NEXT = Round(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
@@ -136,35 +138,37 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     content = read_round(store, NEXT.key)
     [report] = row_reports(content)
     said = forecast_of(store, NEXT.key, days=2)
-    # All fruit there are, invented ones taken off and unseen ones added.
-    assert said.house.expected[0].sum() == pytest.approx(report.count.expected, rel=0.02)
+    # Today the fruit that were found and are in one class; later all that there are, invented ones
+    # taken off and unseen ones added.
+    decided = [name for name in map(class_of, said.possible) if name != UNDECIDED]
+    assert len(decided) > 10
+    assert said.house.expected[0].tolist() == [decided.count(name) for name in said.classes]
+    assert said.house.expected[1].sum() == pytest.approx(report.expected, rel=0.02)
 
 
 def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
-    fruit = [
-        DetectionRecord(k, length=Length(0.25, LengthDefinition.THREAD, 0.24, 0.26))
-        for k in (1, 2, 3, 4)
-    ]
+    fruit = [DetectionRecord(k, length=Length(0.25, KIND, 0.24, 0.26, KIND)) for k in (1, 2, 3, 4)]
     fruit[1] = DetectionRecord(2)  # found, and not measured
     captures = (CaptureRecord("a", fruit=tuple(fruit)),)
     store.save_stop(StopRecord(key_of("only"), MORNING, row="1", captures=captures))
     table = fruit_table(read_round(store, MORNING))
-    # Nothing was merged: a capture is believed to find 0.9 +- sqrt(0.9 * 0.1 / 20) of the fruit, of
-    # which three in four have a length; 2 % of what it finds are no fruit; the scale is 1 % unsure.
-    rates = DetectionRates(0.675, 0.75 * 0.0045**0.5, 0.02)
+    # Nothing was merged, so that nothing tells which share of the fruit was found; of those that
+    # were, three in four have a length. The scale is 1 % unsure.
     expected = forecast(
         fruit_states(table, 1.0, LONG),
         fit_growth([], GrowthPrior.of(LONG)),
         LONG,
         2,
-        detection=rates,
+        detection=DetectionRates(0.75),
         scale_sd=0.01,
     )
     found = forecast_of(store, MORNING, days=2)
-    np.testing.assert_allclose(found.house.expected, expected.house.expected)
-    np.testing.assert_allclose(found.house.high, expected.house.high)
-    # 3 fruit of 0.98 / 0.675 each, and a little more since 1 / q is convex.
-    assert found.house.expected[0].sum() == pytest.approx(3 * 0.98 / 0.675, rel=0.05)
+    np.testing.assert_allclose(found.house.expected[1:], expected.house.expected[1:])
+    np.testing.assert_allclose(found.house.high[1:], expected.house.high[1:])
+    assert found.house.expected[1].sum() == pytest.approx(4, rel=0.05)
+    # 25 cm, give or take 1: of class II or I, and counted in neither.
+    assert found.house.expected[0].sum() == 0
+    assert found.house.high[0, :2].tolist() == expected.house.high[0, :2].tolist()
 
 
 def test_a_measured_depth_scale_narrows_what_all_lengths_share() -> None:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.agronomy.classes import NO_CLASS, possible_classes
 from cucumbervision.agronomy.growth import kalman_filter, measured_histories, measured_points
 from cucumbervision.errors import ForecastError
+from cucumbervision.measurement.result import INTERVAL_Z
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,6 +48,11 @@ class FruitState:
         The best class that its shape allows, as `Grade.best_class` gives it; empty for any.
     picked : bool
         Whether it has been picked.
+    possible : tuple of str
+        The classes that it may be in on its day, as `Grade.possible` gives them; by default those
+        that its 90 % interval spans.
+    at_least : bool
+        Whether the length is a lower bound.
     """
 
     fruit_id: str
@@ -57,6 +64,8 @@ class FruitState:
     side: str = ""
     best_class: str = ""
     picked: bool = False
+    possible: tuple[str, ...] = ()
+    at_least: bool = False
 
 
 def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
@@ -160,6 +169,8 @@ class Forecast:
         In walking order.
     fruit : tuple of FruitState, length N
         Fruit on the plant, by row, without picked ones.
+    possible : tuple of tuple of str, length N
+        The classes that each may be in today: one where it is decided (`classes.possible_classes`).
     probability : ndarray of float64, shape (N, D, C)
         Of each class on each day if not picked; Monte Carlo error about 0.5 / sqrt(draws).
     house, by_row : Counts, shapes (D, C) and (R, D, C)
@@ -180,6 +191,7 @@ class Forecast:
     pick: tuple[str, ...]
     rows: tuple[str, ...]
     fruit: tuple[FruitState, ...]
+    possible: tuple[tuple[str, ...], ...]
     probability: NDArray[np.float64]
     house: Counts
     by_row: Counts
@@ -290,6 +302,7 @@ def forecast(
         profile.pick,
         tally.rows,
         tuple(left),
+        _possible_today(left, growth, now, scale_sd, profile),
         probability,
         house,
         by_row,
@@ -298,6 +311,65 @@ def forecast(
         _complete(lengths, growth, profile),
         level,
     )
+
+
+def _possible_today(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    today: float,
+    scale_sd: float,
+    profile: CropProfile,
+) -> tuple[tuple[str, ...], ...]:
+    """Return the classes that each fruit may be in today, whatever other fruit there are.
+
+    Those that were known on the fruit's day hold on that day; later those of its grown interval.
+    What is in no class, or may be in any, stays so.
+    """
+    names = [c.name for c in profile.classes]
+    found = [one.possible for one in fruit]
+    aged = [
+        k
+        for k, one in enumerate(fruit)
+        if not one.possible
+        or (
+            one.day < today
+            and one.possible != (NO_CLASS,)
+            and {*one.possible} < {*profile.outcomes}
+        )
+    ]
+    if not aged:
+        return tuple(found)
+    mean, sd = _lengths_today([fruit[k] for k in aged], growth, today, scale_sd)
+    edges = growth.curve.unslowed(profile.edges_m)
+    for k, low, high in zip(aged, mean - INTERVAL_Z * sd, mean + INTERVAL_Z * sd, strict=True):
+        one = fruit[k]
+        best = names.index(one.best_class) if one.best_class else 0
+        bins = [max(n, best) if n < len(names) else n for n in profile.outcome_of_bin]
+        by_bin = [profile.outcomes[n] for n in bins]
+        ends = float(low), math.inf if one.at_least else float(high)
+        found[k] = possible_classes(*ends, edges, by_bin)
+    return tuple(found)
+
+
+def _lengths_today(
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean and standard deviation of each unslowed length today, metres, (N,)."""
+    histories = _histories(fruit, growth, today, scale_sd)
+    # Rows without links have no coefficient in the posterior; theirs come before the days'.
+    first = 1 + len(growth.basis.rows)
+    unseen = slice(first, first + len(histories.basis.rows) - len(growth.basis.rows))
+    means, squares = np.zeros(len(fruit)), np.zeros(len(fruit))
+    for spreads, beta, root in zip(growth.spreads, growth.mean, growth.root, strict=True):
+        filtered = kalman_filter(histories, spreads)
+        columns = filtered.length[:, 1:]
+        seen = np.delete(columns, unseen, axis=1)
+        mean = filtered.length[:, 0] + seen @ beta
+        variance = filtered.covariance[:, 0] + ((seen @ root) ** 2).sum(axis=1)
+        variance += ((spreads.row * columns[:, unseen]) ** 2).sum(axis=1)
+        means += mean / len(growth.spreads)
+        squares += (variance + mean**2) / len(growth.spreads)
+    return means, np.sqrt(np.maximum(squares - means**2, 0.0) + (scale_sd * means) ** 2)
 
 
 def _check(days: int, draws: int, scale_sd: float, level: float) -> None:

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision.agronomy.classes import (
+    NO_CLASS,
+    NOT_MEASURED,
+    UNDECIDED,
+    WITHOUT_CLASS,
+    choice_words,
+    class_name,
+    class_of,
+    possible_classes,
+)
+from cucumbervision.measurement.result import (
+    LOWER_BOUND,
+    Flag,
+    Length,
+    LengthDefinition,
+    LengthKind,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,17 +59,12 @@ def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(ndtr(z), np.float64)
 
 
-OUT_OF_GRADE = "out of grade"
-
-BORDERLINE = 0.80  # below this probability of the likeliest class a grade is borderline
-
-
 class GradeStatus(StrEnum):
     """Status of a grade; stable codes for tables."""
 
     IN_CLASS = "in-class"
-    OUT = "out-of-grade"
-    BORDERLINE = "borderline"
+    NO_CLASS = "no-class"
+    UNDECIDED = "undecided"
     REFUSED = "refused"
     MISSING = "missing"
 
@@ -74,6 +86,10 @@ class _Gradable(Protocol):
     def diameter_max_m(self) -> float | None: ...
     @property
     def volume_m3(self) -> float | None: ...
+    @property
+    def flags(self) -> str: ...
+    @property
+    def at_least(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -92,6 +108,8 @@ class GradingTraits:
         Largest diameter, metres.
     volume_m3 : float, optional
         Volume, cubic metres.
+    flags : str
+        The measurement's flags, separated by blanks.
     """
 
     thread_m: float | None = None
@@ -101,6 +119,12 @@ class GradingTraits:
     inner_arc_mm_per_10cm: float | None = None
     diameter_max_m: float | None = None
     volume_m3: float | None = None
+    flags: str = ""
+
+    @property
+    def at_least(self) -> bool:
+        """Whether the fruit goes on out of sight, so that its length is a lower bound."""
+        return not LOWER_BOUND.isdisjoint(self.flags.split())
 
     @classmethod
     def from_row(cls, row: Mapping[str, object]) -> GradingTraits:
@@ -131,6 +155,7 @@ class GradingTraits:
             _number(row, "inner_arc_mm_per_10cm"),
             _number(row, "diameter_max_mm", 1000),
             _number(row, "volume_ml", 1e6),
+            str(row.get("flags") or ""),
         )
 
 
@@ -156,11 +181,11 @@ class Grade:
     verdict : GradeStatus
         Its status.
     name : str
-        The likeliest class or 'out of grade'; empty if rejected or missing.
+        The class, 'too short', 'too long', 'no class', 'undecided' or 'not measured'.
     rules : tuple of str
         Explanations, the deciding rule first.
     probabilities : dict of str to float
-        Of each class and of 'out of grade'; empty if the length has no interval.
+        Of all these that may be; empty if the length has no interval, or is a lower bound.
     missing : tuple of str
         Traits that are needed and unknown.
     best_class : str
@@ -169,8 +194,11 @@ class Grade:
         Further classes; empty if the profile has none or a trait is missing.
     mass_g : float, optional
         Volume times the profile's density.
-    beyond : str
-        'too short' or 'too long' if the length puts it out of grade; else empty.
+    possible : tuple of str
+        The classes that its interval spans, from short to long; one where it is decided.
+    reason : str
+        Why it is in none better ('by length', 'slightly crooked', 'too thin') or undecided; empty
+        in the best class, and where an interval spans several.
     """
 
     verdict: GradeStatus
@@ -183,12 +211,28 @@ class Grade:
     weight_class: str = ""
     diameter_class: str = ""
     mass_g: float | None = None
-    beyond: str = ""
+    possible: tuple[str, ...] = ()
+    reason: str = ""
 
     @property
     def label(self) -> str:
-        """The class, or 'too short' or 'too long', for people."""
-        return self.beyond or self.name
+        """The class alone, for people: 'class II', 'too short', 'undecided'."""
+        return class_name(self.name)
+
+    @property
+    def words(self) -> str:
+        """The class with its reason, for people: 'class II (slightly crooked)'.
+
+        Examples
+        --------
+        >>> grade = Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I"))
+        >>> grade.words
+        'undecided: class II or I'
+        """
+        if self.reason:
+            return f"{class_name(self.name)} ({self.reason})"
+        choice = f": {choice_words(self.possible)}" if self.verdict is GradeStatus.UNDECIDED else ""
+        return f"{class_name(self.name)}{choice}"
 
 
 @dataclass(frozen=True)
@@ -199,10 +243,11 @@ class _Check:
     forbidden: frozenset[str] = frozenset()
     rule: str = ""
     missing: str = ""
+    reason: str = ""
 
     def as_remark(self) -> _Check:
         text = f"remark: {self.rule}" if self.rule else ""
-        return replace(self, forbidden=frozenset(), rule=text)
+        return replace(self, forbidden=frozenset(), rule=text, reason="")
 
 
 def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
@@ -218,22 +263,32 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     Returns
     -------
     Grade
-        If a rule forbids the class given by the length, the next worse allowed one, or none. The
-        probabilities include only the error of the length: shape, mass and diameter count as exact.
-        Borderline if neither a class nor 'out of grade' is more than 80 % probable.
+        If a rule forbids the class given by the length, the next worse allowed one, or none.
+        Undecided if the 90 % interval of the length, or what may follow a lower bound, spans
+        several of these; shape, mass and diameter count as exact.
 
     Examples
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> found = grade(GradingTraits(centreline_m=0.234), load_profile("long-cucumber"))
-    >>> found.name, found.rules[0]
-    ('II', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse classes ... paper)')
+    >>> profile = load_profile("long-cucumber")
+    >>> found = grade(GradingTraits(centreline_m=0.234), profile)
+    >>> found.words, found.rules[0]
+    ('class II (by length)', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse ...')
+    >>> grade(GradingTraits(centreline_m=0.13, flags="end-hidden"), profile).words
+    'undecided (only part of it is seen)'
     """
     length = _length(fruit, profile.length)
     mass = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
     if length is None:
         no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
-        return Grade(GradeStatus.MISSING, "", (), {}, (no_length,), mass_g=mass)
+        name = NOT_MEASURED if fruit.length is None else UNDECIDED
+        reason = "" if fruit.length is None else f"no {profile.length} length"
+        return Grade(
+            *(GradeStatus.MISSING, name, (), {}, (no_length,)),
+            mass_g=mass,
+            possible=profile.outcomes,
+            reason=reason,
+        )
     limits = profile.acceptance
     length_cm = round(100 * length.value_m, 6)
     if not limits.min_cm <= length_cm <= limits.max_cm:
@@ -241,37 +296,96 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
             f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
             f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
         )
-        return Grade(GradeStatus.REFUSED, "", (rule,), {}, mass_g=mass)
+        return Grade(
+            *(GradeStatus.REFUSED, UNDECIDED, (rule,), {}),
+            mass_g=mass,
+            possible=profile.outcomes,
+            reason="such a length cannot be",
+        )
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
     weight = _weight(mass, fruit.chord_m, profile)
     width = _width(fruit.diameter_max_m, profile)
-    if profile.size_rules == "remark":
+    if fruit.at_least:  # what is out of sight makes it heavier, longer and perhaps thicker
+        weight, width = _Check(weight.name), _Check(width.name)
+    elif profile.size_rules == "remark":
         weight, width = weight.as_remark(), width.as_remark()
     checks = (shape, weight, width)
     by_bin = _classes_of_bins(profile, checks)
-    at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-9, side="right"))
-    chances = _chances(length, profile, by_bin)
-    name = max(chances, key=lambda k: chances[k]) if chances else by_bin[at]
-    lowering = tuple(c.rule for c in checks if c.rule)
-    by_length = _length_rule(profile, length_cm, at)
-    lowered = by_bin[at] != _classes_of_bins(profile, ())[at]
-    rules = (*lowering, by_length) if lowered else (by_length, *lowering)
-    verdict = GradeStatus.OUT if name == OUT_OF_GRADE else GradeStatus.IN_CLASS
-    if chances and chances[name] <= BORDERLINE:
-        verdict = GradeStatus.BORDERLINE
-        likeliest = sorted(chances.items(), key=lambda item: -item[1])[:2]
-        names = {OUT_OF_GRADE: "no class"}
-        text = ", ".join(f"{names.get(k, k)} {100 * share:.0f} %" for k, share in likeliest)
-        rules = (f"borderline: {text}", *rules)
+    known_m = _known_m(fruit, length)
+    possible = possible_classes(*known_m, profile.edges_m, by_bin)
+    name = class_of(possible)
+    verdict = GradeStatus.UNDECIDED if name == UNDECIDED else GradeStatus.IN_CLASS
+    if name in WITHOUT_CLASS and name != UNDECIDED:
+        verdict = GradeStatus.NO_CLASS
+    chances = {} if fruit.at_least else _chances(length, profile, by_bin)
     missing = tuple(c.missing for c in checks if c.missing)
-    if not chances:
+    if not chances and not fruit.at_least:
         missing += (f"interval of the {profile.length} length: no probabilities",)
-    beyond = ""
-    if name == OUT_OF_GRADE and (at in (0, len(by_bin) - 1) or by_bin[at] != OUT_OF_GRADE):
-        beyond = profile.outcomes[-2 if length_cm < 100 * profile.edges_m.mean() else -1]
-    best = _best_of(shape, profile)
-    sizes = shape.name, weight.name, width.name
-    return Grade(verdict, name, rules, chances, missing, best, *sizes, mass, beyond)
+    return Grade(
+        verdict,
+        name,
+        _rules(profile, length_cm, known_m, possible, checks),
+        chances,
+        missing,
+        _best_of(shape, profile),
+        *(shape.name, weight.name, width.name),
+        mass,
+        possible,
+        _reason(name, profile, known_m, checks),
+    )
+
+
+_PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
+
+
+def _known_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
+    """Return between which lengths a fruit's is: its interval, or from a lower bound on."""
+    if fruit.at_least:
+        return length.value_m, math.inf
+    if Flag.INTERVAL_TOO_WIDE in fruit.flags.split():
+        return 0.0, math.inf
+    own = fruit.length
+    if own is None or own.low_m is None or own.high_m is None or own.interval_of != own.kind:
+        return length.value_m, length.value_m
+    # The three lengths of one tube err alike.
+    share = length.value_m / own.value_m
+    return own.low_m * share, own.high_m * share
+
+
+def _rules(
+    profile: CropProfile,
+    length_cm: float,
+    known_m: tuple[float, float],
+    possible: tuple[str, ...],
+    checks: tuple[_Check, ...],
+) -> tuple[str, ...]:
+    """Return the rules behind a grade, the deciding one first."""
+    lowering = tuple(check.rule for check in checks if check.rule)
+    if class_of(possible) == UNDECIDED:
+        low_cm, high_cm = (100 * end for end in known_m)
+        ends = f"{low_cm:.1f} to {high_cm:.1f} cm: {choice_words(possible)}"
+        if math.isinf(high_cm):
+            ends = f"at least {low_cm:.1f} cm: {_PART}" if low_cm else _UNCERTAIN
+        why = _why(profile, "classes")
+        return (f"undecided: {profile.length} length {ends}{why}", *lowering)
+    at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-6, side="right"))
+    by_length = _length_rule(profile, length_cm, at)
+    lowered = possible != (_classes_of_bins(profile, ())[at],)
+    return (*lowering, by_length) if lowered else (by_length, *lowering)
+
+
+def _reason(
+    name: str, profile: CropProfile, known_m: tuple[float, float], checks: tuple[_Check, ...]
+) -> str:
+    """Return why a fruit is in no better class; empty in the best, and where its name says so."""
+    if name == UNDECIDED and math.isinf(known_m[1]):
+        return _PART if known_m[0] else _UNCERTAIN
+    if name in (profile.classes[0].name, UNDECIDED, *profile.outcomes[-2:]):
+        return ""
+    by_length = possible_classes(*known_m, profile.edges_m, _classes_of_bins(profile, ()))
+    if by_length == (name,):
+        return "by length"
+    return ", ".join(check.reason for check in checks if check.forbidden and check.reason)
 
 
 def best_class(fruit: _Gradable, profile: CropProfile) -> str:
@@ -288,12 +402,14 @@ def _best_of(shape: _Check, profile: CropProfile) -> str:
 
 
 def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[str]:
+    """Return the class of each bin of the length, the next worse one where a rule forbids it."""
     names = [c.name for c in profile.classes]
     forbidden = frozenset().union(*(c.forbidden for c in checks))
     found = []
     for outcome in profile.outcome_of_bin:
         allowed = [name for name in names[outcome:] if name not in forbidden]
-        found.append(allowed[0] if allowed else OUT_OF_GRADE)
+        beyond = profile.outcomes[outcome] if outcome >= len(names) else NO_CLASS
+        found.append(allowed[0] if allowed else beyond)
     return found
 
 
@@ -301,7 +417,7 @@ def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[st
     if length.sides is None:
         return {}
     below = np.concatenate([[0.0], share_below(length, profile.edges_m), [1.0]])
-    chances = dict.fromkeys((*(c.name for c in profile.classes), OUT_OF_GRADE), 0.0)
+    chances = dict.fromkeys((*profile.outcomes, *by_bin), 0.0)
     for name, share in zip(by_bin, np.diff(below), strict=True):
         chances[name] += float(share)
     return chances
@@ -332,7 +448,7 @@ def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
     better = frozenset(names[: names.index(band.best_class)])
     text = f"{band.name}: inner arc {arc_mm:.1f} mm for each 10 cm of chord"
     rule = f"at best class {band.best_class}, {text}{_why(profile, 'shape')}" if better else ""
-    return _Check(band.name, better, rule)
+    return _Check(band.name, better, rule, reason=band.name if better else "")
 
 
 def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -> _Check:
@@ -343,7 +459,8 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
     everything = frozenset(c.name for c in profile.classes)
     if profile.minimum_g is not None and mass_g < profile.minimum_g:
         text = f"too light: about {mass_g:.0f} g, at least {profile.minimum_g:g} g required"
-        return _Check("", everything, f"{text}{_why(profile, 'minimum_g')}")
+        rule = f"{text}{_why(profile, 'minimum_g')}"
+        return _Check("", everything, rule, reason="too light")
     band = next(
         (b for b in profile.weights if b.min_g <= mass_g and (b.max_g or np.inf) > mass_g), None
     )
@@ -355,7 +472,7 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check(band.name)
     text = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"
     rule = f"not class {' or '.join(band.shortest_for)}: {text}{_why(profile, 'weights')}"
-    return _Check(band.name, frozenset(band.shortest_for), rule)
+    return _Check(band.name, frozenset(band.shortest_for), rule, reason="short for its weight")
 
 
 def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
@@ -368,7 +485,8 @@ def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
     if least is not None and width_mm < least:
         text = f"too thin: {width_mm:.1f} mm, at least {least:g} mm required"
         everything = frozenset(c.name for c in profile.classes)
-        return _Check("", everything, f"{text}{_why(profile, 'minimum_diameter_mm')}")
+        rule = f"{text}{_why(profile, 'minimum_diameter_mm')}"
+        return _Check("", everything, rule, reason="too thin")
     bands = (b.name for b in profile.diameters if b.max_mm is None or width_mm <= b.max_mm)
     return _Check(next(bands, ""))
 

@@ -5,19 +5,27 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.agronomy.classes import class_of
 from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.agronomy.profiles import TOO_LONG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterable, Sequence
 
     from cucumbervision.agronomy.forecast import Forecast, FruitState
+
+
+class PickKind(StrEnum):
+    """Why a fruit is on the pick list; stable codes for tables."""
+
+    READY = "ready"
+    UNDECIDED = "may be ready"
+    TOO_LONG = "too long"
 
 
 @dataclass(frozen=True)
@@ -29,18 +37,24 @@ class Pick:
     fruit : FruitState
         Row, side, position and length.
     name : str
-        The likeliest of the classes that are picked, or 'too long': remove it so that others grow.
+        Its class, 'too long' (remove it so that others grow), or 'undecided'.
     ready : float
         Probability of a class that is picked.
+    kind : PickKind
+        Whether it is ready, may be, or is too long.
+    possible : tuple of str
+        The classes that it may be in.
     """
 
     fruit: FruitState
     name: str
     ready: float
+    kind: PickKind = PickKind.READY
+    possible: tuple[str, ...] = ()
 
 
-def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
-    """Return today's ready fruit by row and position.
+def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
+    """Return today's ready fruit, those that may be ready and too long ones, by row and position.
 
     Every second row is walked from its far end, to avoid walking a row twice. Both sides of a row
     are walked together, since they share one path.
@@ -49,8 +63,6 @@ def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     ----------
     forecast : Forecast
         Its day 0 is today; picked fruit are excluded.
-    threshold : float
-        Least probability that a listed fruit is ready or too long.
 
     Examples
     --------
@@ -58,18 +70,19 @@ def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     >>> from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
-    >>> at = [("2", 4.0, 0.28), ("2", 9.0, 0.30), ("1", 3.0, 0.27), ("1", 5.0, 0.22)]
+    >>> at = [("2", 4.0, 0.28), ("2", 9.0, 0.25), ("1", 3.0, 0.27), ("1", 5.0, 0.22)]
     >>> fruit = [FruitState(f"{row}-{x}", row, x, length, 0.004) for row, x, length in at]
     >>> found = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)
     >>> [(pick.fruit.row, pick.fruit.position_m, pick.name) for pick in pick_list(found)]
-    [('1', 3.0, 'I'), ('2', 9.0, 'I'), ('2', 4.0, 'I')]
+    [('1', 3.0, 'I'), ('2', 9.0, 'undecided'), ('2', 4.0, 'I')]
     """
-    too_long = forecast.classes.index(TOO_LONG)
-    chances = forecast.probability[:, 0]
+    kinds = [_kind(possible, forecast.pick) for possible in forecast.possible]
     listed = [
-        Pick(one, TOO_LONG if own[too_long] > ready else _best(forecast, own), float(ready))
-        for one, ready, own in zip(forecast.fruit, forecast.ready, chances, strict=True)
-        if max(ready, own[too_long]) >= threshold
+        Pick(one, class_of(possible), float(ready), kind, possible)
+        for one, possible, ready, kind in zip(
+            forecast.fruit, forecast.possible, forecast.ready, kinds, strict=True
+        )
+        if kind is not None
     ]
     rows = sorted({pick.fruit.row for pick in listed}, key=natural_key)
 
@@ -81,8 +94,12 @@ def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     return tuple(sorted(listed, key=along_the_walk))
 
 
-def _best(forecast: Forecast, chances: NDArray[np.float64]) -> str:
-    return max(forecast.pick, key=lambda name: chances[forecast.classes.index(name)])
+def _kind(possible: tuple[str, ...], picked: Sequence[str]) -> PickKind | None:
+    if {*possible} <= {*picked}:
+        return PickKind.READY
+    if possible == (TOO_LONG,):
+        return PickKind.TOO_LONG
+    return PickKind.UNDECIDED if {*possible} & {*picked} else None
 
 
 @dataclass(frozen=True)
@@ -159,7 +176,7 @@ class PickWork:
 
 
 def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
-    """Return the ready fruit of a pick list, without too long ones, and the work of picking.
+    """Return the fruit of a pick list that are ready, and the work of picking them.
 
     Parameters
     ----------
@@ -177,7 +194,7 @@ def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
     (70, 0.25, {'I': 6})
     """
     rates = rates or Rates()
-    ready = [pick for pick in picks if pick.name != TOO_LONG]
+    ready = [pick for pick in picks if pick.kind is PickKind.READY]
     by_class = Counter(pick.name for pick in ready)
     walking = rates.minutes_per_row / 60 * len({pick.fruit.row for pick in ready})
     hours = len(ready) / rates.fruit_per_hour + walking

@@ -204,8 +204,7 @@ def _remarks(row: Mapping[str, Any], profile: CropProfile) -> str:
     if row["length_cm"] is None:
         return f"not measured: {row['reason']}"
     found = grade(GradingTraits.from_row(row), profile)
-    whole = LOWER_BOUND.isdisjoint(row["flags"].split())
-    parts = [found.label if whole else "", flag_remarks(row["flags"])]
+    parts = [found.words, flag_remarks(row["flags"])]
     if row["length_kind"] not in set(LengthDefinition):
         parts.append(f"{row['length_kind']} by {row['method']}")
     return "; ".join(filter(None, parts))

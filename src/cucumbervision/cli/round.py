@@ -226,7 +226,7 @@ def merge(
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
-        expected = f"{row.count.expected:.0f} ± {row.count.sd:.0f}"
+        expected = f"{row.expected:.0f} ± {row.count.sd:.0f}"
         known_to = "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm"
         counts = (row.stops, row.views, row.fruit)
         table.add_row(row.row, *(str(count) for count in counts), expected, known_to)
@@ -335,7 +335,7 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
         "" if length is None else f"{100 * length.value_m:.1f}",
         "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
         str(view.views),
-        "" if profile is None else grade(record, profile).label,
+        "" if profile is None else grade(record, profile).words,
         " ".join(filter(None, remarks)),
         view.key[:8],
     ]

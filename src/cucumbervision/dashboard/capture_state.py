@@ -12,7 +12,6 @@ from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import mask_outline, stop_layers
 from cucumbervision.dashboard.words import (
     added_words,
-    grade_name,
     length_words,
     round_name,
     stop_name,
@@ -89,7 +88,8 @@ def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
         for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
         if view.verdict is not Verdict.REJECTED
     ]
-    grades = {view.key: grade_name(grade(view.record, profile)) for view in views}
+    grades = {view.key: grade(view.record, profile) for view in views}
+    names = {key: found.label for key, found in grades.items()}
     captures = []
     for taken in record.captures:
         own = [view for view in views if view.capture == taken.name]
@@ -98,13 +98,13 @@ def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
                 "name": taken.name,
                 "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
                 "size": [taken.width_px, taken.height_px],
-                "layers": stop_layers(taken, own, grades, units),
+                "layers": stop_layers(taken, own, names, units),
                 "fruit": [
                     {
                         "key": view.key,
                         "number": view.record.number,
                         "length": length_words(view.record, units),
-                        "class": grades[view.key],
+                        "class": grades[view.key].words,
                     }
                     for view in own
                 ],

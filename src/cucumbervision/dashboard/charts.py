@@ -11,6 +11,8 @@ import numpy as np
 import pyarrow as pa
 from altair.utils.schemapi import disable_debug_mode
 
+from cucumbervision.agronomy.classes import class_name
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -39,7 +41,8 @@ _OTHERS = {
     "no class": "#E69F00",
     "too short": "#56B4E9",
     "too long": "#D55E00",
-    "class unsure": "#999999",
+    "undecided": "#999999",
+    "not measured": "#555555",
 }
 
 
@@ -176,7 +179,7 @@ def _class(name: str) -> tuple[str, str]:
 def _length_step(length: float | None, units: Units) -> tuple[str, str]:
     """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
     if length is None:
-        return "not measured", _OTHERS["class unsure"]
+        return "not measured", _OTHERS["not measured"]
     step = 5 if units.name == "cm" else 2
     number = int(length // step)
     name = f"{number * step} to {(number + 1) * step} {units.name}"
@@ -214,7 +217,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
     lines = [
         {
             "day": day_name(day),
-            "class": class_name(found, k),
+            "class": class_name(found.classes[k]),
             "from": day - 0.4 + n * share,
             "to": day - 0.4 + (n + 0.85) * share,
             "middle": day - 0.4 + (n + 0.425) * share,
@@ -226,7 +229,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
         for day in found.days.tolist()
         for n, k in enumerate(drawn)
     ]
-    names = [class_name(found, k) for k in drawn]
+    names = [class_name(found.classes[k]) for k in drawn]
     days = found.days.tolist()
     said = " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
     axis = alt.Axis(values=days, labelExpr=said, labelAngle=0, grid=False)
@@ -256,19 +259,3 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
 def expected_classes(found: Forecast) -> list[int]:
     """Return which classes any fruit may be in on any of the days."""
     return [k for k in range(len(found.classes)) if found.house.high[:, k].max() >= 1]
-
-
-def class_name(found: Forecast, k: int) -> str:
-    """Return the name of a forecast's class for people."""
-    return name_of_class(found.classes[k])
-
-
-def name_of_class(name: str) -> str:
-    """Return the name of a class for people.
-
-    Examples
-    --------
-    >>> name_of_class("I"), name_of_class("too long")
-    ('class I', 'too long')
-    """
-    return name if name in _OTHERS else f"class {name}"

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.dashboard.words import (
-    grade_name,
-    grade_words,
     length_words,
     metres_words,
     row_name,
@@ -97,7 +95,7 @@ def length_lines(
 ) -> list[dict[str, Any]]:
     """Return a line for each measured fruit on the plant for the histogram: length and class."""
     return [
-        {"length": units.value(view.record.length_m), "class": grade_name(grades[view.key])}
+        {"length": units.value(view.record.length_m), "class": grades[view.key].label}
         for view in fruit
         if hanging_lengths_m([view])
     ]
@@ -112,7 +110,7 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
             "along": round(max(view.along_m, 0.0), 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
-            "class": grade_name(graded.grades[view.key]),
+            "class": graded.grades[view.key].label,
             "says": map_words(view, graded, units),
             "views": view.views,
             "mark": _mark_of(view),
@@ -129,7 +127,7 @@ def row_and_side(view: DetectionView) -> str:
 
 def map_words(view: DetectionView, graded: GradedRound, units: Units) -> str:
     """Return what the map says of a fruit: its place, length and class."""
-    known = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
+    known = [graded.grades[view.key].words] if view.key in graded.grades else []
     place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
     return ", ".join([f"{place}: {length_words(view.record, units)}", *known])
 

@@ -6,17 +6,15 @@ import re
 import time
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.grades import OUT_OF_GRADE
-from cucumbervision.agronomy.grades import GradeStatus as GradeVerdict
+from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
 
 if TYPE_CHECKING:
-    from cucumbervision.agronomy.grades import Grade
-    from cucumbervision.agronomy.picking import Span
+    from cucumbervision.agronomy.picking import Pick, Span
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.rounds.row_fruit import CountEstimate
+    from cucumbervision.rounds.merge_and_link import RowReport
     from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.views import RoundView, StopView
 
@@ -49,28 +47,24 @@ def sentence(text: object) -> str:
     return words[:1].upper() + words[1:]
 
 
-def grade_name(grade: Grade) -> str:
-    """Return the class that a fruit counts in: 'class I', 'too short', 'class unsure'.
+def pick_words(pick: Pick) -> str:
+    """Return the class of a fruit on the pick list: 'class I', 'undecided: class I or too long'.
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.grades import GradingTraits, grade
-    >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> profile = load_profile("long-cucumber")
-    >>> [grade_name(grade(GradingTraits(centreline_m=x), profile)) for x in (0.26, 0.12, None)]
-    ['class I', 'too short', 'class unsure']
+    >>> from cucumbervision.agronomy.forecast import FruitState
+    >>> from cucumbervision.agronomy.picking import Pick, PickKind
+    >>> fruit = FruitState("a", "1", 0.5, 0.25, 0.01)
+    >>> pick_words(Pick(fruit, "I", 0.99))
+    'class I'
+    >>> pick_words(Pick(fruit, "undecided", 0.5, PickKind.UNDECIDED, ("II", "I")))
+    'undecided: class II or I'
     """
-    if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
-        return "class unsure"
-    if grade.name == OUT_OF_GRADE:
-        return grade.beyond or "no class"
-    return f"class {grade.name}"
-
-
-def grade_words(grade: Grade) -> str:
-    """Return a fruit's class with how sure it is: 'probably class I'."""
-    probably = "probably " if grade.verdict is GradeVerdict.BORDERLINE else ""
-    return probably + grade_name(grade)
+    if pick.name != UNDECIDED:
+        return class_name(pick.name)
+    if pick.fruit.at_least:
+        return f"{UNDECIDED} (only part of it is seen)"
+    return f"{UNDECIDED}: {choice_words(pick.possible)}"
 
 
 def length_words(record: DetectionRecord, units: Units) -> str:
@@ -242,20 +236,23 @@ def row_name(row: str | None) -> str:
     return f"Row {row or '?'}"
 
 
-def count_words(count: CountEstimate) -> str:
-    """Return how many fruit a row has, with its interval, and how many were found.
+def count_words(report: RowReport) -> str:
+    """Return how many fruit a row has: as found, and with its interval where that is estimated.
 
     Examples
     --------
+    >>> from cucumbervision.rounds.merge_and_link import RowReport
     >>> from cucumbervision.rounds.row_fruit import CountEstimate
-    >>> count_words(CountEstimate.of_nothing())
-    'no fruit found'
+    >>> count_words(RowReport("", 0, 0, 3, CountEstimate.of_nothing()))
+    '3 fruit found'
     """
-    if not len(count.seen):
+    if report.fruit == 0:
         return "no fruit found"
-    low, high = count.interval()
+    low, high = (report.fruit - len(report.count.seen) + end for end in report.count.interval())
+    if low == high == report.fruit:
+        return f"{report.fruit} fruit found"
     there = f"{low} to {high}" if low < high else f"{low}"
-    return f"{len(count.seen)} seen, about {count.expected:.0f} real ({there})"
+    return f"{report.fruit} seen, about {report.expected:.0f} real ({there})"
 
 
 def span_words(of: Span) -> str:

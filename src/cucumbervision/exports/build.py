@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.agronomy.grades import grade
-from cucumbervision.agronomy.picking import pick_list, plan_work, work_of
+from cucumbervision.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
@@ -210,6 +210,7 @@ def _summary(
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
+    listed = Counter(pick.kind for pick in pick_list(forecast)) if forecast else Counter()
     return {
         "view": view,
         "figures": round_figures(content, table),
@@ -217,10 +218,11 @@ def _summary(
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
         "captures": sum(stop.captures for stop in content.stops),
-        "expected_fruit": sum(row.count.expected for row in reports),
+        "expected_fruit": sum(row.expected for row in reports),
         "expected_fruit_sd": math.hypot(*(row.count.sd for row in reports)),
         "failures": sum(stop.failures for stop in content.stops),
-        "ready_today": None if forecast is None else work_of(pick_list(forecast)).fruit,
+        "ready_today": None if forecast is None else listed[PickKind.READY],
+        "may_be_ready": None if forecast is None else listed[PickKind.UNDECIDED],
         "simulated": any(line.view.simulated for line in table),
     }
 
@@ -293,7 +295,7 @@ def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Lin
     for order, pick in enumerate(pick_list(forecast), 1):
         line = lines[pick.fruit.fruit_id]
         yield {
-            **{"order": order, "number": line.number, "pick": pick},
+            **{"order": order, "number": line.number, "pick": pick, "view": line.view},
             "simulated": line.view.simulated,
         }
 
@@ -310,10 +312,14 @@ def _date(today_s: float, day: int) -> str:
 
 def _remarks(fruit: RoundFruit) -> str:
     """Return the remarks of a fruit as text."""
+    record = fruit.view.record
+    bound = record.partial and record.length_m is not None
     parts = (
         "picked" if fruit.view.picked_s else "",
         "drawn, not grown" if fruit.view.simulated else "",
-        flag_remarks(fruit.view.record.flags),
+        flag_remarks(
+            record.flags, f"at least {100 * (record.length_m or 0):.1f} cm" if bound else ""
+        ),
     )
     return "; ".join(filter(None, parts))
 

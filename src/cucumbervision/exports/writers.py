@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.agronomy.picking import hours_words
+from cucumbervision.agronomy.picking import PickKind, hours_words
 from cucumbervision.capture.files import write_csv, write_json
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
@@ -168,9 +169,18 @@ def _printed(table: Table) -> int:
 
 _FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+_LABELS = {"ready_today": "ready that day", "may_be_ready": "may be ready that day"}
 _DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
 _NUMBERS = (
-    *("ready_today", "fruit", "expected_fruit", "picked", "mean_length_cm", "sd_length_cm"),
+    *(
+        "ready_today",
+        "may_be_ready",
+        "fruit",
+        "expected_fruit",
+        "picked",
+        "mean_length_cm",
+        "sd_length_cm",
+    ),
     *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
 )
 
@@ -192,6 +202,8 @@ def render_sheet(tables: RoundTables) -> str:
     summary = tables.summary
     columns = {column.name: column for column in tables["summary"].columns}
     house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
+    picks = tables["picks"].rows
+    kinds = Counter(str(line["kind"]) for line in picks)
     return _template().render(
         title=tables.title,
         about=tables.provenance,
@@ -206,7 +218,9 @@ def render_sheet(tables: RoundTables) -> str:
         house=house,
         classes=[*dict.fromkeys(str(line["class"]) for line in house)],
         work=tables["work"].rows,
-        picks=tables["picks"].rows,
+        picks=picks,
+        kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
+        labels=_LABELS,
         fruit=tables["fruit"].rows,
     )
 

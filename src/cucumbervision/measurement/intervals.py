@@ -371,7 +371,8 @@ def with_interval(
     )
     if found is None:
         return length, True
-    low, high = found
+    # A method that reads short is expected beyond what it read: the length bounds the interval too.
+    low, high = min(found[0], length.value_m), max(found[1], length.value_m)
     if high > WIDEST * low:
         return length, False
     basis = IntervalBasis.SIMULATED

@@ -174,7 +174,11 @@ INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % 
 
 @dataclass(frozen=True)
 class Length:
-    """A length, with the interval that it is known to.
+    """A length, with the interval that it is known to, which always holds the length.
+
+    The models of intervals know how far a method reads short, above all of a fruit that goes on
+    out of sight or of a box's diagonal: what they expect may lie beyond the length as measured.
+    The interval then begins or ends at the length.
 
     Parameters
     ----------
@@ -188,6 +192,12 @@ class Length:
         Which length the interval is about: `kind` itself, or for a raw length the centreline.
     basis : IntervalBasis, optional
         What the interval was learnt from.
+
+    Examples
+    --------
+    >>> seen = Length(0.171, low_m=0.198, high_m=0.248)
+    >>> seen.low_m, seen.high_m
+    (0.171, 0.248)
     """
 
     value_m: float
@@ -197,13 +207,19 @@ class Length:
     interval_of: LengthDefinition | None = None
     basis: IntervalBasis | None = None
 
+    def __post_init__(self) -> None:
+        if self.low_m is None or self.high_m is None or not self.low_m <= self.high_m:
+            return
+        object.__setattr__(self, "low_m", min(self.low_m, self.value_m))
+        object.__setattr__(self, "high_m", max(self.high_m, self.value_m))
+
     @property
     def sides(self) -> tuple[float, float, float] | None:
         """The median, and the standard deviations of the logarithm below and above it.
 
         The ends of the interval are taken as quantiles and the length as the median (the middle of
-        the interval's logarithm if it lies outside); each side is half a normal distribution of the
-        logarithm. None where no interval is known.
+        the interval's logarithm if it is one of the ends); each side is half a normal distribution
+        of the logarithm. None where no interval is known.
 
         Examples
         --------
@@ -212,7 +228,7 @@ class Length:
         """
         if not (self.low_m and self.high_m and 0 < self.low_m <= self.high_m < math.inf):
             return None
-        inside = self.low_m <= self.value_m <= self.high_m
+        inside = self.low_m < self.value_m < self.high_m
         median = self.value_m if inside else math.sqrt(self.low_m * self.high_m)
         below, above = math.log(median / self.low_m), math.log(self.high_m / median)
         return median, below / INTERVAL_Z, above / INTERVAL_Z

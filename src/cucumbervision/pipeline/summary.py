@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.result import Choice, Flag, Method
+from cucumbervision.measurement.result import LOWER_BOUND, Choice, Flag, Method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -70,7 +70,9 @@ class Summary:
     captures, fruit : int
         How many were measured, fruit that got no length included.
     lengths_cm : array of float
-        Of the fruit that got one.
+        Of the fruit that got one that is no lower bound.
+    lower_bounds_cm : array of float
+        Of those that go on out of sight.
     refused_cm : list of float
         Of the fruit that no fruit of the crop can be as long, as short or as thick as.
     too_large : int
@@ -98,6 +100,7 @@ class Summary:
     captures: int = 0
     fruit: int = 0
     lengths_cm: array[float] = field(default_factory=lambda: array("d"))
+    lower_bounds_cm: array[float] = field(default_factory=lambda: array("d"))
     refused_cm: list[float] = field(default_factory=list)
     too_large: int = 0
     methods: Counter[str] = field(default_factory=Counter)
@@ -111,7 +114,7 @@ class Summary:
     @property
     def measured(self) -> int:
         """How many fruit got a length."""
-        return len(self.lengths_cm)
+        return len(self.lengths_cm) + len(self.lower_bounds_cm)
 
     def add(
         self,
@@ -124,18 +127,21 @@ class Summary:
         self.left_out.update(left_out or {})
         for row in rows:
             self.fruit += 1
+            flags = str(row.get("flags") or "").split()
             if row["length_cm"] is not None:
-                self.lengths_cm.append(float(row["length_cm"]))
+                whole = LOWER_BOUND.isdisjoint(flags)
+                lengths_cm = self.lengths_cm if whole else self.lower_bounds_cm
+                lengths_cm.append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
             refused = row.get("reason")
-            large = Flag.DEPTH_UNIT in str(row.get("flags") or "").split()
+            large = Flag.DEPTH_UNIT in flags
             if refused == Choice.IMPLAUSIBLE or (refused == Choice.IMPLAUSIBLE_DIAMETER and large):
                 self.too_large += large
                 read = [row[f"{method.lower()}_cm"] for method in reversed(Method)]
                 self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
             self.labels[str(row.get("label") or "")] += 1
-            self.flags.update(str(row.get("flags") or "").split())
+            self.flags.update(flags)
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
 
@@ -167,11 +173,11 @@ class Summary:
         >>> Summary(refused_cm=[148.0, 180.0], fruit=2).unit_hints()[0]
         'no fruit has a possible size (median 164 cm): is one step of depth really 1 mm? ...'
         """
-        known = len(self.refused_cm) + len(self.lengths_cm)
-        if not self.refused_cm or (self.lengths_cm and 2 * self.too_large < known):
+        known = len(self.refused_cm) + self.measured
+        if not self.refused_cm or (self.measured and 2 * self.too_large < known):
             return []
         middle = median(self.refused_cm)
-        some = f"{self.too_large} of {known} fruit are too large" if self.lengths_cm else ""
+        some = f"{self.too_large} of {known} fruit are too large" if self.measured else ""
         found = f"{some or 'no fruit has a possible size'} (median {middle:.3g} cm)"
         steps = [s for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
         if not steps:
@@ -193,6 +199,7 @@ class Summary:
             ("Captures", self.captures),
             ("Fruit", self.fruit),
             ("Fruit measured", self.measured),
+            ("of these only in part (lower bounds)", len(self.lower_bounds_cm)),
             ("Inputs that could not be read", failures),
         ]
         if self.simulated:

@@ -9,11 +9,13 @@ from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
-from cucumbervision.agronomy.grades import best_class
+import numpy as np
+
+from cucumbervision.agronomy.classes import class_of
+from cucumbervision.agronomy.forecast import Counts, DetectionRates, FruitState, forecast
+from cucumbervision.agronomy.grades import grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.picking import Pick, pick_list
-from cucumbervision.agronomy.profiles import TOO_LONG
+from cucumbervision.agronomy.picking import Pick, PickKind, pick_list
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.rounds.day_linking import SURE
@@ -25,6 +27,8 @@ from cucumbervision.store.links import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.profiles import CropProfile
@@ -46,12 +50,12 @@ def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> D
     Parameters
     ----------
     rows : sequence of RowReport
-        The round's rows; unmerged rows are ignored, and without any the priors of
-        the count stand.
+        The round's rows; unmerged rows are ignored, and without any nothing is taken to be missed.
     table : sequence of RoundFruit
         The round's fruit: those without a length are as good as missed.
     """
-    found, found_sd, false = found_share([row.count for row in rows if row.merged])
+    merged = [row.count for row in rows if row.merged and row.fruit]
+    found, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
     hanging = [line.view.record.length_m for line in table if line.view.picked_s is None]
     measured = sum(length is not None for length in hanging)
     share = measured / len(hanging) if measured else 1.0
@@ -101,6 +105,7 @@ def fruit_states(
         if view.doubtful or length is None or not length.value_m > 0:
             continue
         length_m, sd_m = _median_and_sd(length)
+        graded = grade(view.record, profile)
         states.append(
             FruitState(
                 view.key,
@@ -110,8 +115,10 @@ def fruit_states(
                 sd_m,
                 day,
                 view.side or "",
-                best_class(view.record, profile),
+                graded.best_class,
                 view.picked_s is not None and view.picked_s < picked_before_s,
+                graded.possible,
+                view.record.partial,
             )
         )
     return states
@@ -208,13 +215,16 @@ class RowPicks:
     ----------
     row : str
         The row.
-    ready, too_long : tuple of Pick
-        Fruit of a class that is picked, and those that have outgrown every class.
+    picks : tuple of Pick
+        All of them.
     """
 
     row: str
-    ready: tuple[Pick, ...]
-    too_long: tuple[Pick, ...]
+    picks: tuple[Pick, ...]
+
+    def of(self, kind: PickKind) -> tuple[Pick, ...]:
+        """Return those of a kind."""
+        return tuple(pick for pick in self.picks if pick.kind is kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,35 +254,30 @@ class Today:
     best: Mapping[str, str]
     simulated: frozenset[str] = frozenset()
 
-    @property
-    def ready(self) -> tuple[Pick, ...]:
-        """All fruit that are ready."""
-        return tuple(pick for row in self.rows for pick in row.ready)
-
-    @property
-    def too_long(self) -> tuple[Pick, ...]:
-        """All fruit that are too long."""
-        return tuple(pick for row in self.rows for pick in row.too_long)
+    def of(self, kind: PickKind) -> tuple[Pick, ...]:
+        """Return all fruit of the pick list of a kind."""
+        return tuple(pick for row in self.rows for pick in row.of(kind))
 
     def left(self, picked: set[str]) -> Today:
         """Return the same without the fruit that were picked meanwhile, by their keys."""
-
-        def still(picks: tuple[Pick, ...]) -> tuple[Pick, ...]:
-            return tuple(pick for pick in picks if pick.fruit.fruit_id not in picked)
-
-        rows = [RowPicks(row.row, still(row.ready), still(row.too_long)) for row in self.rows]
-        return replace(self, rows=tuple(row for row in rows if row.ready or row.too_long))
+        rows = [
+            RowPicks(row.row, tuple(p for p in row.picks if p.fruit.fruit_id not in picked))
+            for row in self.rows
+        ]
+        return replace(self, rows=tuple(row for row in rows if row.picks))
 
     def by_class(self) -> dict[str, dict[str, int]]:
-        """Return how many fruit are ready, by row and class; a class that no row has is left out.
+        """Return how many fruit are on the pick list, by row and class.
 
-        Too long ones are a class of their own.
+        Those that may be ready and too long ones are classes of their own; one that no row has is
+        left out.
         """
         found: dict[str, dict[str, int]] = {}
         for row in self.rows:
             own = found.setdefault(row.row, {})
-            for pick in (*row.ready, *row.too_long):
-                own[pick.name] = own.get(pick.name, 0) + 1
+            for pick in row.picks:
+                name = pick.name if pick.kind is PickKind.READY else str(pick.kind)
+                own[name] = own.get(name, 0) + 1
         return found
 
 
@@ -324,7 +329,8 @@ def forecast_today(
 ) -> Forecast:
     """Forecast a round from today on: growth from its links, classes from a profile.
 
-    Missed fruit and false positives are allowed for as the round itself shows them
+    Today's numbers are those of the fruit as they are counted everywhere (`with_counts_today`).
+    Later missed fruit and false positives are allowed for as the round itself shows them
     (`detection_rates`), the error that all lengths share as its calibration does
     (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day of
     its walk.
@@ -345,7 +351,7 @@ def forecast_today(
     """
     content = content or read_round(store, one.key)
     table = fruit_table(content)
-    return forecast(
+    found = forecast(
         fruit_states(table, one.record.started_s / DAY_S, profile, picked_before_s),
         fit_growth(growth_links(store, one.key, content), GrowthPrior.of(profile)),
         profile,
@@ -354,6 +360,49 @@ def forecast_today(
         detection=detection_rates(row_reports(content), table),
         scale_sd=shared_scale_sd(store.artifacts(one.key).values()),
     )
+    return with_counts_today(found)
+
+
+def with_counts_today(found: Forecast) -> Forecast:
+    """Return a forecast whose numbers of today are those of its fruit, each counted in its class.
+
+    The undecided are in no class. The ranges hold these numbers, and reach as far as the forecast's
+    for undecided, missed and mistaken fruit; of what is ready today they are the same.
+    """
+    counted = np.zeros(found.by_row.expected[:, 0].shape)
+    for one, possible in zip(found.fruit, found.possible, strict=True):
+        name = class_of(possible)
+        if name in found.classes:
+            counted[found.rows.index(one.row), found.classes.index(name)] += 1
+    picked = np.isin(found.classes, found.pick)
+    by_row = _counted_today(found.by_row, counted)
+    house = _counted_today(found.house, counted.sum(axis=0))
+    return replace(
+        found,
+        by_row=by_row,
+        house=house,
+        row_picks=_as_today(found.row_picks, by_row, picked),
+        picks=_as_today(found.picks, house, picked),
+    )
+
+
+def _counted_today(counts: Counts, counted: NDArray[np.float64]) -> Counts:
+    """Return numbers, shape (..., D, C), with those of today as counted, shape (..., C)."""
+    expected, low, high = counts.expected.copy(), counts.low.copy(), counts.high.copy()
+    expected[..., 0, :] = counted
+    low[..., 0, :] = np.minimum(low[..., 0, :], counted)
+    high[..., 0, :] = np.maximum(high[..., 0, :], counted)
+    return Counts(expected, low, high)
+
+
+def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Counts:
+    """Return what becomes ready, with today what stands ready in the classes that are picked."""
+    values = []
+    for name in ("expected", "low", "high"):
+        value = getattr(counts, name).copy()
+        value[..., 0, picked] = getattr(standing, name)[..., 0, picked]
+        values.append(value)
+    return Counts(*values)
 
 
 def day_0_s(one: RoundView, now_s: float) -> float:
@@ -401,11 +450,4 @@ def read_today(
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:
     rows = dict.fromkeys(pick.fruit.row for pick in picks)
-    return tuple(
-        RowPicks(
-            row,
-            tuple(p for p in picks if p.fruit.row == row and p.name != TOO_LONG),
-            tuple(p for p in picks if p.fruit.row == row and p.name == TOO_LONG),
-        )
-        for row in rows
-    )
+    return tuple(RowPicks(row, tuple(p for p in picks if p.fruit.row == row)) for row in rows)

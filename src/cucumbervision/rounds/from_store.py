@@ -141,6 +141,11 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     return RoundContent(round_key, tuple(stops), tuple(views), cameras, false, joint)
 
 
+def counted_fruit(views: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit of a round, each by its representative view; rejected ones are left out."""
+    return [view for view in views if view.best and view.verdict is not Verdict.REJECTED]
+
+
 def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
     """Return the views of each fruit that several stops show, by the key of their measurement.
 

@@ -11,7 +11,12 @@ import numpy as np
 
 from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.measurement.result import INTERVAL_Z
-from cucumbervision.rounds.from_store import RoundContent, joint_groups, stored_merging
+from cucumbervision.rounds.from_store import (
+    RoundContent,
+    counted_fruit,
+    joint_groups,
+    stored_merging,
+)
 from cucumbervision.rounds.merge_and_link import earlier_round, later_rounds
 from cucumbervision.rounds.row_fruit import joint_tube_is_used, pooled_length
 from cucumbervision.store.links import LinkKind
@@ -66,7 +71,7 @@ class RoundFigures:
     detections : int
         Finds that these are made of.
     mean_m, sd_m, shortest_m, longest_m : float, optional
-        Of the lengths of the fruit on the plant, metres.
+        Of the lengths of the fruit on the plant, metres; lower bounds are left out.
     """
 
     fruit: int
@@ -79,15 +84,21 @@ class RoundFigures:
     longest_m: float | None
 
 
+def on_the_plant(fruit: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit that count today: neither deleted, picked nor doubtful."""
+    return [
+        view
+        for view in fruit
+        if view.picked_s is None and view.verdict is not Verdict.REJECTED and not view.doubtful
+    ]
+
+
 def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
-    """Return the lengths of the fruit that are neither deleted, picked nor doubtful, metres."""
+    """Return the lengths of the fruit on the plant, metres; lower bounds are left out."""
     return [
         view.record.length_m
-        for view in fruit
-        if view.record.length_m is not None
-        and view.picked_s is None
-        and view.verdict is not Verdict.REJECTED
-        and not view.doubtful
+        for view in on_the_plant(fruit)
+        if view.record.length_m is not None and not view.record.partial
     ]
 
 
@@ -109,7 +120,7 @@ def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFi
 def fruit_table(content: RoundContent) -> list[RoundFruit]:
     """Return a round's fruit, each once, by row and position; rejected ones are left out."""
     pooled, joint = _pooled(content), _joint(content)
-    best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
+    best = counted_fruit(content.views)
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
     return [
         _fruit(number, view, joint.get(view.key), pooled.get(view.key))
@@ -278,7 +289,7 @@ def _ends(links: Iterable[LinkRecord], keys: set[str]) -> set[str]:
 def _other_day(store: Store, one: RoundView, fruit: DetectionView, ends: set[str]) -> OtherDay:
     every = store.detections(one.key)
     group = next((view.group for view in every if view.key in ends), None)
-    best = [view for view in every if view.best and view.verdict is not Verdict.REJECTED]
+    best = counted_fruit(every)
     linked = next((view for view in best if view.group == group), None)
     others = [view for view in best if view.group != group]
     return OtherDay(one, linked, nearest(fruit, others, _FAR_M))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,13 @@ import numpy as np
 
 from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.rounds.day_linking import link_days
-from cucumbervision.rounds.from_store import RoundContent, by_hand_of, read_round, stored_merging
+from cucumbervision.rounds.from_store import (
+    RoundContent,
+    by_hand_of,
+    counted_fruit,
+    read_round,
+    stored_merging,
+)
 from cucumbervision.rounds.merge import NO_PAIRS, Merged, merge_row
 from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
@@ -44,8 +51,10 @@ class RowReport:
         The row.
     stops, views : int
         Stops with a position, and detections.
+    fruit : int
+        The fruit that these are merged into, those included that have no place.
     count : CountEstimate
-        The fruit that these are merged into, and how many there are.
+        How many there are of those that have a place.
     merged : bool
         Whether the row has been merged.
     stop_sd_m : float, optional
@@ -59,6 +68,7 @@ class RowReport:
     row: str
     stops: int
     views: int
+    fruit: int
     count: CountEstimate
     merged: bool = True
     stop_sd_m: float | None = None
@@ -66,9 +76,9 @@ class RowReport:
     unplaced: int = 0
 
     @property
-    def fruit(self) -> int:
-        """How many fruit were found."""
-        return len(self.count.seen)
+    def expected(self) -> float:
+        """How many fruit there are; of those without a place or row as many as were found."""
+        return self.fruit - len(self.count.seen) + self.count.expected
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,8 @@ def merge_round(store: Store, round_key: str) -> list[RowReport]:
         along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
         for key, at_m, sd_m in zip(row.stop_keys, *along, strict=True):
             positions[key] = Position(at_m, sd_m)
-        reports.append(_report(row, merged))
+        fruit = len(np.unique(merged.cluster)) + row.unplaced
+        reports.append(_report(row, merged, fruit))
     store.save_merging(round_key, links, positions)
     return reports
 
@@ -137,12 +148,15 @@ def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
     return merge_row(row.stops, row.views, by_hand=by_hand_of(row, links))
 
 
-def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:
+def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowReport:
+    count = count_fruit(merged, row.stops, row.views, row.accepted, row.false)
     return RowReport(
         row.name,
         len(row.stops),
         len(row.views),
-        count_fruit(merged, row.stops, row.views, row.accepted, row.false),
+        fruit,
+        # Without a row, pictures need not be of one place: nothing is said of what none shows.
+        count if row.name else CountEstimate.counted(len(count.seen)),
         done,
         float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         tuple(row.sides[side] for side in merged.mirrored),
@@ -153,8 +167,14 @@ def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:
 def row_reports(content: RoundContent) -> list[RowReport]:
     """Return the rows of a round as they were merged last, what was done by hand included."""
     fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
+    fruit = Counter(view.row or "" for view in counted_fruit(content.views))
     return [
-        _report(row, stored_merging(content, row), done=not fitted.isdisjoint(row.stop_keys))
+        _report(
+            row,
+            stored_merging(content, row),
+            fruit[row.name],
+            done=not fitted.isdisjoint(row.stop_keys),
+        )
         for row in content.rows
     ]
 

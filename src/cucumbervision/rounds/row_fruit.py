@@ -181,6 +181,7 @@ _MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of i
 _SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
 _FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of false positives
 _MOST_LEARNT = 500  # views; a house changes
+_UNRELATED = 10  # chances to see a fruit again, none of which came true
 _STEPS = 400  # where much is hidden, it converges slowly
 
 
@@ -248,6 +249,18 @@ class CountEstimate:
         none: Ints = np.zeros(0, np.int64)
         return cls(0.0, 0.0, none, none, np.zeros(0), _SEEN)
 
+    @classmethod
+    def counted(cls, fruit: int) -> CountEstimate:
+        """Return the count of fruit of which nothing tells how many were missed.
+
+        Examples
+        --------
+        >>> CountEstimate.counted(65).expected, CountEstimate.counted(65).interval()
+        (65.0, (65, 65))
+        """
+        ones = np.ones(fruit, np.int64)
+        return cls(float(fruit), 0.0, ones, ones, np.ones(fruit), 1.0)
+
     def interval(self, level: float = 0.9) -> tuple[int, int]:
         """Return whole numbers between which the number of fruit lies with that probability.
 
@@ -271,6 +284,8 @@ class CountEstimate:
         prior: that of binomials of which the zeros are not seen. A fruit that one capture could
         show, and did, says nothing of q.
         """
+        if self.seen_again == 1.0:
+            return 0.0
         q, k, nothing = self.seen_again, self.shown, (1 - self.seen_again) ** self.shown
         mean = k * q / (1 - nothing)
         spread = mean * (1 - q + k * q - mean)
@@ -288,6 +303,9 @@ def count_fruit(
 ) -> CountEstimate:
     """Count the fruit of a merged row.
 
+    Pictures that should show fruit again, and show none, are not of one row, or not from where
+    they are said to be: nothing is then said of fruit that none shows.
+
     Parameters
     ----------
     merged, stops, views : Merged, RowStops, RowViews
@@ -301,6 +319,8 @@ def count_fruit(
     shown = np.maximum(times_shown(merged, stops, views), seen)
     score = np.zeros(len(seen))
     np.maximum.at(score, merged.cluster, views.score)
+    if seen.max(initial=0) == 1 and (shown - seen).sum() >= _UNRELATED:
+        return CountEstimate.counted(len(seen))
     known = np.zeros(len(seen), bool)
     if accepted is not None:
         known[merged.cluster[accepted]] = True

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
+from cucumbervision.agronomy.classes import class_name
 from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.charts import class_name, day_name, expected_classes, forecast_chart
+from cucumbervision.dashboard.charts import day_name, expected_classes, forecast_chart
 from cucumbervision.dashboard.words import hours_span_words, round_day, span_words
 from cucumbervision.rounds.forecasting import Age, age_of, age_words
 
@@ -61,7 +62,7 @@ def _days(found: Forecast) -> None:
             more = "" if found.complete[day, k] else " or more"
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
             words = span_words(count)
-            line[class_name(found, k)] = words if words == "–" else f"{words}{more}"
+            line[class_name(found.classes[k])] = words if words == "–" else f"{words}{more}"
         lines.append(line)
     page_elements.table(lines)
     st.caption("'Or more': fruit too small to be detected today are not counted.")

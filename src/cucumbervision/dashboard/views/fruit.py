@@ -23,7 +23,6 @@ from cucumbervision.dashboard.fruit_view import (
 from cucumbervision.dashboard.page_elements import button, draw_undo
 from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
-    grade_words,
     interval_words,
     kind_words,
     length_words,
@@ -107,7 +106,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{sentence(grade_words(found))}**")
+    st.markdown(f"**{sentence(found.words)}**")
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",

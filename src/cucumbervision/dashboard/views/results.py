@@ -13,8 +13,6 @@ from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.round_tables import GradedRound
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.dashboard.words import (
-    grade_name,
-    grade_words,
     interval_words,
     length_words,
     metres_words,
@@ -24,6 +22,7 @@ from cucumbervision.dashboard.words import (
 )
 from cucumbervision.exports import ExportFormat
 from cucumbervision.rounds.adding import is_demonstration
+from cucumbervision.rounds.fruit_table import on_the_plant
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -94,10 +93,12 @@ def _empty(one: RoundView) -> None:
 
 def _classes(one: RoundView, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
-    counts = Counter(grade_name(graded.grades[view.key]) for view in graded.fruit)
+    counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
-    says.markdown(f"**{plain(words)}**")
+    says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
+    if resources.today_of(one).age_days:
+        says.caption("As measured. 'What is ready today' includes the growth expected since then.")
     if is_demonstration(one.key):
         says.caption("A computer-made example.")
     with go:
@@ -130,13 +131,13 @@ def _filtered(graded: GradedRound) -> list[DetectionView]:
     with st.expander("Filters", icon=":material/filter_alt:"):
         row, named, checked = st.columns(3)
         chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
-        chosen_name = choose(named, "Class", map(grade_name, graded.grades.values()))
+        chosen_name = choose(named, "Class", (found.label for found in graded.grades.values()))
         verdict = choose(checked, "Checked", Verdict)
     only = DetectionFilter(row=chosen_row, verdict=verdict)
     return [
         view
         for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
-        if only.keeps(view) and chosen_name in (None, grade_name(graded.grades[view.key]))
+        if only.keeps(view) and chosen_name in (None, graded.grades[view.key].label)
     ]
 
 
@@ -169,7 +170,7 @@ def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     picked = "picked" if view.picked_s else ""
     says = [
         length_words(record, units) + (f" ({interval})" if interval else ""),
-        grade_words(graded.grades[view.key]),
+        graded.grades[view.key].words,
         f"{row_name(view.row)} {view.side or ''}".strip() + at,
         ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
         remarks(record, units),

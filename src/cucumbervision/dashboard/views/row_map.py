@@ -69,7 +69,7 @@ def _maps(one: RoundView, opened: FruitContext | None) -> None:
         "Rows and sides", rows, default=rows[:_ROWS_AT_ONCE], selection_mode="multi"
     )
     for report in resources.rows_of(one):
-        st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report.count)}")
+        st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
     named = None if opened is None else row_and_side(opened.fruit)
     drawn = [row for row in rows if row in chosen or row == named]
     shown = [line for line in lines if line["row"] in drawn]

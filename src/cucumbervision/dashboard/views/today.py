@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision.agronomy.picking import plan_work, work_of
-from cucumbervision.agronomy.profiles import TOO_LONG
+from cucumbervision.agronomy.classes import class_name
+from cucumbervision.agronomy.picking import PickKind, work_of
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.charts import name_of_class
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import doubtful
-from cucumbervision.dashboard.words import counted, height_words, metres_words, plain, round_day
+from cucumbervision.dashboard.words import (
+    counted,
+    height_words,
+    length_words,
+    metres_words,
+    pick_words,
+    plain,
+    round_day,
+)
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.adding import is_demonstration
 from cucumbervision.rounds.forecasting import Age, age_words
@@ -66,7 +73,8 @@ def _next(one: RoundView, today: Today) -> None:
     steps: list[tuple[str, str, str]] = []
     if waiting:
         resources.wake()
-        steps.append((f"{waiting} captures are still being measured.", "capture", "Capture"))
+        words = counted(waiting, "capture is", "captures are")
+        steps.append((f"{words} still being measured.", "capture", "Capture"))
     if not one.stops and is_demonstration(one.key) and resources.worker().unfinished():
         st.info("The example is being measured; its fruit appear here.")
     elif not one.stops and not waiting:
@@ -94,29 +102,34 @@ def _next(one: RoundView, today: Today) -> None:
 def _ready(one: RoundView, today: Today) -> None:
     """Say what is still to be picked, by class and row."""
     today = today.left(_picked(one, today))
-    ready, too_long = len(today.ready), len(today.too_long)
-    names = work_of(today.ready).by_class
-    shown = [("Ready today", ready), *((name_of_class(n), k) for n, k in sorted(names.items()))]
-    if too_long:
-        shown.append(("Too long", too_long))
+    ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
+    names = work_of(today.of(PickKind.READY)).by_class
+    shown = [("Ready today", ready), *((class_name(n), k) for n, k in sorted(names.items()))]
+    others = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
+    labels = {name: class_name(name) for name in sorted(names)}
+    for kind, count in others:
+        if count:
+            labels[str(kind)] = kind.capitalize()
+            shown.append((kind.capitalize(), count))
     with st.container(horizontal=True):
         for label, value in shown:
             st.metric(label, value, width="content")
-    classes = sorted(names) + ([TOO_LONG] if too_long else [])
     lines = []
     for row, own in today.by_class().items():
-        counts = {name_of_class(name): own.get(name) or "" for name in classes}
+        counts = {label: own.get(name) or "" for name, label in labels.items()}
         lines.append({"Row": row or "not named", **counts, "All": sum(own.values())})
     if len(lines) > 1:
         page_elements.table(lines)
-    if today.forecast is not None:
-        span = plan_work(resources.forecast_of(one))[0].fruit
-        low, high = f"{span.low:.0f}", f"{span.high:.0f}"
-        said = low if low == high else f"{low} to {high}"
-        st.caption(
-            f"{ready} fruit are left in the list below. Probably {said} ready, counting fruit we "
-            "may have missed or mistaken."
-        )
+    words = f"{counted(ready, 'fruit is', 'fruit are')} left in the list below."
+    if undecided:
+        words += f" {undecided} more may be ready: their class is undecided."
+    st.caption(words)
+
+
+_SAID = {
+    PickKind.UNDECIDED: "**May be ready**: the length is not known well enough for one class",
+    PickKind.TOO_LONG: "**Too long**: longer than every class; they slow the growth of others",
+}
 
 
 def _picks(one: RoundView, today: Today) -> None:
@@ -124,28 +137,27 @@ def _picks(one: RoundView, today: Today) -> None:
     def _draw() -> None:
         picked = _picked(one, today)
         rows = {row.row: row for row in today.rows}
-        done = {name: sum(_is_picked(p, picked) for p in own.ready) for name, own in rows.items()}
+        ready = {name: own.of(PickKind.READY) for name, own in rows.items()}
+        done = {name: sum(_is_picked(p, picked) for p in own) for name, own in ready.items()}
         if st.session_state.get("pick_row") not in rows:
             named = st.query_params.get("row")
             st.session_state["pick_row"] = named if named in rows else next(iter(rows))
         name = st.segmented_control(
             "Row, in the order of the walk",
             list(rows),
-            format_func=lambda name: (
-                f"{plain(name or 'no row')}: {done[name]}/{len(rows[name].ready)}"
-            ),
+            format_func=lambda name: f"{plain(name or 'no row')}: {done[name]}/{len(ready[name])}",
             key="pick_row",
             required=True,
         )
         row = rows[name or next(iter(rows))]
         page_elements.name_in_address("row", row.row)
-        total = f"{sum(done.values())} of {len(today.ready)} in all rows"
-        kinds = [("ready", row.ready, total), (TOO_LONG, row.too_long, "take them off")]
-        for kind, picks, words in kinds:
+        total = f"{sum(done.values())} of {sum(map(len, ready.values()))} in all rows"
+        for kind, words in zip(PickKind, (total, "look at them", "take them off"), strict=True):
+            picks = row.of(kind)
             if not picks:
                 continue
-            if kind == TOO_LONG:
-                st.markdown("**Too long**: longer than every class; they slow the growth of others")
+            if said := _SAID.get(kind):
+                st.markdown(said)
             lines = _lines(one, picks, picked, today.simulated)
             key = f"picks_{kind}_{one.key}_{row.row}"
             page_elements.fruit_list(key, "Fruit to pick", lines, words, partial(_keep, key))
@@ -172,12 +184,12 @@ def _lines(
     views = {view.key: view for view in resources.graded_round(one).fruit}
     lines = []
     for pick in picks:
-        key, probably = pick.fruit.fruit_id, "" if pick.ready >= 0.8 else "probably "
+        key = pick.fruit.fruit_id
         view = views.get(key)
         says = [
             f"{metres_words(pick.fruit.position_m)} {pick.fruit.side}".strip(),
-            units.text(pick.fruit.length_m),
-            probably + name_of_class(pick.name),
+            "" if view is None else length_words(view.record, units),
+            pick_words(pick),
             "" if view is None else height_words(view.record, units),
             "computer-made" if key in simulated else "",
         ]
@@ -200,7 +212,8 @@ def _keep(key: str) -> None:
 
 
 def _all_picked(row: RowPicks, picked: set[str]) -> None:
-    left = [p.fruit.fruit_id for p in row.ready if not _is_picked(p, picked)]
+    ready = row.of(PickKind.READY)
+    left = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
 
     @st.dialog("All picked?")
     def _ask() -> None:
@@ -238,5 +251,6 @@ def _work(today: Today, picked: set[str]) -> None:
     if today.forecast is None:
         return
     now = time.strftime("%H:%M")
-    words = page_elements.work_words(work_of(today.left(picked).ready, resources.settings().rates))
+    left = today.left(picked).of(PickKind.READY)
+    words = page_elements.work_words(work_of(left, resources.settings().rates))
     st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {now}.")

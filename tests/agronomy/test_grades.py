@@ -144,7 +144,7 @@ def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
         assert found.verdict is (decided if len(possible) == 1 else GradeStatus.UNDECIDED)
 
 
-@pytest.mark.parametrize("flag", LOWER_BOUND)
+@pytest.mark.parametrize("flag", sorted(LOWER_BOUND))
 @pytest.mark.parametrize(
     ("length_cm", "words"),
     [

@@ -160,9 +160,9 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     assert summary["detections"] == len(content.views) - len(gone)
     charted = [line["length"] for line in length_lines(graded.fruit, graded.grades, units)]
     hanging = [
-        line["length_cm"]
+        float(str(line["length_cm"]))
         for line in files["fruit"].rows
-        if line["picked_utc"] is None and "at least" not in (line["remarks"] or "")
+        if line["picked_utc"] is None and "at least" not in str(line["remarks"])
     ]
     assert len(hanging) == len(graded.fruit) - 2  # without the picked one and the lower bound
     assert sorted(charted) == pytest.approx(sorted(hanging), abs=1e-3)

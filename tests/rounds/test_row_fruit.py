@@ -6,6 +6,7 @@ import pytest
 from cucumbervision.rounds.merge import NO_PAIRS, Merged
 from cucumbervision.rounds.row_fruit import (
     CountEstimate,
+    count_fruit,
     estimate_count,
     found_share,
     row_fruit,
@@ -30,6 +31,23 @@ def test_captures_that_could_show_a_fruit() -> None:
     cluster = np.array([0, 0, 1, 2])
     merged = Merged(cluster, prior_stops(stops), NO_PAIRS, np.zeros(0))
     assert times_shown(merged, stops, views).tolist() == [2, 1, 0]
+
+
+@pytest.mark.parametrize("again", [0, 3, 8])
+def test_pictures_that_show_nothing_again_are_only_counted(again: int) -> None:
+    """Twenty pictures from nearly one place, of one fruit each: they should all show all."""
+    at_m = np.zeros((20, 3))
+    at_m[:, 0] = 0.005 * np.arange(20)
+    stops = RowStops(at_m, np.full((20, 3), 0.03), np.zeros(20, int), np.full((20, 2), 0.5))
+    offset, ones, at = np.tile([0.0, 0.0, 0.7], (20, 1)), np.ones(20), np.arange(20)
+    views = RowViews(
+        at, at, offset, np.full((20, 3), 0.01), ones, ones, ones, ones, ones > 2, ones, ones
+    )
+    cluster = np.maximum(at - again, 0)  # so many were taken for the first fruit
+    merged = Merged(cluster, prior_stops(stops), NO_PAIRS, np.zeros(0))
+    count = count_fruit(merged, stops, views)
+    assert (count.expected, count.sd, count.interval()) == (20 - again, 0.0, (20 - again,) * 2)
+    assert found_share([count]) == (1.0, 0.0, 0.0)
 
 
 def test_a_fruit_is_as_long_as_its_whole_views_say_together() -> None:

@@ -318,25 +318,27 @@ def show(
 
 def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
     from cucumbervision.agronomy.grades import grade
+    from cucumbervision.measurement.result import flag_remarks
 
     view, record = line.view, line.view.record
     length = record.length
     low, high = (None, None) if length is None else (length.low_m, length.high_m)
+    least = "≥ " if record.at_least else ""
     remarks = [
         "" if length is not None else f"not measured: {record.reason}",
         "" if view.picked_s is None else "picked",
-        record.flags,
+        flag_remarks(record.flags),
     ]
     return [
         str(line.number),
         view.row or "",
         view.side or "",
         "" if view.along_m is None else f"{view.along_m:.2f}",
-        "" if length is None else f"{100 * length.value_m:.1f}",
-        "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
+        "" if length is None else f"{least}{100 * length.value_m:.1f}",
+        "" if least or low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
         str(view.views),
         "" if profile is None else grade(record, profile).words,
-        " ".join(filter(None, remarks)),
+        "; ".join(filter(None, remarks)),
         view.key[:8],
     ]
 

@@ -80,7 +80,7 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     """
     if record.length_m is None:
         return "not measured"
-    return ("at least " if record.partial else "") + units.text(record.length_m)
+    return ("at least " if record.at_least else "") + units.text(record.length_m)
 
 
 def interval_words(record: DetectionRecord, units: Units) -> str | None:
@@ -196,7 +196,7 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """
-    is_bound = record.partial and record.length_m is not None
+    is_bound = record.at_least and record.length_m is not None
     return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
 
 

@@ -313,7 +313,7 @@ def _date(today_s: float, day: int) -> str:
 def _remarks(fruit: RoundFruit) -> str:
     """Return the remarks of a fruit as text."""
     record = fruit.view.record
-    bound = record.partial and record.length_m is not None
+    bound = record.at_least and record.length_m is not None
     parts = (
         "picked" if fruit.view.picked_s else "",
         "drawn, not grown" if fruit.view.simulated else "",

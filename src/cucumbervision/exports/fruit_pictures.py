@@ -121,7 +121,7 @@ def draw_fruit(
         if record.distance_m:
             _draw_scale(picture, zoom * camera.fx_px / record.distance_m)
     if record.length_m is not None:
-        least = "at least " if record.partial else ""
+        least = "at least " if record.at_least else ""
         draw_text(picture, f"{least}{100 * record.length_m:.1f} cm", (10, 22), 0.75)
     return picture
 

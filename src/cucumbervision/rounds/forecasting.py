@@ -118,7 +118,7 @@ def fruit_states(
                 graded.best_class,
                 view.picked_s is not None and view.picked_s < picked_before_s,
                 graded.possible,
-                view.record.partial,
+                view.record.at_least,
             )
         )
     return states

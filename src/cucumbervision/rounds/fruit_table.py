@@ -98,7 +98,7 @@ def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
     return [
         view.record.length_m
         for view in on_the_plant(fruit)
-        if view.record.length_m is not None and not view.record.partial
+        if view.record.length_m is not None and not view.record.at_least
     ]
 
 

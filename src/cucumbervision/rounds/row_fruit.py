@@ -181,7 +181,8 @@ _MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of i
 _SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
 _FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of false positives
 _MOST_LEARNT = 500  # views; a house changes
-_UNRELATED = 10  # chances to see a fruit again, none of which came true
+# With fewer of its chances to show a fruit again come true, a row's pictures are unrelated.
+_LEAST_AGAIN, _CHANCES = 0.25, 10
 _STEPS = 400  # where much is hidden, it converges slowly
 
 
@@ -303,8 +304,8 @@ def count_fruit(
 ) -> CountEstimate:
     """Count the fruit of a merged row.
 
-    Pictures that should show fruit again, and show none, are not of one row, or not from where
-    they are said to be: nothing is then said of fruit that none shows.
+    Pictures that should show fruit again, and hardly show any, are not of one row, or not from
+    where they are said to be: nothing is then said of fruit that none shows.
 
     Parameters
     ----------
@@ -319,7 +320,8 @@ def count_fruit(
     shown = np.maximum(times_shown(merged, stops, views), seen)
     score = np.zeros(len(seen))
     np.maximum.at(score, merged.cluster, views.score)
-    if seen.max(initial=0) == 1 and (shown - seen).sum() >= _UNRELATED:
+    chances = int((shown - 1).sum())
+    if chances >= _CHANCES and (seen - 1).sum() < _LEAST_AGAIN * chances:
         return CountEstimate.counted(len(seen))
     known = np.zeros(len(seen), bool)
     if accepted is not None:

@@ -194,7 +194,7 @@ def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
     if hand_m is None or record.length_m is None:
         return False
     ratio = hand_m / record.length_m
-    return ratio < 1 / _SLIP or (ratio > _SLIP and not record.partial)
+    return ratio < 1 / _SLIP or (ratio > _SLIP and not record.at_least)
 
 
 def hand_lengths(

@@ -181,6 +181,7 @@ def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
     first = forecast.table[0].value.to_dict("records")[0]
     for name in ("class I", "class II", "too long"):
         assert first[name].split(" ")[0] == str(HANGS[name])
+    assert f"Today {HANGS['undecided']} undecided fruit are in no class" in said(forecast)
     work = forecast.table[1].value.to_dict("records")[0]
     assert work["Fruit"] == first["class I"].removesuffix(" or more")
 
@@ -226,6 +227,8 @@ def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path
     assert "ready: 4, may be ready: 3, too long: 1." in re.sub(r"\s+", " ", html)
     assert "undecided (only part of it is seen)" in html
     assert "at least 26.0 cm" in html
+    assert html.count("≥ 26.0</td>") == 2  # among those that may be ready, and among all
+    assert "23.0–29.0" not in html
 
 
 def test_the_command_says_the_same_words(store: Store, day: str) -> None:

@@ -290,7 +290,7 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
     lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
     assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"
-    assert book["Fruit"].print_area.endswith(f"$A$1:$I${1 + len(tables['fruit'].rows)}")
+    assert book["Fruit"].print_area.endswith(f"$A$1:$J${1 + len(tables['fruit'].rows)}")
     picture = next(cell for cell in book["Fruit"][1] if cell.value == "picture")
     target = book["Fruit"].cell(2, picture.column).hyperlink.target
     assert target.replace("\\", "/") == "pictures/morning_row-3_fruit-0001.jpg"
@@ -317,14 +317,14 @@ def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
 
 
 def test_the_fruit_begin_with_what_people_read(tables: RoundTables) -> None:
-    read = tables["fruit"].columns[:9]
+    read = tables["fruit"].columns[:10]
     assert [column.title for column in read] == [
-        *("number", "row", "along [m]", "length [cm]", "interval low [cm]", "interval high [cm]"),
-        *("grade", "remarks", "taken utc"),
+        *("number", "row", "along [m]", "length [cm]", "at least", "interval low [cm]"),
+        *("interval high [cm]", "grade", "remarks", "taken utc"),
     ]
     # 18 cm, give or take 3 %, at 0 m and 10 cm to the right of it; its only flag is 'uncertain'.
     assert [tables["fruit"].rows[0][column.name] for column in read] == [
-        *(1, "3", 0.1, 18.0, 17.46, 18.54, "too short", "the length is uncertain"),
+        *(1, "3", 0.1, 18.0, False, 17.46, 18.54, "too short", "the length is uncertain"),
         "2024-10-04T00:00:00Z",
     ]
     picked = [one["remarks"] for one in tables["fruit"].rows if one["picked_utc"]]

@@ -84,7 +84,7 @@ def length_words(record: DetectionRecord, units: Units) -> str:
 
 
 def interval_words(record: DetectionRecord, units: Units) -> str | None:
-    """Return a length's interval from end to end; None where it has none.
+    """Return a length's interval from end to end; None where it has none, or is a lower bound.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     '23.5 to 24.7 cm'
     """
     length = record.length
-    if length is None or not (length.low_m and length.high_m):
+    if length is None or record.at_least or not (length.low_m and length.high_m):
         return None
     return f"{units.value(length.low_m):.{units.digits}f} to {units.text(length.high_m)}"
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.classes import class_name
+from cucumbervision.agronomy.classes import UNDECIDED, class_name, class_of
 from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import day_name, expected_classes, forecast_chart
-from cucumbervision.dashboard.words import hours_span_words, round_day, span_words
+from cucumbervision.dashboard.words import counted, hours_span_words, round_day, span_words
 from cucumbervision.rounds.forecasting import Age, age_of, age_words
 
 if TYPE_CHECKING:
@@ -65,7 +65,12 @@ def _days(found: Forecast) -> None:
             line[class_name(found.classes[k])] = words if words == "–" else f"{words}{more}"
         lines.append(line)
     page_elements.table(lines)
-    st.caption("'Or more': fruit too small to be detected today are not counted.")
+    undecided = sum(class_of(possible) == UNDECIDED for possible in found.possible)
+    words = "'Or more': fruit too small to be detected today are not counted."
+    if undecided:
+        fruit = counted(undecided, "undecided fruit is", "undecided fruit are")
+        words = f"Today {fruit} in no class, and in the ranges. {words}"
+    st.caption(words)
     with st.expander("Details", icon=":material/list:"):
         st.caption(
             "Ranges are 80 % intervals. Growth comes from the crop profile until fruit are linked "

@@ -387,5 +387,5 @@ def _joint_of(one: RoundView, line: RoundFruit | None) -> JointRecord | None:
 
 def _length(record: DetectionRecord, units: Units) -> str:
     words = length_words(record, units)
-    interval = None if record.at_least else interval_words(record, units)
+    interval = interval_words(record, units)
     return f"{words} ({interval})" if interval else words

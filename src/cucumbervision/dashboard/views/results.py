@@ -164,7 +164,7 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
-    interval = None if record.at_least else interval_words(record, units)
+    interval = interval_words(record, units)
     at = "" if view.along_m is None else f", {metres_words(view.along_m)}"
     checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
     picked = "picked" if view.picked_s else ""

@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cucumbervision.capture.frames import Doubt
+from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import LengthDefinition, Method
+from cucumbervision.measurement.result import Flag, LengthDefinition, Method
+from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.remeasuring import measure_round_again
+from cucumbervision.rounds.stop_records import instance_of, stop_record, stored_capture
 from cucumbervision.store.check import check_store
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import key_of
@@ -182,3 +186,22 @@ def test_how_the_camera_was_held_can_be_said_anew(store: Store, folder: Path) ->
     measure_round_again(store, MORNING, replace(OPTIONS, camera_up="top"))
     assert max(stem_heights_m(store)) < -0.1
     assert store.stop(done.stop_key).captures[0].gravity == (0.0, 1.0, 0.0)
+
+
+def test_what_a_reader_found_doubtful_stays_said(store: Store) -> None:
+    """Depth of fewer pixels than colour: measured again, and corrected by hand."""
+    [capture] = [ref.load() for ref in open_source(example_captures() / "simulated-row-a")]
+    coarse = replace(capture, doubts=(Doubt.DEPTH_RESAMPLED,))
+    measurer = Measurer(OPTIONS)
+    stop = stop_record(MORNING, [measurer.measure(coarse)], measurer, images=store.images)
+    store.save_stop(stop)
+    assert store.stop(stop.key) == stop
+    assert measure_round_again(store, MORNING, OPTIONS) == (1, [])
+    flags = [one.record.flags.split() for one in fruit_of(store).values()]
+    assert [one.count("depth-resampled") for one in flags] == [1, 1, 1]
+    [saved] = store.stop(stop.key).captures
+    read = stored_capture(store.images, saved, stop)
+    shape = (read.height, read.width)
+    again = measurer.measure_instance(read, instance_of(saved.fruit[0], shape))
+    assert Flag.DEPTH_RESAMPLED in again.flags
+    assert check_store(store).sound

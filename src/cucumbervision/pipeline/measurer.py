@@ -389,6 +389,7 @@ class Measurer:
         )
         if self.site is not None:
             fruit = calibrated_fruit(fruit, self.site, options.length)
+        fruit = fruit.flagged(*(Flag(doubt) for doubt in capture.doubts))
         return accepted_fruit(
             fruit, options.accepted_m, options.accepted_diameter_m, capture.intrinsics
         )

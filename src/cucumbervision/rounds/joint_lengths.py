@@ -16,7 +16,7 @@ import numpy as np
 
 from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import Flag, LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
@@ -204,6 +204,8 @@ def _joint_record(
     definition: LengthDefinition,
 ) -> JointRecord:
     fruit, first = found.fruit, stored[found.first]
+    doubts = {doubt for one in stored for doubt in one.capture.doubts}
+    fruit = fruit.flagged(*(Flag(doubt) for doubt in sorted(doubts)))
     if site is not None:
         fruit = calibrated_fruit(fruit, site, definition)
     record = fruit_record(NumberedFruit(first.capture, first.record.number, fruit))

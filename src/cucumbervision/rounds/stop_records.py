@@ -13,7 +13,7 @@ import numpy as np
 from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import json_value
-from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag
@@ -123,6 +123,7 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         fill=round(capture.fill, 4),
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
         provenance=json_value(capture.provenance),
+        doubts=tuple(map(str, capture.doubts)) or None,
         fruit=tuple(fruit_record(one) for one in result.seen),
         **_pictures(capture, images),
     )
@@ -152,6 +153,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         CameraModel.model_validate(dict(record.camera)).intrinsics,
         stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
         provenance=dict[str, Any](record.provenance),
+        doubts=tuple(map(Doubt, record.doubts or ())),
         **{name: getattr(record, name) for name in AS_READ},
     )
     # Stores of 0.1.0 kept how the camera was held, and not the direction that follows from it.

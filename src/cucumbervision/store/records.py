@@ -321,6 +321,8 @@ class CaptureRecord:
         Metres of one step of the depth picture.
     gravity : tuple of float, optional
         Direction of gravity in camera coordinates that it was measured with.
+    doubts : tuple of str, optional
+        What its reader found doubtful, as `capture.frames.Doubt`; None for nothing.
     fruit : tuple of DetectionRecord
         Its fruit, each number once.
     """
@@ -339,6 +341,7 @@ class CaptureRecord:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     depth_unit_m: float | None = None
     gravity: tuple[float, float, float] | None = None
+    doubts: tuple[str, ...] | None = None
     color: ImageRef | None = None
     depth: ImageRef | None = None
     thumbnail: ImageRef | None = None

@@ -180,6 +180,7 @@ class CaptureLine(Base):
     simulated: Mapped[bool]
     camera: Mapped[dict[str, Any]]
     gravity: Mapped[list[Any] | None] = mapped_column(JsonList(none_as_null=True))
+    doubts: Mapped[list[Any] | None] = mapped_column(JsonList(none_as_null=True))
     color_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     depth_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     thumbnail_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)

@@ -123,6 +123,7 @@ def _add_capture(connection: Connection, stop_id: int, number: int, capture: Cap
         "camera": dict(capture.camera),
         "provenance": dict(capture.provenance),
         "gravity": capture.gravity and list(capture.gravity),
+        "doubts": capture.doubts and list(capture.doubts),
         **{f"{name}_sha256": ref and ref.sha256 for name, ref in refs.items()},
         "stop_id": stop_id,
         "number": number,
@@ -246,7 +247,8 @@ def _capture_of(
     fruit: tuple[DetectionRecord, ...],
 ) -> CaptureRecord:
     color, depth, thumbnail = pictures
-    cells = {**cells, "gravity": cells["gravity"] and tuple(cells["gravity"])}
+    lists = {name: cells[name] and tuple(cells[name]) for name in ("gravity", "doubts")}
+    cells = cells | lists
     return CaptureRecord(**cells, color=color, depth=depth, thumbnail=thumbnail, fruit=fruit)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cucumbervision.capture.camera_formats import camera_document
 from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
-from cucumbervision.errors import IntrinsicsError, as_errors_of
+from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 from cucumbervision.geometry.camera import Distortion
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 _OWN_NAME = "intrinsics.json"
 _CAMERA_NAME = re.compile(
     r".*(intrinsic|camera|cam_?k|calib).*\.(json|ya?ml|xml|txt)", re.IGNORECASE
+)
+_CAMERA_WORD = re.compile(
+    r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
 )
 _SAY_STREAM = (
     'add "stream": "color" if they are the colour camera\'s at that size (depth-stream '
@@ -124,8 +128,12 @@ class _FileModel(CameraModel):
     depth_unit_m: float | None = Field(default=None, gt=0)
 
 
-def camera_file_near(folder: Folder, at: str) -> Path | None:
-    """Return the intrinsics file of a folder or of its nearest parent folder.
+def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
+    """Return the intrinsics file of a picture: in its folder, or the nearest above that has one.
+
+    A file whose name says whose it is (`cam1_intrinsics.json` beside `cam1_color_1.png` and
+    `cam2_color_1.png`) belongs to those pictures alone. Of several others the native name comes
+    first; the rest must hold the same camera.
 
     Parameters
     ----------
@@ -133,6 +141,13 @@ def camera_file_near(folder: Folder, at: str) -> Path | None:
         The available files.
     at : str
         Name of the subfolder.
+    picture : str
+        Name of the picture's file in it.
+
+    Raises
+    ------
+    IntrinsicsError
+        If several files could be the picture's and differ.
 
     Examples
     --------
@@ -142,12 +157,62 @@ def camera_file_near(folder: Folder, at: str) -> Path | None:
     >>> camera_file_near(walk, "rgb")
     PosixPath('walk/camera.json')
     """
+    pictures = [_stem_words(name) for name in folder.files.get(at, ()) if _is_picture(name)]
+    words = _stem_words(picture)
     while True:
-        found = sorted(name for name in folder.files.get(at, ()) if _CAMERA_NAME.fullmatch(name))
-        if found or not at:
-            # Prefer the native file name.
-            return folder.path / at / min(found, key=lambda n: n != _OWN_NAME) if found else None
+        names = [name for name in folder.files.get(at, ()) if _CAMERA_NAME.fullmatch(name)]
+        owners = {name: _owner_words(name) for name in names}
+        of_others = {
+            name
+            for name, owner in owners.items()
+            if not _begins(words, owner) and any(_begins(other, owner) for other in pictures)
+        }
+        longest = max((len(o) for n, o in owners.items() if _begins(words, o)), default=0)
+        candidates = sorted(
+            name
+            for name, owner in owners.items()
+            if name not in of_others and (not longest or owner == words[:longest])
+        )
+        if candidates or not at:
+            return _only(folder.path / at, candidates, picture)
         at = at.rpartition("/")[0]
+
+
+def _only(folder: Path, names: list[str], picture: str) -> Path | None:
+    """Return the one file of these that holds a camera; None where there is no file."""
+    if _OWN_NAME in names or len(names) < 2:
+        return folder / (_OWN_NAME if _OWN_NAME in names else names[0]) if names else None
+    cameras: dict[str, Intrinsics] = {}
+    for name in names:
+        with suppress(CaptureError):
+            camera = read_camera_file(folder / name).intrinsics
+            if camera.stream is Stream.COLOR:
+                cameras[name] = camera
+    if len(set(cameras.values())) > 1:
+        raise IntrinsicsError(
+            f"{', '.join(cameras)} hold different cameras, and no name tells which is "
+            f"{picture or 'the pictures'}'s",
+            source=folder,
+            remedy="begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
+        )
+    return folder / next(iter(cameras), names[0])
+
+
+def _is_picture(name: str) -> bool:
+    return name.lower().endswith((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm", ".npz"))
+
+
+def _stem_words(name: str) -> tuple[str, ...]:
+    return tuple(re.findall(r"[^\W_]+", name.rpartition(".")[0].casefold()))
+
+
+def _owner_words(name: str) -> tuple[str, ...]:
+    """Return the words of an intrinsics file's name that say whose it is."""
+    return tuple(word for word in _stem_words(name) if not _CAMERA_WORD.fullmatch(word))
+
+
+def _begins(words: tuple[str, ...], owner: tuple[str, ...]) -> bool:
+    return bool(owner) and words[: len(owner)] == owner
 
 
 def read_camera_file(path: Path) -> CameraFile:

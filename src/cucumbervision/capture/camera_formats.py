@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
 _MATRICES = ("camera_matrix", "cameraMatrix", "K", "k", "cam_K")
 _LENSES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "d")
+_COLOR = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _NOT_COLOR = re.compile(r"depth|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
 
 
@@ -97,9 +98,8 @@ def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
         matrix = matrix.reshape(3, 3).T if matrix.ndim == 1 else matrix
     if matrix is None:
         return data
-    frame = f"{path.stem} {data.get('camera_name', '')} {data.get('header', '')}"
     ours: dict[str, Any] = {
-        "stream": "depth" if _NOT_COLOR.search(frame) else "color",
+        "stream": _stream_of(data, path),
         "matrix": _numbers(matrix),
     }
     for key in ("width", "height"):
@@ -116,6 +116,20 @@ def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
             )
         ours |= {"distortion": "brown_conrady", "coefficients": [*lens, *[0.0] * 5][:5]}
     return ours
+
+
+def _stream_of(data: dict[str, Any], path: Path) -> str:
+    """Return the stream: by the frame's name where that tells it, else by the camera's and file's.
+
+    Depth that is aligned to colour has the colour camera's intrinsics and frame, and 'depth' in the
+    name of its file and topic.
+    """
+    header = data.get("header")
+    frame = str(header.get("frame_id", "")) if isinstance(header, dict) else str(header or "")
+    if _COLOR.search(frame) and not _NOT_COLOR.search(frame):
+        return "color"
+    names = f"{path.stem} {data.get('camera_name', '')} {frame}"
+    return "depth" if _NOT_COLOR.search(names) else "color"
 
 
 def _numbers(value: Any) -> list[float]:

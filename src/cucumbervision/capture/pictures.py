@@ -170,11 +170,39 @@ def read_depth(path: Path) -> NDArray[Any]:
         )
     import cv2
 
+    _require_one_page(path, suffix)
     return _decode(path, cv2.IMREAD_UNCHANGED)
 
 
+def _require_one_page(path: Path, suffix: str) -> None:
+    """Refuse a picture of several pages or frames: nothing tells which of them is the capture's."""
+    data = read_bytes(path)
+    pages = 1
+    if suffix in {".tif", ".tiff"}:
+        import cv2
+
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            pages = cv2.imcount(str(path)) if path.is_file() else 1
+        except cv2.error:  # `_decode` says what is wrong
+            pages = 1
+        cv2.utils.logging.setLogLevel(level)
+    elif data.startswith(_PNG):
+        start = data.find(b"acTL", 0, 200)
+        pages = int.from_bytes(data[start + 4 : start + 8], "big") if start > 0 else 1
+    if pages > 1:
+        raise DepthError(
+            f"holds {pages} pages, and nothing tells which belongs to the colour picture",
+            source=path,
+            remedy="save the one that was taken with it as a picture of its own",
+        )
+
+
 def _read_table(path: Path) -> NDArray[Any]:
-    text = read_text(path).replace(";", ",")
+    text = read_text(path)
+    first = text.partition("\n")[0]
+    if "\t" in first or ";" in first:  # then a comma is a decimal one
+        text = text.replace(",", ".").replace("\t", ",").replace(";", ",")
     if text.count(",") > MOST_PIXELS:
         raise DepthError(
             f"has more than {MOST_PIXELS / 1e6:g} million cells",

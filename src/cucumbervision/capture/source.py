@@ -63,6 +63,12 @@ class ReadOptions:
             )
 
 
+# What macOS, Windows and network storage put beside pictures: copies of attributes, thumbnails.
+_SYSTEM_NAMES = frozenset(
+    {*("__MACOSX", ".DS_Store", ".Spotlight-V100", ".Trashes"), *("@eaDir", "Thumbs.db")}
+)
+
+
 @dataclass
 class Folder:
     """Names of the files below a path that no reader has used yet.
@@ -92,7 +98,18 @@ class Folder:
     faults: list[CaptureError] = field(default_factory=list)
 
     def add(self, name: str) -> None:
-        """Add a file by its name relative to the path."""
+        """Add a file by its name relative to the path, unless a system put it there.
+
+        Examples
+        --------
+        >>> folder = Folder(Path("stick"))
+        >>> for name in ("a/color_1.png", "a/._color_1.png", "__MACOSX/a/color_1.png"):
+        ...     folder.add(name)
+        >>> list(folder)
+        ['a/color_1.png']
+        """
+        if any(part.startswith("._") or part in _SYSTEM_NAMES for part in name.split("/")):
+            return
         at, _, own = name.rpartition("/")
         self.files.setdefault(at, []).append(own)
 
@@ -239,7 +256,7 @@ def safe_name(text: str) -> str:
     """
     # Keep combining marks, which are vowels in Hindi.
     kept = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
-    name = no_device(re.sub("_+", "_", "".join(kept)).strip("._") or "capture")
+    name = no_device("".join(kept).strip(".") or "capture")
     if len(name.encode()) <= _LONGEST_NAME:
         return name
     digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]

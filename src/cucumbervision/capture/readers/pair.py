@@ -7,6 +7,7 @@ import zipfile
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
+from unicodedata import normalize
 
 import numpy as np
 
@@ -51,12 +52,15 @@ class Pair:
         Nearest intrinsics file, in the folder of the colour picture or above.
     unit_m : float, optional
         Metres per depth step, if defined by the format.
+    fault : CaptureError, optional
+        Why no intrinsics file can be chosen.
     """
 
     color: Path | None
     depth: Path | None
     camera: Path | None = None
     unit_m: float | None = None
+    fault: CaptureError | None = None
 
     @property
     def is_whole(self) -> bool:
@@ -97,13 +101,19 @@ def match_pairs(folder: Folder) -> list[Pair]:
         color, depth = colors.get(key), depths.get(key)
         if depth not in whole and (color or not _is_8_bit_png(folder.path / str(depth))):
             named.append((color, depth))
-    near = {at: camera_file_near(folder, at) for at in folder.files}
     found = []
     for color, depth in named:
-        at, _, _ = str(color or depth).rpartition("/")
+        at, _, picture = str(color or depth).rpartition("/")
         pictures = [None if name is None else folder.path / name for name in (color, depth)]
-        found.append(Pair(pictures[0], pictures[1], near[at]))
+        found.append(_pair(folder, at, picture, pictures))
     return found
+
+
+def _pair(folder: Folder, at: str, picture: str, files: Sequence[Path | None]) -> Pair:
+    try:
+        return Pair(files[0], files[1], camera_file_near(folder, at, picture))
+    except IntrinsicsError as error:
+        return Pair(files[0], files[1], fault=error)
 
 
 def _associated(folder: Folder) -> list[Pair]:
@@ -167,30 +177,64 @@ def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
 def _pair_role(name: str) -> tuple[str, str]:
     """Return the role of a file by its name, and the key of its pair.
 
-    The role is 'depth', 'color', 'picture' if the name has no role, or '' for other files.
+    The role is 'depth', 'color', 'picture' if no name has one, or '' for other files. The file's
+    own name decides, then its folder's, then those above. The key is what remains without the
+    words of the roles; it is the same for two files only if every other letter and sign is.
 
     Examples
     --------
     >>> _pair_role("color/7.jpg"), _pair_role("depth/7.npy"), _pair_role("notes.txt")[0]
     (('color', '7'), ('depth', '7'), '')
+    >>> _pair_role("depthcam/color_1.png"), _pair_role("左/depth_1.png")
+    (('color', 'cam/1'), ('depth', '左/1'))
     """
     stem, dot, ending = name.rpartition(".")
     suffix = f"{dot}{ending}".lower()
-    if _DEPTH_WORD.search(stem) and suffix in DEPTH_SUFFIXES:
-        return "depth", _key(stem)
-    if suffix not in COLOR_SUFFIXES:
+    parts = normalize("NFC", stem).split("/")
+    role = next((role for part in reversed(parts) if (role := _role_of(part))), "picture")
+    if role == "depth" and suffix not in DEPTH_SUFFIXES:
+        role = "" if suffix not in COLOR_SUFFIXES else "picture"
+    if role in ("color", "picture") and suffix not in COLOR_SUFFIXES:
         return "", ""
-    return ("color" if _COLOR_WORD.search(stem) else "picture"), _key(stem)
+    return role, "/".join(filter(None, map(_without_roles, parts)))
+
+
+def _role_of(part: str) -> str:
+    """Return the role that one name tells; whole words before parts of words, depth first."""
+    words = re.findall(r"[^\W\d_]+", part)
+    for is_role in (re.Pattern.fullmatch, re.Pattern.search):
+        for role, pattern in (("depth", _DEPTH_WORD), ("color", _COLOR_WORD)):
+            if any(is_role(pattern, word) for word in words):
+                return role
+    return ""
+
+
+def _without_roles(part: str) -> str:
+    """Return a name without the words of the roles and one separator for each.
+
+    Examples
+    --------
+    >>> [_without_roles(name) for name in ("color_7", "7-depth", "a_depth_b", "d2__1_rgb")]
+    ['7', '7', 'a_b', 'd2__1']
+    """
+    for pattern in (_DEPTH_WORD, _COLOR_WORD):
+        words = rf"([\W_]?)(?:{pattern.pattern})([\W_]?)"
+        part = re.sub(words, _joined, part, flags=re.IGNORECASE)
+    return part
+
+
+def _joined(match: re.Match[str]) -> str:
+    """Return what stands for a removed word: the separator before it, if it stood between two."""
+    before, after = match.groups()
+    if before and after:
+        return str(before) if match.start() and match.end() < len(match.string) else ""
+    outer = (before and match.end() == len(match.string)) or (after and not match.start())
+    return "" if outer else str(before or after)
 
 
 def is_half_a_pair(name: str) -> bool:
     """Return whether a file is a colour or a depth picture by its name."""
     return _pair_role(name)[0] in ("color", "depth")
-
-
-def _key(name: str) -> str:
-    without = _DEPTH_WORD.sub(" ", _COLOR_WORD.sub(" ", name))
-    return re.sub(r"[^a-z0-9]+", " ", without.lower()).strip()
 
 
 def _is_8_bit_png(path: Path) -> bool:
@@ -226,7 +270,7 @@ def _open_pairs(
             near[file] = given or read_camera_file(file)
         except CaptureError as error:
             near[file] = error
-    known = [near[pair.camera] for pair in pairs]
+    known = [(given or pair.fault or near[pair.camera]) for pair in pairs]
     if not any(isinstance(one, CameraFile) for one in known) and not any(p.is_whole for p in pairs):
         raise next((one for one in known if isinstance(one, CaptureError)), no_intrinsics(path))
     for frame, (pair, camera) in enumerate(zip(pairs, known, strict=True)):

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from typing import Self
 
     import numpy as np
@@ -121,6 +121,9 @@ class Flag(StrEnum):
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
     DEPTH_UNIT = "depth-unit"
+    DEPTH_TOO_NEAR = "depth-too-near"
+    DEPTH_HOLLOW = "depth-hollow"
+    DEPTH_GAP = "depth-gap"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
     DOUBTFUL = "doubtful"
@@ -128,6 +131,22 @@ class Flag(StrEnum):
 
 LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
 """Flags of a fruit that goes on out of sight: it is at least as long as was measured."""
+
+NO_DEPTH = frozenset({Flag.DEPTH_TOO_NEAR, Flag.DEPTH_HOLLOW, Flag.DEPTH_GAP})
+"""Flags of a fruit whose depth cannot be its distance: its length is no lower bound either."""
+
+
+def is_lower_bound(flags: Iterable[str]) -> bool:
+    """Return whether flags say that a fruit goes on out of sight, so that it is at least as long.
+
+    Examples
+    --------
+    >>> is_lower_bound(["end-hidden"]), is_lower_bound(["end-hidden", "depth-hollow"])
+    (True, False)
+    """
+    given = {*flags}
+    return not LOWER_BOUND.isdisjoint(given) and NO_DEPTH.isdisjoint(given)
+
 
 _FLAG_WORDS = {
     Flag.CUT_BY_FRAME: "cut by the picture's edge",
@@ -143,6 +162,9 @@ _FLAG_WORDS = {
     Flag.OTHER_MASK: "the site's calibration was made with other outlines",
     Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
     Flag.DEPTH_UNIT: "too large: check the depth's unit",
+    Flag.DEPTH_TOO_NEAR: "nearer than a camera reads: check the depth's unit",
+    Flag.DEPTH_HOLLOW: "hollow by its depth: check what the depth picture holds",
+    Flag.DEPTH_GAP: "an outline of several things with a gap between them",
     Flag.PRINCIPAL_POINT: "check the camera's intrinsics",
     Flag.DEPTH_RESAMPLED: "depth is coarser than colour",
     Flag.DOUBTFUL: "added by hand, and may be no fruit",
@@ -424,7 +446,7 @@ class FruitMeasurement:
     @property
     def at_least(self) -> bool:
         """Whether the fruit goes on out of sight, so that its length is a lower bound."""
-        return not LOWER_BOUND.isdisjoint(self.flags)
+        return is_lower_bound(self.flags)
 
     def flagged(self, *flags: Flag) -> Self:
         """Return the same with further flags."""

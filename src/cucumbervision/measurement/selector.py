@@ -11,6 +11,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_pixels
+from cucumbervision.measurement.depth_doubts import depth_doubts
 from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
@@ -337,6 +338,8 @@ def _flags(
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
+    if mask is not None:
+        flags.extend(depth_doubts(capture.depth_m, mask, capture.intrinsics.fx_px))
     if sure is not None and sure < LEAST_END_CONFIDENCE:
         flags.append(Flag.ENDS_UNSURE)
     return flags

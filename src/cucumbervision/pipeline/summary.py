@@ -23,6 +23,18 @@ _USUAL_CM = (5.0, 50.0)
 
 # What a flag makes doubtful in a batch, and what to do.
 _DATA_DOUBTS = {
+    Flag.DEPTH_TOO_NEAR: (
+        "nearer than 12 cm, where no camera reads",
+        "check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
+    ),
+    Flag.DEPTH_HOLLOW: (
+        "the depth of their middle lies behind that of their flanks",
+        "check that the depth picture holds distances, and not their inverse or relative depth",
+    ),
+    Flag.DEPTH_GAP: (
+        "their outline has pieces with a gap between them that lies behind",
+        "give each fruit an outline of its own",
+    ),
     Flag.PRINCIPAL_POINT: (
         "the intrinsics' principal point lies off the middle of the picture",
         "check that they are of this size of picture",

@@ -11,12 +11,11 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import LOWER_BOUND, Choice, Length
+from cucumbervision.measurement.result import Choice, Length, is_lower_bound
 
 Point: TypeAlias = tuple[float, ...]
 
 # Flags of a fruit that is partly out of sight, and the hidden share with the same meaning.
-_PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
 _HIDDEN_SHARE = 0.15
 
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
@@ -283,7 +282,7 @@ class DetectionRecord:
         >>> DetectionRecord(1, flags="sam-mask-small end-hidden").at_least
         True
         """
-        return bool(_PARTIAL_FLAGS & set(self.flags.split()))
+        return is_lower_bound(self.flags.split())
 
     @property
     def partial(self) -> bool:

@@ -1,0 +1,87 @@
+"""Depth that is no depth of the fruit, on capsules of known length and on real captures' masks."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.capsules import capsule_capture, lying
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.measurement.depth_doubts import depth_doubts
+from cucumbervision.measurement.result import Flag, is_lower_bound
+from cucumbervision.pipeline.results import measure
+
+Mask = NDArray[np.bool_]
+
+
+def doubts(capture: Capture, mask: Mask | None = None) -> tuple[Flag, ...]:
+    outline = capture.masks[0] if mask is None else mask
+    return depth_doubts(capture.depth_m, outline, capture.intrinsics.fx_px)
+
+
+def with_depth(capture: Capture, depth_m: NDArray[np.floating]) -> Capture:
+    return replace(capture, depth_m=depth_m.astype(np.float32))
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 30, 60])
+@pytest.mark.parametrize("distance_m", [0.3, 0.5, 0.75])
+@pytest.mark.parametrize("noise_m", [0.0, 0.001, 0.003])
+def test_true_depth_is_not_doubted(tilt_deg: float, distance_m: float, noise_m: float) -> None:
+    fruit = lying(0.16, distance_m=distance_m, tilt_deg=tilt_deg)
+    assert doubts(capsule_capture(fruit, wall_m=1.0, noise_m=noise_m)) == ()
+
+
+@pytest.mark.parametrize("distance_m", [0.3, 0.5])
+def test_depth_where_nearer_is_larger_is_hollow(distance_m: float) -> None:
+    capture = capsule_capture(lying(0.16, distance_m=distance_m))
+    inverse = with_depth(capture, 0.2 / capture.depth_m)
+    assert doubts(inverse) == (Flag.DEPTH_HOLLOW,)
+    relative = with_depth(capture, 1.1 - capture.depth_m)
+    assert doubts(relative) == (Flag.DEPTH_HOLLOW,)
+
+
+def test_a_unit_that_brings_fruit_too_near_is_doubted_however_near() -> None:
+    capture = capsule_capture(lying(0.34, distance_m=0.55), wall_m=1.0)
+    for share in (0.2, 0.1):  # 11 cm, and 5.5 cm, which is no reading at all
+        (fruit,) = measure(with_depth(capture, capture.depth_m * share), instances="dataset").fruit
+        assert Flag.DEPTH_TOO_NEAR in fruit.flags
+        assert not fruit.at_least
+
+
+@pytest.mark.parametrize("gap_m", [0.03, 0.06])
+def test_two_fruit_in_one_outline_are_no_fruit_with_a_hidden_part(gap_m: float) -> None:
+    across_m = 0.06 + gap_m / 2
+    capture = capsule_capture(lying(0.12, across_m=-across_m), lying(0.12, across_m=across_m))
+    both = capture.masks[0] | capture.masks[1]
+    assert doubts(capture, both) == (Flag.DEPTH_GAP,)
+    assert doubts(capture, capture.masks[0]) == ()
+    # The same pieces of one fruit behind something nearer, such as a string or a leaf.
+    one = capsule_capture(lying(0.24 + gap_m))
+    middle = np.zeros_like(both)
+    middle[:, 320 - 12 : 320 + 12] = True
+    covered = with_depth(one, np.where(middle, 0.42, one.depth_m))
+    assert doubts(covered, one.masks[0] & ~middle) == ()
+
+
+def test_what_is_no_depth_gives_no_lower_bound() -> None:
+    assert is_lower_bound(["end-hidden"])
+    for flag in (Flag.DEPTH_HOLLOW, Flag.DEPTH_GAP, Flag.DEPTH_TOO_NEAR):
+        assert not is_lower_bound(["end-hidden", flag])
+
+
+@pytest.mark.realdata
+def test_real_captures_are_not_doubted() -> None:
+    data = os.environ.get("CUCUMBERVISION_DATA")
+    if data is None:
+        pytest.skip("CUCUMBERVISION_DATA names no folder of real captures")
+    for name in ("carrot_realsense_1280", "ycb_realsense_640"):
+        for ref in open_source(Path(data, "rgbd", name)):
+            capture = ref.load()
+            for mask in capture.masks:
+                assert doubts(capture, mask) == ()

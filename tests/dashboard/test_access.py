@@ -13,12 +13,14 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.dashboard.access import (
     COOKIE,
+    DEVICE,
     SESSION_S,
     TICKET,
     AccessGuard,
     Login,
     OpenIdConnect,
     decide_login,
+    device_of,
     note_viewer,
     read_openid_connect,
 )
@@ -95,6 +97,32 @@ def test_without_a_login_only_loopback_names_are_admitted(
     reached, sent = ask((Login.NONE, ""), kind="websocket", **headers)
     assert reached is admitted
     assert admitted or sent == [{"type": "websocket.close", "code": 1008}]
+
+
+@pytest.mark.parametrize("kind", ["text/html; charset=utf-8", "application/json"])
+@pytest.mark.parametrize("cookie", ["", f"{DEVICE}=ana", f"{DEVICE}=a b"])
+def test_a_page_gives_a_browser_a_name_of_its_own_once(kind: str, cookie: str) -> None:
+    sent = list[dict[str, Any]]()
+
+    async def app(_scope: object, _receive: object, send: Any) -> None:
+        headers = [(b"content-type", kind.encode())]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    headers = [(b"host", b"localhost"), (b"cookie", cookie.encode())]
+    scope = {"type": "http", "path": "/", "method": "GET", "query_string": b"", "headers": headers}
+    for _ in range(2):
+        asyncio.run(AccessGuard(app)(scope, app, send))
+    named = [dict(message["headers"]).get(b"set-cookie", b"").decode() for message in sent]
+    if kind == "application/json" or cookie == f"{DEVICE}=ana":
+        assert named == ["", ""]
+    else:
+        first, second = (words.split(";")[0].removeprefix(f"{DEVICE}=") for words in named)
+        assert first != second
+        assert device_of({DEVICE: first}) == first
+        assert "HttpOnly" in named[0]
 
 
 def test_the_link_sets_a_cookie_that_admits() -> None:

@@ -128,6 +128,22 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
     assert "Nothing to undo" in said(test)
 
 
+@pytest.mark.parametrize("page", ["results", "row_map"])
+def test_undo_leaves_what_another_viewer_did_since(page: str, house: Path) -> None:
+    with open_store(house) as store:
+        mine, other = (one.key for one in store.detections(WALK)[:2])
+        tap(app("results", fruit=mine), "Not a fruit")
+        store.signed("dashboard", "another browser").set_verdict([other], Verdict.REJECTED)
+        test = app(page, fruit=mine)
+        tap(test, "Undo")
+        rejected = [x.key for x in store.detections(WALK) if x.verdict is Verdict.REJECTED]
+        assert rejected == [other]
+        assert test.toast[0].value.replace("\\", "") == "Taken back: not a fruit"
+        tap(test, "Undo")
+        assert "Nothing to undo" in said(test)
+        assert [x.key for x in store.detections(WALK) if x.verdict is Verdict.REJECTED] == [other]
+
+
 def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
     with open_store(house) as store:
         first, *_ = views = store.detections(WALK)

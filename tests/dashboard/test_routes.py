@@ -26,11 +26,13 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.quality import depth_quality
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.access import DEVICE
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview
 from cucumbervision.dashboard.routes import Shown, routes
 from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import Store
+from cucumbervision.store.views import Verdict
 
 WALK = key_of("walk")
 
@@ -146,6 +148,50 @@ def test_the_last_stop_is_taken_back_measured_or_not(
     gone = asked.post("/api/undo", json={"stop": key_of("no stop")})
     assert gone.status_code == 409
     assert "\n" not in gone.json()["error"]
+
+
+def test_undo_takes_back_the_last_thing_of_this_browser_and_only_that(
+    asked: TestClient, store: Store
+) -> None:
+    stop = store.stops(WALK)[-1]
+    first, second, third = (one.key for one in store.detections(WALK)[:3])
+    ana = TestClient(asked.app, cookies={DEVICE: "ana"})
+    bert = TestClient(asked.app, cookies={DEVICE: "bert"})
+
+    def rejected() -> set[str]:
+        return {x.key for x in store.detections(WALK) if x.verdict is Verdict.REJECTED}
+
+    store.signed("dashboard", "ana").set_verdict([first], Verdict.REJECTED)
+    store.signed("dashboard", "ana").set_verdict([second], Verdict.REJECTED)
+    store.signed("dashboard", "bert").set_verdict([third], Verdict.REJECTED)
+    pressed = {"round": WALK, "stop": stop.key, "at_s": stop.taken_s}  # before all of it
+    walk = ana.get("/api/walk", params={"round": WALK, "source": "camera"}).json()
+    assert walk["done"]["words"] == "not a fruit"
+    undone = "Taken back: not a fruit"
+    assert ana.post("/api/undo", json=pressed).json()["words"] == undone
+    assert rejected() == {first, third}  # not what bert did since
+    assert ana.post("/api/undo", json=pressed).json()["words"] == undone
+    assert rejected() == {third}
+    # Now the press is ana's last thing: its stop goes, and is not brought back by the next undo.
+    assert ana.post("/api/undo", json=pressed).json()["words"].startswith("The last stop")
+    assert store.stop_is_deleted(stop.key)
+    again = ana.post("/api/undo", json={"round": WALK})
+    assert (again.status_code, again.json()["error"].split(";")[0]) == (409, "nothing to undo")
+    assert store.stop_is_deleted(stop.key)
+    assert bert.post("/api/undo", json={"round": WALK}).json()["words"] == undone
+    assert rejected() == set()
+    wait_for_jobs()
+
+
+def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: Store) -> None:
+    stop = store.stops(WALK)[-1]
+    capture = store.stop(stop.key).captures[0]
+    one = capture.fruit[0]
+    store.signed("dashboard").add_fruit(stop.key, capture.name, replace(one, mask=None))
+    before = len(store.detections(WALK))
+    asked.post("/api/undo", json={"stop": stop.key})
+    assert store.stop_is_deleted(stop.key) is False
+    assert len(store.detections(WALK)) == before - 1
 
 
 def test_a_round_is_begun(asked: TestClient, store: Store) -> None:

@@ -7,6 +7,8 @@ provider by Streamlit's `st.login` with a list of whom it may admit.
 from __future__ import annotations
 
 import hmac
+import re
+import secrets
 import time
 import tomllib
 from dataclasses import dataclass
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 COOKIE = "cucumbervision_token"
 TICKET = "cucumbervision_viewer"
+DEVICE = "cucumbervision_device"
+_DEVICE_S = 400 * 86400  # browsers keep no cookie longer
 _UPLOAD = "/_stcore/upload_file"
 _OWN = ("/api/", "/capture")  # routes that are none of Streamlit's, and so without its login
 _UNUSED = (_UPLOAD, "/_stcore/metrics", "/_stcore/agent", "/_stcore/script-health-check")
@@ -160,6 +164,20 @@ def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect 
     return OpenIdConnect(tuple(named), frozenset(names))
 
 
+def device_of(cookies: Mapping[str, str]) -> str:
+    """Return a browser's own name, by which *Undo* tells people apart; empty where it has none.
+
+    It admits to nothing.
+
+    Examples
+    --------
+    >>> device_of({"cucumbervision_device": "Zk3-x"}), device_of({"cucumbervision_device": "; a"})
+    ('Zk3-x', '')
+    """
+    name = str(cookies.get(DEVICE, ""))
+    return name if re.fullmatch(r"[\w-]{1,64}", name, re.ASCII) else ""
+
+
 _viewers: dict[str, tuple[Callable[[], bool], str]] = {}
 
 
@@ -225,7 +243,7 @@ class AccessGuard:
             answer.set_cookie(COOKIE, self._token, httponly=True, samesite="lax")
             await answer(scope, receive, send)
         elif self._admits(request):
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, _with_headers(send, request))
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
@@ -265,12 +283,28 @@ class AccessGuard:
         return "This dashboard is open on its own machine only, at http://localhost."
 
 
-def _with_headers(send: Callable[..., Any]) -> Callable[..., Any]:
-    """Return what sends an answer with headers by which no other site can frame or misread it."""
+def _with_headers(send: Callable[..., Any], request: HTTPConnection) -> Callable[..., Any]:
+    """Return what sends an answer with headers by which no other site can frame or misread it.
+
+    A page gives a browser its name, unless it has one.
+    """
 
     async def send_all(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(_HEADERS)
+            headers = MutableHeaders(scope=message)
+            headers.update(_HEADERS)
+            is_page = headers.get("content-type", "").startswith("text/html")
+            if is_page and not device_of(request.cookies):
+                named = Response()
+                named.set_cookie(
+                    DEVICE,
+                    secrets.token_urlsafe(12),
+                    max_age=_DEVICE_S,
+                    secure=request.url.scheme == "https",
+                    httponly=True,
+                    samesite="strict",
+                )
+                headers.append("set-cookie", named.headers["set-cookie"])
         await send(message)
 
     return send_all

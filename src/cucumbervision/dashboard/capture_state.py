@@ -11,6 +11,7 @@ from cucumbervision.agronomy.grades import grade
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import mask_outline, stop_layers
 from cucumbervision.dashboard.words import (
+    action_words,
     added_words,
     length_words,
     round_name,
@@ -20,25 +21,28 @@ from cucumbervision.errors import CucumberVisionError, StoreError
 from cucumbervision.rounds.adding import DEMONSTRATION
 from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.rounds.walking import next_place, sides_of
+from cucumbervision.store.corrections import TAKE_BACK
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.dashboard.routes import SentFruit
+    from cucumbervision.dashboard.routes import SentFruit, SentUndo
     from cucumbervision.dashboard.shutter import Pressed
     from cucumbervision.store.records import StopRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import RoundView, StopView
+    from cucumbervision.store.views import ActionView, RoundView, StopView
 
 _UNDO_S = 60.0  # how long a stop that is being measured is waited for
 
 
-def walk(round_key: str, source: str) -> dict[str, Any]:
+def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     """Return a walk as it stands.
 
     Parameters
     ----------
+    store : Store
+        Signed by the viewer.
     round_key : str
         The round that is open; the newest where there is none of that key.
     source : str
@@ -69,7 +73,14 @@ def walk(round_key: str, source: str) -> dict[str, Any]:
         if aside
         else resources.measuring_fault(),
         "last": _last_stop(one, last) if one and last else None,
+        "done": _done(store, home),
     }
+
+
+def _done(store: Store, home: str) -> dict[str, Any] | None:
+    """Return what the viewer did last in a round besides presses, which *Undo* takes back."""
+    action = _last_action(store, home)
+    return None if action is None else {"at_s": action.at_s, "words": action_words(action)}
 
 
 def _preview_of(source: str) -> Any:
@@ -139,21 +150,54 @@ def outcome(pressed: Pressed | str | None) -> dict[str, Any]:
     words = f"{stop_name(kept.stop)}: saved"
     if pressed.moved is not None:
         words += f". Another stop is already at {pressed.stop.position_m:.2f} m"
-    return {"state": "saved", "words": words, "stop": kept.key, "place": _place(kept.stop)}
+    where = {"stop": kept.key, "home": kept.round_key, "place": _place(kept.stop)}
+    return {"state": "saved", "words": words, **where}
 
 
 def _place(stop: Stop | StopView) -> dict[str, Any]:
     return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
 
 
-def take_back(store: Store, key: str) -> str:
-    """Delete a stop, measured or not, and return what was done, for people.
+def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
+    """Take back the last thing that a browser did in a round, and only that; say what it was.
+
+    A press is taken back by deleting its stop, measured or not.
 
     Raises
     ------
     StoreError
-        If it is not there, or its measuring does not end.
+        If there is nothing to undo, the stop is not there, or its measuring does not end.
     """
+    home, pressed_s = asked.round or "", 0.0
+    if asked.stop is not None:
+        home, pressed_s = _round_and_time(store, asked.stop)
+    action = _last_action(store, home)
+    if action is not None and action.at_s > (asked.at_s or pressed_s):
+        resources.undo(store, home, number=action.number)
+        return {"words": f"Taken back: {action_words(action)}", "action": action.number}
+    if asked.stop is None:
+        raise StoreError("nothing to undo", remedy="delete a stop on the row map")
+    return {"words": _delete_stop(store, asked.stop)}
+
+
+def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
+    """Return the round of a stop that is measured or waits, and when it was taken."""
+    for one in resources.waiting().captures():
+        if one.key == stop:
+            return one.round_key, one.pressed_s
+    there = store.stop(stop)
+    return there.round_key, there.taken_s
+
+
+def _last_action(store: Store, round_key: str) -> ActionView | None:
+    """Return what a viewer did last in a round; a press that was taken back is over."""
+    if not any(one.key == round_key for one in resources.rounds()):
+        return None
+    actions = store.own_actions(round_key)
+    return next((one for one in actions if one.kind != TAKE_BACK), None)
+
+
+def _delete_stop(store: Store, key: str) -> str:
     waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
     if waiting is not None and not waiting.tries:
         resources.waiting().done(waiting)
@@ -164,7 +208,7 @@ def take_back(store: Store, key: str) -> str:
             raise StoreError("this stop is still being measured", remedy="try again")
         time.sleep(0.05)
     stop = store.stop(key)
-    store.delete_stop(key)
+    store.delete_stop(key, taken_back=True)
     resources.merge(stop.round_key)
     return "The last stop was deleted. 'Undo' on the row map brings it back"
 

@@ -13,7 +13,7 @@ from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.round_choice import choose_round
-from cucumbervision.dashboard.words import plain, sentence, step_words
+from cucumbervision.dashboard.words import action_words, plain, sentence, step_words
 from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
@@ -45,36 +45,26 @@ def button(
     place.button(label, icon=icon, on_click=act, args=args, **options)
 
 
-def do(round_key: str, act: Callable[[], int]) -> bool:
-    """Correct a round and remember that for `draw_undo`; return whether it was done."""
+def do(act: Callable[[], object]) -> bool:
+    """Correct a round, or say below what keeps that from being done; return whether it was done."""
     try:
-        st.session_state.setdefault(f"acts_{round_key}", []).append(act())
+        act()
     except CucumberVisionError as error:
         st.session_state["fault"] = str(error)
         return False
     return True
 
 
-def draw_undo(round_key: str, *, own: bool) -> None:
-    """Draw a button that takes back what was done last, and what kept a correction from being done.
-
-    Parameters
-    ----------
-    round_key : str
-        The round.
-    own : bool
-        What this viewer did by `do`, while there is any left; else the newest of the round.
-    """
+def draw_undo(round_key: str) -> None:
+    """Draw a button that takes back what the viewer did last, and what kept something undone."""
 
     def undo() -> None:
-        acts: list[int] = st.session_state.get(f"acts_{round_key}", []) if own else []
-        number = acts[-1] if acts else None
         try:
-            resources.undo(None if number else round_key, number=number)
+            action = resources.undo(resources.store(), round_key)
         except CucumberVisionError as error:
             st.session_state["fault"] = str(error)
         else:
-            del acts[-1:]
+            st.toast(plain(f"Taken back: {action_words(action)}"), icon=":material/undo:")
 
     button(st, "Undo", "undo", undo)
     if fault := st.session_state.pop("fault", None):

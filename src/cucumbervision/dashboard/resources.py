@@ -19,6 +19,7 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
+from cucumbervision.dashboard.access import device_of
 from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
@@ -39,7 +40,7 @@ from cucumbervision.dashboard.settings import (
 from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.dashboard.uploading import measure_upload
 from cucumbervision.dashboard.uploads import Uploads
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, StoreError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.adding import (
     DEMONSTRATION,
@@ -55,7 +56,7 @@ from cucumbervision.rounds.merge_and_link import RowReport, row_reports, settle
 from cucumbervision.rounds.merge_and_link import undo as undo_in
 from cucumbervision.store.records import JointRecord, MethodRecord
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
+from cucumbervision.store.views import ActionView, DetectionDetail, DetectionView, RoundView
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
@@ -70,14 +71,15 @@ def where() -> str:
 
 def store() -> Store:
     """Return the store that all viewers work on, signed by the one who looks at this page."""
-    return _store().signed(_who())
+    return _store().signed(*_who())
 
 
-def _who() -> str:
-    """Return who is logged in by OpenID Connect; 'dashboard' without that."""
+def _who() -> tuple[str, str]:
+    """Return who is logged in by OpenID Connect, else 'dashboard', and from which device."""
     if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
-        return "dashboard"
-    return str(st.user.get("email") or st.user.get("sub") or "dashboard")
+        return "dashboard", ""
+    name = str(st.user.get("email") or st.user.get("sub") or "dashboard")
+    return name, device_of(st.context.cookies)
 
 
 @st.cache_resource(show_spinner=False)
@@ -266,17 +268,33 @@ def merge(round_key: str) -> None:
     worker().submit("Merging views of the same fruit", work)
 
 
-def undo(round_key: str | None = None, *, number: int | None = None) -> None:
-    """Take back what was done by hand; a round one of whose stops was moved is merged anew.
+def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
+    """Take back the last thing that the viewer did in a round, and only that; return it.
+
+    A round one of whose stops was moved is merged anew.
+
+    Parameters
+    ----------
+    of : Store
+        Signed by the viewer.
+    round_key : str
+        The round.
+    number : int, optional
+        Of that action in the log instead.
 
     Raises
     ------
     StoreError
         If there is nothing to undo, or a later action depends on it.
     """
-    moved = undo_in(store(), round_key, number=number)
+    actions = of.own_actions(round_key)
+    action = next((x for x in actions if number in (None, x.number)), None)
+    if action is None:
+        raise StoreError("nothing to undo", remedy="see the log")
+    moved = undo_in(of, number=action.number)
     if moved:
         merge(moved)
+    return action
 
 
 def rounds() -> list[RoundView]:

@@ -31,6 +31,7 @@ from starlette.websockets import WebSocketDisconnect
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import capture_state, resources
+from cucumbervision.dashboard.access import device_of
 from cucumbervision.dashboard.fruit_view import as_jpeg, depth_picture, scale_bar
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.uploads import Sending
@@ -94,10 +95,15 @@ class SentRound(_Sent):
     house: Annotated[str, Field(max_length=200)] = ""
 
 
-class SentStop(_Sent):
-    """A stop to be taken back."""
+class SentUndo(_Sent):
+    """What a browser takes back: the last thing that it did in a round.
 
-    stop: Key
+    That is its last press (the stop, and when it was pressed), unless it did something since.
+    """
+
+    stop: Key | None = None
+    at_s: float | None = None
+    round: Key | None = None
 
 
 class UploadPart(_Sent):
@@ -150,7 +156,7 @@ def _answer(
 @_answer
 def _walk(request: Request, _: bytes) -> Any:
     asked = request.query_params
-    return capture_state.walk(asked.get("round", ""), asked.get("source", ""))
+    return capture_state.walk(_store_of(request), asked.get("round", ""), asked.get("source", ""))
 
 
 @_answer
@@ -185,8 +191,7 @@ def _begin(request: Request, content: bytes) -> Any:
 
 @_answer
 def _undo(request: Request, content: bytes) -> Any:
-    key = SentStop.model_validate_json(content).stop
-    return {"words": capture_state.take_back(_store_of(request), key)}
+    return capture_state.take_back(_store_of(request), SentUndo.model_validate_json(content))
 
 
 @_answer
@@ -266,7 +271,8 @@ def _files(request: Request, _: bytes) -> Response:
 
 
 def _store_of(request: Request) -> Any:
-    return resources.store().signed(request.scope.get("viewer") or "dashboard")
+    name = request.scope.get("viewer") or "dashboard"
+    return resources.store().signed(name, device_of(request.cookies))
 
 
 async def _news(socket: WebSocket) -> None:

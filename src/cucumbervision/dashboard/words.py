@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.merge_and_link import RowReport
     from cucumbervision.store.records import DetectionRecord
-    from cucumbervision.store.views import RoundView, StopView
+    from cucumbervision.store.views import ActionView, RoundView, StopView
 
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
@@ -172,6 +172,41 @@ def round_name(one: RoundView) -> str:
     house = f", {one.record.house}" if one.record.house else ""
     stops = counted(one.stops, "stop", "stops")
     return f"{one.record.name or 'Round'}{house} · {round_day(one.record.started_s)} · {stops}"
+
+
+_ACTIONS = {
+    "accept": "accepted",
+    "reject": "not a fruit",
+    "clear": "no longer accepted, nor marked as no fruit",
+    "pick": "picked",
+    "unpick": "not picked",
+    "correct": "the new outline",
+    "add": "the fruit that was added",
+    "merge": "same fruit",
+    "unmerge": "different fruit",
+    "link-growth": "same fruit on two days",
+    "unlink-growth": "different fruit on two days",
+    "place-stop": "the stop's new place or name",
+    "delete-stop": "the stop was deleted",
+    "take-back-stop": "the last stop was taken back",
+    "rename-round": "the round's new name",
+    "delete-round": "the round was deleted",
+}
+
+
+def action_words(action: ActionView) -> str:
+    """Return what somebody did, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.views import ActionView
+    >>> action_words(ActionView(7, 0.0, "ana", "reject", None, ("a",)))
+    'not a fruit'
+    >>> action_words(ActionView(7, 0.0, "ana", "pick", None, ("a", "b")))
+    'picked (2 fruit)'
+    """
+    words, number = _ACTIONS.get(action.kind, action.kind), len(action.fruit)
+    return f"{words} ({number} fruit)" if action.kind == "pick" and number > 1 else words
 
 
 def added_words(*, doubtful: bool) -> str:

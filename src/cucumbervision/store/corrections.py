@@ -15,10 +15,10 @@ from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import round_id_of, row_id_of
-from cucumbervision.store.engine import SIGNED_BY, Database
+from cucumbervision.store.engine import DEVICE, SIGNED_BY, Database
 from cucumbervision.store.hashes import change, seal_stops, with_hash
 from cucumbervision.store.links import LinkKind, group_detections
-from cucumbervision.store.queries import links_of
+from cucumbervision.store.queries import NOT_UNDONE, links_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
     ADDED,
@@ -41,7 +41,9 @@ if TYPE_CHECKING:
 _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
 
 
-STOP_EDITS = ("place-stop", "delete-stop")
+TAKE_BACK = "take-back-stop"
+"""The kind of action that deletes a stop because its press was taken back."""
+STOP_EDITS = ("place-stop", "delete-stop", TAKE_BACK)
 """Kinds of action after which a round's views must be merged again."""
 
 
@@ -176,11 +178,16 @@ class Corrections(Database):
             after["row_id"] = row if row is None else row_id_of(connection, stop.round_id, row)
             return _edit(connection, StopLine, stop, "place-stop", after)
 
-    def delete_stop(self, key: str) -> int:
-        """Take a stop with all its fruit out of every list."""
+    def delete_stop(self, key: str, *, taken_back: bool = False) -> int:
+        """Take a stop with all its fruit out of every list.
+
+        `taken_back` logs that its press was taken back, which is no new thing to be undone before
+        what was done earlier.
+        """
+        kind = TAKE_BACK if taken_back else "delete-stop"
         with self.writing() as connection:
             stop = line_of(connection, StopLine, key)
-            return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True})
+            return _edit(connection, StopLine, stop, kind, {"deleted": True})
 
     def rename_round(self, key: str, name: str) -> int:
         """Rename a round."""
@@ -349,7 +356,7 @@ def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
 def _action_to_undo(connection: Connection, number: int | None, round_key: str | None) -> Any:
     undone = select(Action.undoes_id).where(Action.undoes_id.is_not(None))
     query = select(Action.id, Action.kind, Action.round_id, Action.fruit, Action.details).where(
-        Action.kind.not_in(("undo", MEASURE_AGAIN)), Action.id.not_in(undone)
+        Action.kind.not_in(NOT_UNDONE), Action.id.not_in(undone)
     )
     if number is not None:
         query = query.where(Action.id == number)
@@ -400,10 +407,6 @@ def _end(
     change(connection, table, and_(table.ended_by_id.is_(None), which), ended_by_id=action)
 
 
-MEASURE_AGAIN = "measure-again"
-"""The kind of action that measures a stop again: the one that is not undone."""
-
-
 _TABLES: dict[str, Any] = {"stops": StopLine, "rounds": RoundLine}
 
 
@@ -441,12 +444,14 @@ def log_action(
     **cells: Any,
 ) -> int:
     """Add a line to the log, by who the store is signed by, and return its number."""
+    signed = connection.get_execution_options()
+    device = {"device": signed[DEVICE]} if signed.get(DEVICE) else {}
     said = {
         "at_s": time.time(),
-        "by": connection.get_execution_options().get(SIGNED_BY, ""),
+        "by": signed.get(SIGNED_BY, ""),
         "kind": kind,
         "fruit": list(fruit),
-        "details": details or {},
+        "details": {**(details or {}), **device},
         "round_id": round_id,
         **cells,
     }

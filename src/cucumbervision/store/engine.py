@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 BUSY_TIMEOUT_S = 30.0
 SIGNED_BY = "cucumbervision_signed_by"
 """Name of the connection option with the person who writes."""
+DEVICE = "cucumbervision_device"
+"""Name of the connection option with the device that the person writes from."""
 
 _WRITES = "cucumbervision_writes"
 _MAKE_ROOM = "make room on the disk"
@@ -245,15 +247,18 @@ class Database:
     def __init__(self, engine: Engine, images: Path | None) -> None:
         self.engine = engine
         self._images = images
-        self._signed_by = ""
+        self._signed_by = self._device = ""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}>"
 
-    def signed(self, by: str) -> Self:
-        """Return the same database, with this person's name in the log of manual actions."""
+    def signed(self, by: str, device: str = "") -> Self:
+        """Return the same database, with this person's name in the log of manual actions.
+
+        `device` tells people apart who have no names: a browser's own random name.
+        """
         one = copy(self)
-        one._signed_by = by
+        one._signed_by, one._device = by, device
         return one
 
     @property
@@ -285,7 +290,7 @@ class Database:
     def writing(self) -> Iterator[Connection]:
         """Open a transaction that writes."""
         with begin(self.engine, write=True) as connection:
-            yield connection.execution_options(**{SIGNED_BY: self._signed_by})
+            yield connection.execution_options(**{SIGNED_BY: self._signed_by, DEVICE: self._device})
 
     def close(self) -> None:
         """Close all connections."""

@@ -82,6 +82,13 @@ _BOTH_ACTIVE = and_(is_active(_ONE), is_active(_OTHER))
 _FIRST_CAPTURE = aliased(CaptureLine)
 
 
+_UNDONE_AMONG = 500  # newest lines of the log
+MEASURE_AGAIN = "measure-again"
+"""The kind of action that measures a stop again."""
+NOT_UNDONE = ("undo", MEASURE_AGAIN)
+"""Kinds of action that cannot be undone."""
+
+
 class Queries(Database):
     """What a store can be asked. Each method sees the database as it was when it began."""
 
@@ -287,6 +294,31 @@ class Queries(Database):
         """Return what was done by hand, the newest first."""
         with self.reading() as connection:
             return _actions_of(connection, round_key, limit)
+
+    def own_actions(self, round_key: str) -> list[ActionView]:
+        """Return what can be undone in a round by who the store is signed by, the newest first.
+
+        That is what was done by that person from that device. Without any: what was done by nobody
+        in particular, as by a command.
+        """
+        with self.reading() as connection:
+            of_round = select(DetectionLine.key).where(
+                DetectionLine.round_id == round_id_of(connection, round_key)
+            )
+            fruit = set(connection.execute(of_round).scalars())
+            lines = [
+                line
+                for line in _actions_of(connection, None, _UNDONE_AMONG)
+                if not line.undone
+                and line.kind not in NOT_UNDONE
+                # Growth is logged in the later of two rounds.
+                and (line.round_key == round_key or not fruit.isdisjoint(line.fruit))
+            ]
+        device = [(line.details.get("device", ""), line.by) for line in lines]
+        own = [
+            x for x, by in zip(lines, device, strict=True) if by == (self._device, self._signed_by)
+        ]
+        return own or [x for x, by in zip(lines, device, strict=True) if by == ("", "")]
 
 
 def links_of(

@@ -21,7 +21,6 @@ from cucumbervision.store.cells import (
     row_id_of,
 )
 from cucumbervision.store.corrections import (
-    MEASURE_AGAIN,
     Corrections,
     find_detections,
     line_of,
@@ -34,7 +33,7 @@ from cucumbervision.store.engine import database_url, make_engine, named, prepar
 from cucumbervision.store.hashes import change, content_sha256, seal_stops, with_hash
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.links import LinkKind
-from cucumbervision.store.queries import Queries
+from cucumbervision.store.queries import MEASURE_AGAIN, Queries
 from cucumbervision.store.records import (
     JointRecord,
     Round,

@@ -5,7 +5,7 @@ import drawPicture from "./picture.js";
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, CLOCK_S = 0.5;
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [] };
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [], undone: "" };
 
 function show(node, words) {
   node.textContent = words;
@@ -85,9 +85,10 @@ function showWalk(walk) {
   }
   if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
   else if (walk.aside) show($("told"), walk.aside);
-  else show($("told"), "");
+  else show($("told"), own.undone);
   $("take").disabled = !walk.round;
   drawLast(walk.last);
+  drawUndo();
 }
 
 // ---- The place of the next stop.
@@ -117,6 +118,7 @@ function onward(place) {
 // ---- The button.
 const presses = new Presses(drawPresses, (one) => {
   own.mine = one.place && { key: one.stop, ...one.place };
+  if (one.stop) keepStops([...stops, { stop: one.stop, home: one.home, at_s: one.at_s }]);
   if (one.place && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
 });
 let sound = null;
@@ -149,6 +151,7 @@ function press() {
   const { row, side, position_m } = own.place;
   presses.press({ at_s, round: own.round, source: own.source, row, side, position_m });
   usePlace(onward(own.place));
+  own.undone = "";
   click();
   flash();
 }
@@ -320,7 +323,7 @@ async function drawLast(last) {
   drawn = text;
   show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
   $("where").textContent = last ? `${last.name}: saved` : "No stops yet: each photo's result is shown here";
-  $("open").hidden = $("undo").hidden = !last;
+  $("open").hidden = !last;
   if (!last) { $("pictures").replaceChildren(); return; }
   $("open").href = `/map?round=${last.round}&stop=${last.key}`;
   const parts = [];
@@ -331,16 +334,40 @@ async function drawLast(last) {
   if (text === drawn) $("pictures").replaceChildren(...parts);
 }
 
-// What was pressed last goes first, measured or not.
+// ---- Undo: the last thing that was done on this device in the round, a press or a correction.
+const MOST_STOPS = 100;
+let stops = JSON.parse(localStorage.getItem("stops") || "[]");
+function keepStops(kept) {
+  stops = kept.slice(-MOST_STOPS);
+  localStorage.setItem("stops", JSON.stringify(stops));
+  drawUndo();
+}
+const lastPress = () => stops.findLast((one) => one.home === own.walk?.home);
+const lastIsPress = () => (lastPress()?.at_s ?? -Infinity) >= (own.walk?.done?.at_s ?? -Infinity);
+
+function drawUndo() {
+  $("undo").hidden = !lastPress() && !own.walk?.done;
+  $("undo").textContent = lastIsPress() ? "Undo the last stop" : `Undo: ${own.walk.done.words}`;
+}
+
 $("undo").onclick = async () => {
-  const pressed = presses.list.filter((one) => one.state === "saved" && one.stop && !one.undone).at(-1);
+  if (presses.waiting.length) { show($("fault"), "The last press is not saved yet: undo it when it is."); return; }
+  const pressed = lastPress(), round = own.walk.home;
   $("undo").disabled = true;
   try {
-    const answer = await post("/api/undo", { stop: pressed?.stop || own.walk.last.key }, 90000);
-    if (pressed) Object.assign(pressed, { undone: true, words: answer.words });
-    own.home = "";
-    localStorage.removeItem(`place-${own.walk.home}`);
-  } catch (fault) { show($("fault"), fault.message); }
+    const answer = await post("/api/undo", { round, stop: pressed?.stop || null, at_s: pressed?.at_s || null }, 90000);
+    own.undone = answer.words;
+    if (!answer.action) {  // the press was the last thing
+      for (const one of presses.list) if (one.stop === pressed.stop) one.words = answer.words;
+      own.home = "";
+      localStorage.removeItem(`place-${round}`);
+      keepStops(stops.filter((one) => one.stop !== pressed.stop));
+    }
+  } catch (fault) {
+    show($("fault"), fault.message);
+    // Its stop is gone: somebody deleted it elsewhere.
+    if (pressed && fault.status === 409 && /not in the store/.test(fault.message)) keepStops(stops.filter((one) => one !== pressed));
+  }
   $("undo").disabled = false;
   drawPresses();
   readWalk();

@@ -151,7 +151,7 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     with st.container(horizontal=True):
         words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
-        draw_undo(one.key, own=False)
+        draw_undo(one.key)
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:

@@ -42,7 +42,7 @@ def page(one: RoundView) -> None:
     maps, undo, views = st.container(), st.container(), st.container()
     list_stops(one)  # before the rest, which a stop on a third side keeps from being drawn
     with undo:
-        draw_undo(one.key, own=True)
+        draw_undo(one.key)
     with maps:
         opened = _opened(one)
         _maps(one, opened)
@@ -104,7 +104,7 @@ def _row(
         if found is not None and asked["act"] != "open":
             keys = [view.key for view in found.views]
             verdict = Verdict(asked["act"])
-            do(one.key, partial(resources.store().set_verdict, keys, verdict))
+            do(partial(resources.store().set_verdict, keys, verdict))
 
     told = picture(
         key,
@@ -175,7 +175,7 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
     def link(key: str) -> int:
         if day.linked is not None:
-            do(fruit.round_key, partial(part, day.linked.key))
+            do(partial(part, day.linked.key))
         pair = (key, fruit.key) if is_earlier else (fruit.key, key)
         return store.link_growth(*pair)
 
@@ -210,6 +210,6 @@ def _pictures(
         if act is not None:
             label, icon, change = act
             name = f"{label}_{of.key}_{view.key}"
-            button(st, label, icon, do, of.round_key, partial(change, view.key), key=name)
+            button(st, label, icon, do, partial(change, view.key), key=name)
 
     page_elements.pictures(views, words, draw)

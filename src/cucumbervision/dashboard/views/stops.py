@@ -88,5 +88,5 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
 
 def _do(round_key: str, act: Callable[[], int]) -> None:
     """Do it, and find the round's fruit anew."""
-    if do(round_key, act):
+    if do(act):
         resources.merge(round_key)

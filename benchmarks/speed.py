@@ -1,7 +1,7 @@
 """Speed as ratios that are measured side by side; only ratios mean anything on a shared machine.
 
     python benchmarks/speed.py [PART ...] [--quick]
-    PYTHONPATH=. python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
+    python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
 Parts: pipeline, processor, start, kernels, workers, dashboard. Each prints a table. The exit code
@@ -33,6 +33,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tests draw
 
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics

@@ -101,7 +101,8 @@ class TubeTraits:
             (self.axis_m[::-1], self.diameter_m[::-1]),
         ):
             step = axis[0] - axis[tenth]
-            away = np.arcsin(step @ axis[0] / np.linalg.norm(step) / np.linalg.norm(axis[0]))
+            sine = step @ axis[0] / np.linalg.norm(step) / np.linalg.norm(axis[0])
+            away = np.arcsin(np.clip(sine, -1.0, 1.0))  # rounding, where an end is on the view
             slope = np.arctan((width[30] - width[10]) / 2 / (0.2 * length_m))
             if np.rad2deg(away + slope) > _SPINDLE_END_DEG:
                 return True
@@ -155,6 +156,6 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
         along,
         diameter,
         float(np.trapezoid(np.pi / 4 * diameter**2, along)),
-        float(np.rad2deg(np.arcsin(min(deep, 1.0)))),
+        float(np.rad2deg(np.arcsin(np.clip(deep, -1.0, 1.0)))),
         axis,
     )

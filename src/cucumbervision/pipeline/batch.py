@@ -172,7 +172,7 @@ def in_process(
         read = Outcome() if _is_dropped(item, stop) else reading.result()
         found.append(measurers.submit(worker.measure, worker.detect(read)))
         # The first outcome is yielded immediately, for a caller that waits for it.
-        while len(found) > begun:
+        while found and (len(found) > 1 or not begun):
             begun = True
             yield found.popleft().result()
 

@@ -77,7 +77,7 @@ def _is_hollow(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], pixel_m: f
         return False
     depth_behind_m = float(np.median(middle) - np.median(flank))
     error_m = np.hypot(_median_error(middle), _median_error(flank))
-    return depth_behind_m > max(_HOLLOW * radius_px * pixel_m, _NOISE_SD * error_m)
+    return bool(depth_behind_m > max(_HOLLOW * radius_px * pixel_m, _NOISE_SD * error_m))
 
 
 def _median_error(values: NDArray[np.float32]) -> float:

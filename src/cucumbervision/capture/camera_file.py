@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.camera_formats import camera_document
+from cucumbervision.capture.depth import DepthAlong
 from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
@@ -68,6 +69,10 @@ class CameraFile:
         Transform from the depth camera to the colour camera.
     depth_unit_m : float, optional
         Metres per depth step.
+    depth_along : DepthAlong, optional
+        Direction in which depth is measured.
+    aligned_to : Stream, optional
+        The camera whose pixels both pictures have.
     is_sized : bool
         Whether the file contains the picture size.
     """
@@ -77,6 +82,8 @@ class CameraFile:
     depth: Intrinsics | None = None
     depth_to_color: Extrinsics | None = None
     depth_unit_m: float | None = None
+    depth_along: DepthAlong | None = None
+    aligned_to: Stream | None = None
     is_sized: bool = True
 
 
@@ -126,6 +133,8 @@ class _FileModel(CameraModel):
     depth: _DepthModel | None = None
     depth_to_color: _ExtrinsicsModel | None = None
     depth_unit_m: float | None = Field(default=None, gt=0)
+    depth_along: DepthAlong | None = None
+    aligned_to: Stream | None = None
 
 
 def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
@@ -222,8 +231,8 @@ def read_camera_file(path: Path) -> CameraFile:
     ----------
     path : Path
         JSON with `stream, width, height, fx, fy, cx, cy`, optionally `distortion, coefficients,
-        depth, depth_to_color, depth_unit_m`, or the same with a 3x3 `matrix` for fx, fy, cx, cy; or
-        what `camera_formats.camera_document` knows.
+        depth, depth_to_color, depth_unit_m, depth_along, aligned_to`, or the same with a 3x3
+        `matrix` for fx, fy, cx, cy; or what `camera_formats.camera_document` knows.
 
     Returns
     -------
@@ -259,6 +268,8 @@ def read_camera_file(path: Path) -> CameraFile:
             model.depth.intrinsics if model.depth else None,
             _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
             model.depth_unit_m,
+            model.depth_along,
+            model.aligned_to,
             sized,
         )
 

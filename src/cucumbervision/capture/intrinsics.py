@@ -270,7 +270,8 @@ def check_intrinsics(
             f"these are the {given.stream} stream's intrinsics (fx {given.fx_px:.1f} px), but the "
             f"depth is aligned to colour{_wrong_by(given, right_px)}",
             source=source,
-            remedy="give the colour stream's intrinsics",
+            remedy="give the colour stream's intrinsics; or, if the colour picture was aligned to "
+            "depth, say so with --aligned-to depth",
         )
     if given.size != (width, height):
         # RealSense colour modes keep the full height and crop the sides, so if the aspect ratio

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.depth import DepthAlong
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Stream
     from cucumbervision.errors import CaptureError
 
     Listed: TypeAlias = tuple[
@@ -39,6 +41,13 @@ class ReadOptions:
     depth_unit_m : float, optional
         Metres per depth step; by default that of the source, otherwise 0.001 for integers and 1 for
         floats.
+    depth_along : DepthAlong, optional
+        Whether depth is along the optical axis, or along each pixel's ray; by default as the
+        camera file says, otherwise along the axis.
+    aligned_to : Stream, optional
+        The camera whose pixels both pictures have: 'depth' for colour that was aligned to depth;
+        'color' for depth that may have fewer pixels than colour, over the same field of view. By
+        default as the camera file says, otherwise depth aligned to colour at its size.
     burst : int
         Number of frames per capture, for recordings.
 
@@ -54,6 +63,8 @@ class ReadOptions:
     depth: Path | None = None
     depth_unit_m: float | None = None
     burst: int = 5
+    depth_along: DepthAlong | None = None
+    aligned_to: Stream | None = None
 
     def __post_init__(self) -> None:
         if self.burst < 1 or (self.depth_unit_m is not None and not self.depth_unit_m > 0):

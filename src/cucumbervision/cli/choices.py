@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 
 import typer
 
+from cucumbervision.capture.depth import DepthAlong
+from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
@@ -89,6 +91,20 @@ DepthPicture = Annotated[
 DepthUnit = Annotated[
     float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
 ]
+AxisOrRay = Annotated[
+    DepthAlong | None,
+    typer.Option(
+        help="Whether depth is along the optical axis, as cameras write it, or the distance along "
+        "each pixel's ray, as simulators do. Default: as the camera file says, else axis."
+    ),
+]
+AlignedTo = Annotated[
+    Stream | None,
+    typer.Option(
+        help="Camera whose pixels both pictures have: depth, if colour was aligned to depth; "
+        "color, also if depth has the same field of view in fewer pixels."
+    ),
+]
 Calibration = Annotated[
     Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
 ]
@@ -130,6 +146,8 @@ def measure_options(
     intrinsics: IntrinsicsFile = None,
     depth: DepthPicture = None,
     depth_unit: DepthUnit = None,
+    depth_along: AxisOrRay = None,
+    aligned_to: AlignedTo = None,
     burst: Burst = 5,
     calibration: Calibration = None,
     profile: CropProfileName = "long-cucumber",
@@ -156,7 +174,7 @@ def measure_options(
         input_sizes=parse_input_sizes(input_size),
         runtime=runtime,
         full_precision=not fast,
-        reading=ReadOptions(intrinsics, depth, depth_unit, burst),
+        reading=ReadOptions(intrinsics, depth, depth_unit, burst, depth_along, aligned_to),
         calibration=calibration,
         camera_up=camera_up,
     )

@@ -90,7 +90,7 @@ def demo(
 
 _MEASURING = {
     *("methods", "selector", "length", "calibration", "profile"),
-    *("intrinsics", "depth", "depth_unit", "burst"),
+    *("intrinsics", "depth", "depth_unit", "depth_along", "aligned_to", "burst"),
 }
 
 

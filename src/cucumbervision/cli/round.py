@@ -173,7 +173,11 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 
 
 @app.command(epilog=EXIT_CODES)
-@takes("options", measure_options, {"profile", "depth", "intrinsics", "depth_unit", "burst"})
+@takes(
+    "options",
+    measure_options,
+    {"profile", "depth", "intrinsics", "depth_unit", "depth_along", "aligned_to", "burst"},
+)
 @takes("loop", loop_options, {"guard"})
 def remeasure(
     store: StoreName = "house.db",

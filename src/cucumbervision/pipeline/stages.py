@@ -109,7 +109,9 @@ class StageHashes:
         sizes = options.accepted_m, options.accepted_diameter_m
         crop = *sizes, options.cut_beyond_m, options.camera_up, list(options.classes)
         table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
-        return [__version__, how, site, options.reading.depth_unit_m, *crop, table]
+        reading = options.reading
+        depth = [reading.depth_unit_m, reading.depth_along, reading.aligned_to]
+        return [__version__, how, site, *depth, *crop, table]
 
     def _of_stage(self, stage: Stage) -> Any:
         options = self._options

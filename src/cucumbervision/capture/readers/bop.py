@@ -55,7 +55,7 @@ def _open_scenes(
                 "has no images in rgb/", source=path / at, remedy="check the scene's folder"
             )
         prefix = safe_name("_".join((path.resolve().name, *Path(at).parts)))
-        yield from _scene(path / at, prefix, files, given, options.depth_unit_m)
+        yield from _scene(path / at, prefix, files, given, options)
 
 
 def _scene(
@@ -63,7 +63,7 @@ def _scene(
     prefix: str,
     files: Mapping[str, Mapping[int, list[Path]]],
     given: CameraFile | None,
-    unit_m: float | None,
+    options: ReadOptions,
 ) -> Iterator[Listed]:
     cameras, fault = dict[str, Any](), None
     try:
@@ -81,7 +81,7 @@ def _scene(
     for image in sorted(set().union(*files.values())):
         own = {kind: found.get(image, []) for kind, found in files.items()}
         said = None if fault else cameras.get(str(image))
-        load = partial(_load, scene, image, own, said, given, unit_m)
+        load = partial(_load, scene, image, own, said, given, options)
         yield (
             f"{prefix}_{image:06d}",
             image,
@@ -115,7 +115,7 @@ def _load(
     files: dict[str, list[Path]],
     said: Any,
     given: CameraFile | None,
-    unit_m: float | None,
+    options: ReadOptions,
     name: str,
 ) -> Capture:
     for kind in ("rgb", "depth"):
@@ -141,7 +141,8 @@ def _load(
         own,
         given and replace(given, depth_to_color=None),  # aligned by definition
         # BOP: depth_scale times the stored number is millimetres.
-        unit_m or camera.depth_scale * 0.001,
+        options.depth_unit_m or camera.depth_scale * 0.001,
+        options,
         source=files["rgb"][0],
         depth_source=files["depth"][0],
         name=name,

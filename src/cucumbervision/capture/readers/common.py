@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.depth import depth_to_metres, require_readings
-from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics
+from cucumbervision.capture.depth import (
+    DepthAlong,
+    depth_along_axis,
+    depth_to_metres,
+    enlarge_depth,
+    require_readings,
+)
+from cucumbervision.capture.frames import Capture, Doubt
+from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
 from cucumbervision.geometry.camera import align_depth_to_color
 
@@ -19,7 +25,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
+    from cucumbervision.capture.source import ReadOptions
 
+_SAME_VIEW = 0.01  # most by which the factors of width and height differ
 _MIDDLE = 0.4  # minimum relative position of the principal point of a matrix without a size
 
 
@@ -29,9 +37,13 @@ def choose_intrinsics(
     width: int,
     height: int,
     *,
+    aligned_to: Stream | None = None,
     source: object,
 ) -> Intrinsics:
     """Return the given intrinsics if they pass the check, otherwise those of the source.
+
+    Of colour that was aligned to depth, these are the depth camera's: both pictures have its
+    pixels.
 
     Raises
     ------
@@ -39,8 +51,12 @@ def choose_intrinsics(
         If the intrinsics belong to another stream or size, with the scale error that they would
         cause; or if there are none.
     """
+    if aligned_to is Stream.DEPTH:
+        own = own and replace(own, stream=Stream.COLOR)
     if given is not None:
         camera = given.intrinsics
+        if aligned_to is Stream.DEPTH:
+            camera = replace(given.depth or camera, stream=Stream.COLOR)
         if not given.is_sized:
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
@@ -78,7 +94,8 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
         raise CaptureError(
             f"depth is {depth.shape[1]}x{depth.shape[0]}, colour {color.shape[1]}x{color.shape[0]}",
             source=source,
-            remedy="align depth to colour, so that both have one size",
+            remedy="align depth to colour, so that both have one size; or, if depth has the colour "
+            "camera's field of view in fewer pixels, say so with --aligned-to color",
         )
 
 
@@ -88,6 +105,7 @@ def frame_capture(
     own: Intrinsics | None,
     given: CameraFile | None,
     unit_m: float | None,
+    options: ReadOptions,
     *,
     source: Path,
     depth_source: Path,
@@ -96,8 +114,9 @@ def frame_capture(
 ) -> Capture:
     """Create a capture from a colour and a depth picture.
 
-    Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`; otherwise
-    depth must have the size of the colour picture.
+    Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`, unless they
+    are said to be aligned; otherwise depth must have the size of the colour picture, or, where it
+    is said to be aligned to colour, its shape.
 
     Parameters
     ----------
@@ -110,7 +129,9 @@ def frame_capture(
     given : CameraFile, optional
         Intrinsics given by the user.
     unit_m : float, optional
-        Metres per depth step, if given by the user.
+        Metres per depth step, if given by the user or the format.
+    options : ReadOptions
+        What the user says of the depth.
     source, depth_source : Path
         The files, for error messages.
     depth_camera : Intrinsics, optional
@@ -126,16 +147,40 @@ def frame_capture(
         See `choose_intrinsics`.
     """
     height, width = color.shape[:2]
-    intrinsics = choose_intrinsics(own, given, width, height, source=source)
+    aligned_to = options.aligned_to or (given.aligned_to if given else None)
+    intrinsics = choose_intrinsics(own, given, width, height, aligned_to=aligned_to, source=source)
     unit_m = unit_m or (given.depth_unit_m if given else None)
     depth_m = depth_to_metres(read_raw(), unit_m, source=depth_source)
+    along = options.depth_along or (given.depth_along if given else None)
     camera = (given.depth if given else None) or depth_camera
-    if given is None or camera is None or given.depth_to_color is None:
-        require_same_size(color, depth_m, source=depth_source)
-    else:
+    doubts: tuple[Doubt, ...] = ()
+    if aligned_to is None and given and camera and given.depth_to_color:
+        _require_camera_size(depth_m, camera, source=depth_source)
+        depth_m = depth_along_axis(depth_m, camera) if along is DepthAlong.RAY else depth_m
         depth_m = _aligned(depth_m, camera, intrinsics, given.depth_to_color, source=depth_source)
+    else:
+        if aligned_to is Stream.COLOR and _is_same_view(depth_m, width, height):
+            depth_m, doubts = enlarge_depth(depth_m, width, height), (Doubt.DEPTH_RESAMPLED,)
+        require_same_size(color, depth_m, source=depth_source)
+        depth_m = depth_along_axis(depth_m, intrinsics) if along is DepthAlong.RAY else depth_m
     require_readings(depth_m, source=depth_source)
-    return Capture(color, depth_m, intrinsics, source=str(source), **about)
+    return Capture(color, depth_m, intrinsics, source=str(source), doubts=doubts, **about)
+
+
+def _is_same_view(depth_m: NDArray[np.float32], width: int, height: int) -> bool:
+    """Return whether depth has fewer pixels than colour, in the same proportion both ways."""
+    across, down = width / depth_m.shape[1], height / depth_m.shape[0]
+    return bool(across > 1 and abs(across / down - 1) <= _SAME_VIEW)
+
+
+def _require_camera_size(depth_m: NDArray[np.float32], camera: Intrinsics, *, source: Path) -> None:
+    if depth_m.shape != (camera.height, camera.width):
+        raise CaptureError(
+            f"depth is {depth_m.shape[1]}x{depth_m.shape[0]}, the depth camera's intrinsics are "
+            f"for {camera.width}x{camera.height}",
+            source=source,
+            remedy="give the depth camera's intrinsics at that size",
+        )
 
 
 def _aligned(
@@ -146,13 +191,6 @@ def _aligned(
     *,
     source: Path,
 ) -> NDArray[np.float32]:
-    if depth_m.shape != (camera.height, camera.width):
-        raise CaptureError(
-            f"depth is {depth_m.shape[1]}x{depth_m.shape[0]}, the depth camera's intrinsics are "
-            f"for {camera.width}x{camera.height}",
-            source=source,
-            remedy="give the depth camera's intrinsics at that size",
-        )
     with wrap_reader_errors(
         source, IntrinsicsError, "correct lens and 'depth_to_color' in the camera file"
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,7 +12,12 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.depth import depth_to_metres, require_readings
+from cucumbervision.capture.depth import (
+    DepthAlong,
+    depth_along_axis,
+    depth_to_metres,
+    require_readings,
+)
 from cucumbervision.capture.files import json_value, parse_model, read_json, write_bytes
 from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
 from cucumbervision.capture.pictures import (
@@ -106,7 +112,7 @@ def _open_folders(
         except CaptureError as error:
             yield name, 0, partial(fail, error), source, None
         else:
-            load = partial(_load, folder, manifest, given, options.depth_unit_m)
+            load = partial(_load, folder, manifest, given, options)
             files = partial(_files, folder, manifest, given)
             yield manifest.name or name, manifest.frame, load, source, files
 
@@ -118,11 +124,12 @@ def _files(folder: Path, manifest: Manifest, given: CameraFile | None) -> list[P
 
 
 def _load(
-    folder: Path, manifest: Manifest, given: CameraFile | None, unit_m: float | None, name: str
+    folder: Path, manifest: Manifest, given: CameraFile | None, options: ReadOptions, name: str
 ) -> Capture:
+    unit_m = options.depth_unit_m or manifest.depth_unit_m
     frames, pixels = [], 0
     for one in manifest.frames:
-        frames.append(_read_frame(folder, one, unit_m or manifest.depth_unit_m))
+        frames.append(_read_frame(folder, one, unit_m))
         pixels += frames[-1][1].size
         if pixels > MOST_BURST_PIXELS:
             raise CaptureError(
@@ -139,7 +146,11 @@ def _load(
     height, width = fused.depth_m.shape
     with as_errors_of(folder / MANIFEST):
         own = manifest.camera.intrinsics
-    intrinsics = choose_intrinsics(own, given, width, height, source=folder / MANIFEST)
+    intrinsics = choose_intrinsics(
+        own, given, width, height, aligned_to=options.aligned_to, source=folder / MANIFEST
+    )
+    if options.depth_along is DepthAlong.RAY:
+        fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
     require_readings(fused.depth_m, source=folder)
     kept = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
     return Capture(

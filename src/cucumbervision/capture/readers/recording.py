@@ -6,6 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.capture.depth import DepthAlong
+from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.realsense import AlignedFrame, AlignedStream, burst_capture, play_file
 from cucumbervision.capture.realsense_device import import_realsense
@@ -45,6 +47,7 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     CaptureError
         If the file is not a recording with colour and depth.
     """
+    _require_aligned(options, path)
     import_realsense()
     given = read_camera_file(options.intrinsics) if options.intrinsics else None
     with _stream(path) as stream:
@@ -52,6 +55,15 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
     about = {"source": str(path), "provenance": {"reader": "recording", **device}}
     return CaptureSource(path, "recording", lambda: _refs(path, options.burst, intrinsics, about))
+
+
+def _require_aligned(options: ReadOptions, path: Path) -> None:
+    if options.depth_along is DepthAlong.RAY or options.aligned_to is Stream.DEPTH:
+        raise CaptureError(
+            "a recording's depth is along the axis and is aligned to colour here",
+            source=path,
+            remedy="leave out --depth-along and --aligned-to",
+        )
 
 
 def _stream(path: Path) -> AlignedStream:

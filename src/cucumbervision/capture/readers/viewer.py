@@ -84,7 +84,7 @@ def _open_snapshots(
         except CaptureError as error:
             yield base.name, 0, partial(fail, error), base, files
         else:
-            load = partial(_load, base, table, camera, options.depth_unit_m)
+            load = partial(_load, base, table, camera, options)
             yield base.name, table.frame, load, base, files
 
 
@@ -104,7 +104,7 @@ def _require_raw(base: Path) -> None:
 
 
 def _load(
-    base: Path, table: _Snapshot, given: CameraFile, unit_m: float | None, name: str
+    base: Path, table: _Snapshot, given: CameraFile, options: ReadOptions, name: str
 ) -> Capture:
     raw_path = base.with_name(base.name + _RAW)
     own_path = base.with_name(base.name + _COLOR_TABLE)
@@ -113,7 +113,8 @@ def _load(
         partial(_read_raw, raw_path, table),
         _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
         given,
-        unit_m,
+        options.depth_unit_m,
+        options,
         source=raw_path,
         depth_source=raw_path,
         depth_camera=table.intrinsics,

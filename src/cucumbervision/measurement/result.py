@@ -124,6 +124,7 @@ class Flag(StrEnum):
     DEPTH_TOO_NEAR = "depth-too-near"
     DEPTH_HOLLOW = "depth-hollow"
     DEPTH_GAP = "depth-gap"
+    DEPTH_UNALIGNED = "depth-unaligned"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
     DOUBTFUL = "doubtful"
@@ -132,7 +133,7 @@ class Flag(StrEnum):
 LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
 """Flags of a fruit that goes on out of sight: it is at least as long as was measured."""
 
-NO_DEPTH = frozenset({Flag.DEPTH_TOO_NEAR, Flag.DEPTH_HOLLOW, Flag.DEPTH_GAP})
+NO_DEPTH = frozenset({Flag.DEPTH_TOO_NEAR, Flag.DEPTH_HOLLOW, Flag.DEPTH_GAP, Flag.DEPTH_UNALIGNED})
 """Flags of a fruit whose depth cannot be its distance: its length is no lower bound either."""
 
 
@@ -155,7 +156,7 @@ _FLAG_WORDS = {
     Flag.ENDS_DISAGREE: "its ends were found at two places",
     Flag.END_ON: "seen end on",
     Flag.PART_HIDDEN: "partly hidden",
-    Flag.POOR_FIT: "its shape fits badly",
+    Flag.POOR_FIT: "its shape is not that of one fruit",
     Flag.UNCERTAIN: "the length is uncertain",
     Flag.INTERVAL_TOO_WIDE: "the length is uncertain",
     Flag.NOT_COVERED: "the site's calibration does not cover it",
@@ -165,6 +166,7 @@ _FLAG_WORDS = {
     Flag.DEPTH_TOO_NEAR: "nearer than a camera reads: check the depth's unit",
     Flag.DEPTH_HOLLOW: "hollow by its depth: check what the depth picture holds",
     Flag.DEPTH_GAP: "an outline of several things with a gap between them",
+    Flag.DEPTH_UNALIGNED: "outline and depth do not lie together: check that depth is aligned",
     Flag.PRINCIPAL_POINT: "check the camera's intrinsics",
     Flag.DEPTH_RESAMPLED: "depth is coarser than colour",
     Flag.DOUBTFUL: "added by hand, and may be no fruit",

@@ -35,6 +35,10 @@ _DATA_DOUBTS = {
         "their outline has pieces with a gap between them that lies behind",
         "give each fruit an outline of its own",
     ),
+    Flag.DEPTH_UNALIGNED: (
+        "outline and depth do not lie together",
+        "check that depth is aligned to colour, and masks are of this picture",
+    ),
     Flag.PRINCIPAL_POINT: (
         "the intrinsics' principal point lies off the middle of the picture",
         "check that they are of this size of picture",

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture
@@ -11,8 +14,9 @@ from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Reason
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
@@ -60,6 +64,31 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     assert len(found) == 3
     assert [box_iou(one.box, kept[0].box) for one in drawn] == [1.0]
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+
+
+class BoxSegmenter:
+    """A segmenter of one's own: the box, filled."""
+
+    prompt, runtime = "box", "numpy"
+
+    def segment(self, color_rgb: Any, instances: Sequence[Instance]) -> tuple[Instance, ...]:
+        drawn = []
+        for instance in instances:
+            left, top, right, bottom = instance.box.round().astype(int)
+            mask = np.zeros(color_rgb.shape[:2], bool)
+            mask[top : bottom + 1, left : right + 1] = True
+            drawn.append(replace(instance, mask=mask))
+        return tuple(drawn)
+
+
+def test_masks_of_another_segmenter_are_not_called_sams(
+    plain: Capture, own_registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(NetworkLoader, "segmenter", lambda loader, name=None: BoxSegmenter())
+    options = MeasureOptions(instances="models", segmenter="mobile-sam")
+    for instance in make_finder(options, own_registry).find(plain).instances:
+        assert instance.mask_source is MaskSource.SEGMENTER
+        assert instance.mask_source.words == "segmenter"
 
 
 def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(

@@ -37,9 +37,10 @@ SKELETON = ((0, 1), (1, 2), (2, 3), (3, 4))
 
 
 class MaskSource(StrEnum):
-    """Who drew a mask."""
+    """Who drew a mask; 'segmenter' is one that is not SAM."""
 
     SAM = "sam"
+    SEGMENTER = "segmenter"
     DETECTOR = "detector"
     DATASET = "dataset"
     HAND = "hand"

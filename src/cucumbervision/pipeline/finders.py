@@ -21,6 +21,7 @@ from cucumbervision.perception.instances import (
 )
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import box_of_mask, without_flower
+from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.stages import Stage
 
@@ -29,9 +30,11 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import Measurement
-    from cucumbervision.perception.networks import NetworkLoader
+    from cucumbervision.perception.networks import NetworkLoader, Segmenter
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
+
+_PERCEIVED = (MaskSource.SAM, MaskSource.SEGMENTER, MaskSource.DETECTOR)  # may hold the flower
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,12 +183,19 @@ def make_finder(
             return _placed(capture, found, found.instances, kept)
         prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
         segmenter = networks.segmenter(name)
-        masked = dict(zip(drawn, segmenter.segment(capture.color, prompts), strict=True))
+        answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
+        masked = dict(zip(drawn, answers, strict=True))
         instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
         kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
         return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
     return Finder(find, networks)
+
+
+def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
+    """Return what a segmenter drew, under its own name if it is not SAM."""
+    source = MaskSource.SAM if isinstance(segmenter, Sam) else MaskSource.SEGMENTER
+    return tuple(one if one.mask is None else replace(one, mask_source=source) for one in instances)
 
 
 def _with_fitting_masks(capture: Capture, found: Found) -> Found:
@@ -210,7 +220,7 @@ def _placed(
     """Return what was found with masks and keypoints as they are measured."""
     cleaned = tuple(
         replace(one, mask=without_flower(one.mask, capture.color))
-        if one.mask is not None and one.mask_source in (MaskSource.SAM, MaskSource.DETECTOR)
+        if one.mask is not None and one.mask_source in _PERCEIVED
         else one
         for one in instances
     )

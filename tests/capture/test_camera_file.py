@@ -134,7 +134,8 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
             OURS | {"depth_to_color": {"rotation": [[1, 0], [0]], "translation_m": [0, 0, 0]}},
             "is not a rotation",
         ),
-        ([1, 2], "holds no intrinsics"),
+        ([1, 2], "camera matrix is not"),
+        ("none", "holds no intrinsics"),
     ],
 )
 def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:

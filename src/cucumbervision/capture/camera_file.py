@@ -26,14 +26,16 @@ if TYPE_CHECKING:
 
 _OWN_NAME = "intrinsics.json"
 _CAMERA_NAME = re.compile(
-    r".*(intrinsic|camera|cam_?k|calib).*\.(json|ya?ml|xml|txt)", re.IGNORECASE
+    r"(.*(intrinsic|camera|cam_?k|calib).*|k)\.(json|ya?ml|xml|txt)"
+    r"|(.*(intrinsics?|cam_?k|camera_?matrix)|k)\.npy",
+    re.IGNORECASE,
 )
 _CAMERA_WORD = re.compile(
     r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
 )
 _SAY_STREAM = (
-    'add "stream": "color" if they are the colour camera\'s at that size (depth-stream '
-    "intrinsics scale every length)"
+    'add "stream": "color", or call the file color_intrinsics, if they are the colour camera\'s at '
+    "that size (depth-stream intrinsics scale every length)"
 )
 
 

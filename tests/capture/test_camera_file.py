@@ -135,7 +135,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
             "is not a rotation",
         ),
         ([1, 2], "camera matrix is not"),
-        ("none", "holds no intrinsics"),
+        (7, "holds no intrinsics"),
     ],
 )
 def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:

@@ -157,6 +157,10 @@ class RoundError(CucumberVisionError):
     """Poses, stops or fruit of a round that cannot be what they are declared to be."""
 
 
+class NameRefusedError(CucumberVisionError):
+    """A name that cannot be read as it was given: control characters, turned writing."""
+
+
 class UploadError(CaptureError):
     """An upload that is not accepted: too large, of no known kind, or harmful."""
 

@@ -461,6 +461,23 @@ def test_a_round_is_begun(house: Path) -> None:
     assert test.session_state["round"] == newest.key
 
 
+def test_a_house_is_chosen_of_the_known_ones_and_one_by_another_name_is_told(house: Path) -> None:
+    test = app("today")
+    known = test.selectbox(key="known_house")
+    assert known.options == ["house 1", "New house …"]
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    known = test.selectbox(key="known_house")
+    known.select("New house …").run()
+    test.text_input(key="new_house").set_value("1\u202e").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    assert "U+202E" in said(test)
+    test.text_input(key="new_house").set_value("HOUSE  1").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    assert "'house 1', which is known" in test.toast[0].value
+    with open_store(house) as store:
+        assert [one.record.house for one in store.rounds()] == ["house 1"] * 3
+
+
 def test_a_round_that_was_left_is_not_opened_again_by_an_older_address(house: Path) -> None:
     script = (
         "from cucumbervision.dashboard.app import read_address\n"

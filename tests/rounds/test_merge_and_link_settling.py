@@ -9,7 +9,15 @@ from tests.simulated_rows import SimulatedRow, simulate_row
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.merge_and_link import delete_round, link_rounds, move_stop, settle, undo
+from cucumbervision.rounds.forecasting import growth_links
+from cucumbervision.rounds.merge_and_link import (
+    delete_round,
+    earlier_round,
+    link_rounds,
+    move_stop,
+    settle,
+    undo,
+)
 from cucumbervision.store.corrections import StopPlace
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import CaptureRecord, StopRecord, key_of
@@ -115,3 +123,30 @@ def test_a_round_that_is_brought_back_is_linked_as_before(
     settle(store, second)
     assert (linked(store, first, second), linked(store, second, third)) == before
     assert not linked(store, first, third)
+
+
+def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
+    store: Store, save_walk: SaveWalk
+) -> None:
+    """The later day is uploaded first, both in one evening, into '7' and 'House 7'."""
+    begun = next(one.record for one in store.rounds())
+    morning_s = 1_700_000_000.0
+    evening_s = morning_s + 10 * 86400.0
+    walk = simulate_row(SimulatedRow(fruit=12), 1)
+    days = []
+    for day, house in ((1, "7"), (0, " HOUSE  7")):
+        one = replace(begun, key=key_of("uploaded", day), house=house, started_s=evening_s - day)
+        store.save_round(one)
+        grown = replace(walk.views, length_m=walk.views.length_m + 0.03 * day)
+        taken = replace(one, started_s=morning_s + 86400.0 * day)
+        save_walk(replace(walk, views=grown), taken)
+        days.append(one.key)
+    later, earlier = days
+    assert {one.record.house for one in store.rounds() if one.key in days} == {"7"}
+    assert earlier_round(store, earlier) is None
+    assert settle(store, earlier) == settle(store, later) == ""
+    pairs = linked(store, earlier, later)
+    assert len(pairs) == 12
+    # Growth is that of one day, 3 cm, not of the second between two presses of 'New round'.
+    links = growth_links(store, later)
+    assert {round(link.day1 - link.day0, 3) for link in links} == {1.0}

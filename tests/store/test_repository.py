@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from sqlalchemy import func, select, text
 
-from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
 from cucumbervision.store.engine import begin
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -47,6 +47,32 @@ def test_a_stop_comes_back_as_it_was_sent(store: Store, make_stop: MakeStop) -> 
     stop = make_stop(3, pose=tuple(float(x) for x in range(16)), note="=1+1 'quoted' ž\n")
     assert store.save_stop(stop) is Saved.NEW
     assert store.stop(stop.key) == stop
+
+
+@pytest.mark.parametrize("bad", ["a\0", "a\ud800b", "a\u202eb", "a\nb", "a\x1b["])
+def test_a_name_that_is_none_is_refused_by_every_database_alike(
+    store: Store, make_stop: MakeStop, bad: str
+) -> None:
+    stop, before = make_stop(3), lines(store)
+    capture = replace(stop.captures[0], name=bad)
+    for changed in ({"row": bad}, {"side": bad}, {"note": bad}, {"captures": (capture,)}):
+        with pytest.raises(NameRefusedError):
+            store.save_stop(replace(stop, **changed))
+    for named in (Round(name=bad), Round(house=bad)):
+        with pytest.raises(NameRefusedError):
+            store.save_round(named)
+    with pytest.raises(NameRefusedError):
+        store.rename_round(WALK, bad)
+    assert lines(store) == before
+
+
+def test_a_house_gets_the_name_that_it_had_first(store: Store) -> None:
+    first = Round(house=" House 7 ")
+    second = Round(house="7")
+    assert store.save_round(first) is store.save_round(second) is Saved.NEW
+    houses = {one.key: one.record.house for one in store.rounds()}
+    assert houses[first.key] == houses[second.key] == "House 7"
+    assert store.save_round(second) is Saved.ALREADY_THERE
 
 
 def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:

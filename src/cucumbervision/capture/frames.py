@@ -11,6 +11,7 @@ import numpy as np
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
 from cucumbervision.capture.motion import moved_px, still_px
 from cucumbervision.errors import CaptureError, DepthError
+from cucumbervision.names import checked_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,6 +41,18 @@ class Stop:
     side: str | None = None
     position_m: float | None = None
     step: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check its names.
+
+        Raises
+        ------
+        NameRefusedError
+            If the row or the side is no name.
+        """
+        for what, name in (("row", self.row), ("side", self.side)):
+            if name is not None:
+                object.__setattr__(self, what, checked_name(name, what))
 
 
 @dataclass(frozen=True, eq=False)

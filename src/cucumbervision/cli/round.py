@@ -79,6 +79,9 @@ def new(
     record = Round(name=name, house=house, profile=profile)
     with open_store(store, images=images) as opened:
         opened.save_round(record)
+        saved = next(one.record for one in opened.rounds() if one.key == record.key)
+    if saved.house != house.strip():
+        typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
     typer.echo(record.key)
 
 
@@ -355,13 +358,13 @@ def list_(store: StoreName = "house.db") -> None:
 
     with open_store(store, create=False) as opened:
         rounds = opened.rounds()
-    left = ("key", "name", "house", "began", "profile")
+    left = ("key", "name", "house", "walked", "profile")
     table = columns_table(None, left, "stops", "views")
     for one in rounds:
         record = one.record
-        began = datetime.fromtimestamp(record.started_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        walked = datetime.fromtimestamp(one.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
         counts = str(one.stops), str(one.fruit)
-        table.add_row(one.key[:8], record.name, record.house, began, record.profile, *counts)
+        table.add_row(one.key[:8], record.name, record.house, walked, record.profile, *counts)
     screen().print(table)
 
 

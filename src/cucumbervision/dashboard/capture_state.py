@@ -61,6 +61,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     return {
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
+        "houses": resources.houses(),
         "round": one.key if one else "",
         "home": home,
         "source": source,

@@ -41,6 +41,7 @@ from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.dashboard.uploading import measure_upload
 from cucumbervision.dashboard.uploads import Uploads
 from cucumbervision.errors import CucumberVisionError, StoreError
+from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.adding import (
     DEMONSTRATION,
@@ -298,8 +299,21 @@ def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
 
 
 def rounds() -> list[RoundView]:
-    """Return the rounds, the newest first and the demonstration last: it is nobody's work."""
-    return sorted(store().rounds(), key=lambda one: is_demonstration(one.key))
+    """Return the rounds, the one walked last first, and the demonstration last of all.
+
+    That is nobody's work.
+    """
+    return sorted(store().rounds(), key=lambda one: (is_demonstration(one.key), -one.walked_s))
+
+
+def houses() -> list[str]:
+    """Return the known houses, each by the name that it was given first."""
+    named = sorted(store().rounds(), key=lambda one: one.record.started_s)
+    found: dict[str, str] = {}
+    for one in named:
+        if one.record.house:
+            found.setdefault(house_key(one.record.house), one.record.house)
+    return sorted(found.values())
 
 
 def news(round_key: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import streamlit as st
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.words import plain, round_name, sentence
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.names import same_house
 from cucumbervision.rounds.merge_and_link import delete_round
 from cucumbervision.store.records import Round
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView
 
+_NEW_HOUSE = "New house …"
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
@@ -51,17 +53,32 @@ def choose_round() -> RoundView | None:
 
 def _begin() -> None:
     st.text_input("Name", placeholder="Morning round", key="new_name")
-    st.text_input("House", placeholder="House 1", key="new_house")
+    houses = resources.houses()
+    known = [*houses, _NEW_HOUSE]
+    if houses:
+        st.selectbox("House", known, format_func=plain, key="known_house")
+    if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
+        st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
 
     def begin() -> None:
         # What the fields hold now: the page may not have been drawn since they were filled in.
-        name, house = (str(st.session_state[key]).strip() for key in ("new_name", "new_house"))
+        name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
+        if houses and (chosen := st.session_state["known_house"]) != _NEW_HOUSE:
+            house = chosen
         record = Round(name=name, house=house, profile=resources.settings().profile)
-        resources.store().save_round(record)
+        try:
+            resources.store().save_round(record)
+        except CucumberVisionError as error:
+            st.session_state["begin_fault"] = str(error)
+            return
+        if (same := same_house(house, houses)) != " ".join(house.split()):
+            st.toast(plain(f"The round is in the house '{same}', which is known by that name."))
         st.session_state["round"] = record.key
         st.session_state[_BEGINNING] = False
 
     st.button("Start this round", type="primary", width="stretch", on_click=begin)
+    if fault := st.session_state.pop("begin_fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
 
 
 def _change(one: RoundView | None) -> None:

@@ -35,7 +35,7 @@ from cucumbervision.dashboard.access import device_of
 from cucumbervision.dashboard.fruit_view import as_jpeg, depth_picture, scale_bar
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.uploads import Sending
-from cucumbervision.errors import CucumberVisionError, UploadError
+from cucumbervision.errors import CucumberVisionError, NameRefusedError, UploadError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
@@ -165,7 +165,11 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
     burst, known = resources.settings().burst, {one.key for one in resources.rounds()}
     taken: list[Pressed | str | None] = []
     for one in sent:  # all at once, so that none waits for another's last frames
-        stop = Stop(one.row.strip() or None, one.side or None, one.position_m)
+        try:
+            stop = Stop(one.row.strip() or None, one.side or None, one.position_m)
+        except NameRefusedError as error:
+            taken.append(str(error))
+            continue
         press = Press(one.number, one.at_s)
         if one.round not in known:
             taken.append("the round was deleted")
@@ -184,7 +188,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
 def _begin(request: Request, content: bytes) -> Any:
     sent = SentRound.model_validate_json(content)
     profile = resources.settings().profile
-    record = Round(name=sent.name.strip(), house=sent.house.strip(), profile=profile)
+    record = Round(name=sent.name, house=sent.house, profile=profile)
     _store_of(request).save_round(record)
     return {"round": record.key}
 

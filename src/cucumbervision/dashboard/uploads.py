@@ -9,10 +9,11 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from cucumbervision.dashboard.settings import replace_text
-from cucumbervision.errors import UploadError
+from cucumbervision.errors import NameRefusedError, UploadError
+from cucumbervision.names import checked_name
 from cucumbervision.rounds.walking import NextPlace
 from cucumbervision.store.records import key_of
 
@@ -22,7 +23,16 @@ _MOST_FILES = 1000
 _KEPT = 20  # uploads whose outcomes are still told
 _RESERVE_BYTES = 500_000_000  # that captures, which are kept at once, need of the disk
 
+
+def _given(name: str) -> str:
+    try:
+        return checked_name(name, "row or side")
+    except NameRefusedError as error:
+        raise ValueError(str(error)) from None
+
+
 Name = Annotated[str, Field(max_length=500)]
+GivenName = Annotated[Name, AfterValidator(_given)]
 Length = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)]
 
 
@@ -41,8 +51,8 @@ class SentFile(_Frozen):
 class SentPlace(_Frozen):
     """Where the first capture was taken that does not say, as `NextPlace`."""
 
-    row: Name = ""
-    side: Name = "left"
+    row: GivenName = ""
+    side: GivenName = "left"
     position_m: Length = 0.0
     step_m: Length = 0.4
     back: bool = False
@@ -50,7 +60,7 @@ class SentPlace(_Frozen):
     @property
     def next_place(self) -> NextPlace:
         """The same for a walk."""
-        return NextPlace(self.row.strip(), self.side, self.position_m, self.step_m, self.back)
+        return NextPlace(self.row, self.side, self.position_m, self.step_m, self.back)
 
 
 class UploadOutcome(_Frozen):

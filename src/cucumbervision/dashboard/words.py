@@ -171,7 +171,7 @@ def round_name(one: RoundView) -> str:
     """Return what a round is called in a list: its name, house, day and number of stops."""
     house = f", {one.record.house}" if one.record.house else ""
     stops = counted(one.stops, "stop", "stops")
-    return f"{one.record.name or 'Round'}{house} · {round_day(one.record.started_s)} · {stops}"
+    return f"{one.record.name or 'Round'}{house} · {round_day(one.walked_s)} · {stops}"
 
 
 _ACTIONS = {

@@ -147,7 +147,7 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
+    days = {one.key: one.walked_s / DAY_S for one in store.rounds()}
     rounds = {round_key: _Measured(content or read_round(store, round_key))}
     # A fruit has one name in all rounds: the key of the representative view in the last one.
     names = {key: view.group for key, view in rounds[round_key].views.items()}
@@ -352,7 +352,7 @@ def forecast_today(
     content = content or read_round(store, one.key)
     table = fruit_table(content)
     found = forecast(
-        fruit_states(table, one.record.started_s / DAY_S, profile, picked_before_s),
+        fruit_states(table, one.walked_s / DAY_S, profile, picked_before_s),
         fit_growth(growth_links(store, one.key, content), GrowthPrior.of(profile)),
         profile,
         days,
@@ -407,8 +407,8 @@ def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Co
 
 def day_0_s(one: RoundView, now_s: float) -> float:
     """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
-    days, age = age_of(one.last_s or one.record.started_s, now_s)
-    return one.record.started_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+    days, age = age_of(one.walked_s, now_s)
+    return one.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
 
 
 def read_today(
@@ -433,7 +433,7 @@ def read_today(
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days, age = age_of(one.last_s or one.record.started_s, now_s)
+    days, age = age_of(one.walked_s, now_s)
     content = content or read_round(store, one.key)
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.names import house_key
 from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import (
     RoundContent,
@@ -198,12 +199,15 @@ def link_rounds(
     RoundError
         If one of them is not there, or the later does not come later.
     """
-    begun = {one.key: one.record.started_s for one in store.rounds()}
-    if gone := {earlier, later} - begun.keys():
+    walked = {one.key: one.walked_s for one in store.rounds()}
+    if gone := {earlier, later} - walked.keys():
         raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
-    days = (begun[later] - begun[earlier]) / DAY_S
+    days = (walked[later] - walked[earlier]) / DAY_S
     if not days > 0:
-        raise RoundError("the later round began no later", remedy="name the earlier one first")
+        raise RoundError(
+            "the later round was walked no later, by the times of its captures",
+            remedy="name the earlier one first",
+        )
     growth: tuple[float, ...] = ()
     if profile is not None:
         of = profile.growth
@@ -228,6 +232,7 @@ def link_rounds(
         sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
         found.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
+    store.save_growth(later, earlier, ())  # as they were linked before captures of that day came
     return found
 
 
@@ -333,25 +338,27 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
 
 
 def earlier_round(store: Store, round_key: str) -> RoundView | None:
-    """Return the newest round of the same house of an earlier day; None where there is none."""
+    """Return the last round of the same house of an earlier day; None where there is none.
+
+    Days are those of the captures (`RoundView.walked_s`), whenever a round was begun.
+    """
     one, others = _neighbours(store, round_key)
-    begun = one.record.started_s
-    near = [x for x in others if _SAME_DAY_S < begun - x.record.started_s < _FARTHEST_S]
+    near = [x for x in others if _SAME_DAY_S < one.walked_s - x.walked_s < _FARTHEST_S]
     return near[0] if near else None
 
 
 def later_rounds(store: Store, round_key: str) -> list[RoundView]:
     """Return the rounds of the same house of later days, the nearest first."""
     one, others = _neighbours(store, round_key)
-    begun = one.record.started_s
-    return [x for x in others[::-1] if _SAME_DAY_S < x.record.started_s - begun < _FARTHEST_S]
+    return [x for x in others[::-1] if _SAME_DAY_S < x.walked_s - one.walked_s < _FARTHEST_S]
 
 
 def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:
-    """Return a round, and the others of its house that hold fruit, the newest first."""
-    rounds = store.rounds()
+    """Return a round, and the others of its house that hold fruit, the one walked last first."""
+    rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
     one = next((x for x in rounds if x.key == round_key), None)
     if one is None:
         raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
-    house = one.record.house
-    return one, [x for x in rounds if x.key != round_key and x.record.house == house and x.fruit]
+    house = house_key(one.record.house)
+    others = (x for x in rounds if x.key != round_key and x.fruit)
+    return one, [x for x in others if house_key(x.record.house) == house]

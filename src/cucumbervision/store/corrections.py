@@ -14,6 +14,7 @@ from sqlalchemy import and_, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.names import checked_name
 from cucumbervision.store.cells import round_id_of, row_id_of
 from cucumbervision.store.engine import DEVICE, SIGNED_BY, Database
 from cucumbervision.store.hashes import change, seal_stops, with_hash
@@ -171,7 +172,15 @@ class Corrections(Database):
             return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth")
 
     def place_stop(self, key: str, place: StopPlace) -> int:
-        """Set where a stop was taken, and its name; its fitted position is discarded."""
+        """Set where a stop was taken, and its name; its fitted position is discarded.
+
+        Raises
+        ------
+        NameRefusedError
+            If its row, side or name is none.
+        """
+        for what, name in (("row", place.row), ("side", place.side), ("stop's name", place.note)):
+            checked_name(name or "", what)
         with self.writing() as connection:
             after = asdict(place)
             row, stop = after.pop("row"), line_of(connection, StopLine, key)
@@ -190,7 +199,14 @@ class Corrections(Database):
             return _edit(connection, StopLine, stop, kind, {"deleted": True})
 
     def rename_round(self, key: str, name: str) -> int:
-        """Rename a round."""
+        """Rename a round.
+
+        Raises
+        ------
+        NameRefusedError
+            If that is no name.
+        """
+        name = checked_name(name, "round's name")
         with self.writing() as connection:
             found = line_of(connection, RoundLine, key)
             return _edit(connection, RoundLine, found, "rename-round", {"name": name})

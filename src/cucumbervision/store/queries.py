@@ -10,6 +10,7 @@ from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import aliased
 
 from cucumbervision.errors import StoreError
+from cucumbervision.names import house_key
 from cucumbervision.store.cells import (
     cells_of,
     columns_of,
@@ -191,15 +192,18 @@ class Queries(Database):
         rejected, detections : int
             False detections, and all detections of the rounds in which any was judged.
         """
-        own, other = aliased(RoundLine), aliased(RoundLine)
         kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
         with self.reading() as connection:
-            house = select(own.house).where(own.id == round_id_of(connection, round_key))
+            houses = connection.execute(
+                select(RoundLine.id, RoundLine.house).where(~RoundLine.deleted)
+            )
+            house_of = {number: house_key(house) for number, house in houses}
+            house = house_of.get(round_id_of(connection, round_key))
+            same = [number for number, one in house_of.items() if one == house]
             counts = (
                 select(DetectionLine.round_id, Mark.value, func.count())
                 .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-                .join(other, other.id == DetectionLine.round_id)
-                .where(other.house == house.scalar_subquery(), ~other.deleted, IS_ACTIVE, *kept)
+                .where(DetectionLine.round_id.in_(same), IS_ACTIVE, *kept)
                 .group_by(DetectionLine.round_id, Mark.value)
             )
             rows = cells_of(connection, counts)

@@ -10,6 +10,7 @@ from sqlalchemy import and_, delete, func, insert, or_, select, update
 
 from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.names import checked_name, same_house
 from cucumbervision.store.cells import (
     cells_by_name,
     cells_of,
@@ -140,13 +141,28 @@ class Store(Queries, Corrections):
     def save_round(self, record: Round) -> Saved:
         """Add a round; the same one sent again changes nothing.
 
+        Its house is the known one where their names differ by no more than case, spaces or the
+        word 'house' (`names.same_house`).
+
         Raises
         ------
         StoreConflictError
             If another round has its key.
+        NameRefusedError
+            If one of its names is none.
         """
-        record = replace(record, key=checked_key(record.key, "round"))
+        record = replace(
+            record,
+            key=checked_key(record.key, "round"),
+            name=checked_name(record.name, "round's name"),
+            house=checked_name(record.house, "house"),
+        )
         with self.writing() as connection:
+            known = select(RoundLine.house).where(
+                or_(~RoundLine.deleted, RoundLine.key == record.key)
+            )
+            houses = connection.execute(known.order_by(RoundLine.id)).scalars()
+            record = replace(record, house=same_house(record.house, houses))
             cells = with_hash(RoundLine, {**cells_by_name(record, ROUND_CELLS), "deleted": False})
             if insert_new(connection, RoundLine, cells, "key") is not None:
                 return Saved.NEW
@@ -169,6 +185,8 @@ class Store(Queries, Corrections):
         ------
         StoreConflictError
             If another stop has its key.
+        NameRefusedError
+            If its row, its side or a capture's name is none.
         StoreError
             If its round does not exist, a key is not a UUID, or two captures have the same name or
             two fruit of a capture the same number.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import insert, select
 
 from cucumbervision.errors import StoreError
+from cucumbervision.names import checked_name
 from cucumbervision.store.cells import (
     cells_by_name,
     cells_of,
@@ -59,7 +60,12 @@ if TYPE_CHECKING:
 
 
 def checked_stop(stop: StopRecord) -> StopRecord:
-    """Return a stop with its keys in canonical form."""
+    """Return a stop with its keys in canonical form, after checking its names."""
+    named = {"row": stop.row, "side": stop.side, "stop's name": stop.note}
+    for what, name in named.items():
+        checked_name(name or "", what)
+    for capture in stop.captures:
+        checked_name(capture.name, "capture's name")
     stop = replace(
         stop,
         key=checked_key(stop.key, "stop"),

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 _SAME_HEIGHT_M = 0.005
+_CLOCK_SET_S = 946_684_800.0  # the year 2000
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,16 @@ class RoundView:
     def key(self) -> str:
         """The round's key."""
         return self.record.key
+
+    @property
+    def walked_s(self) -> float:
+        """When it was walked: when its last capture was taken, seconds since 1970.
+
+        When it was begun where that is not known: without captures, or from a camera whose clock
+        was never set.
+        """
+        known = self.last_s is not None and self.last_s > _CLOCK_SET_S
+        return self.last_s if known and self.last_s else self.record.started_s
 
 
 @dataclass(frozen=True)

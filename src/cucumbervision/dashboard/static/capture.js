@@ -103,9 +103,12 @@ function usePlace(place) {
   localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, from: own.walk?.from, at: Date.now() }));
 }
 
+// Control characters, and marks that turn the writing: no name has them (names.py).
+const UNSEEN = /[\p{Cc}\p{Cs}\p{Zl}\p{Zp}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/gu;
+
 function readPlace() {
   const number = (id, known) => { const value = $(id).valueAsNumber; return Number.isFinite(value) ? Math.min(Math.max(value, 0), 10000) : known; };
-  own.place = { row: $("row").value.trim(), side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
+  own.place = { row: $("row").value.replace(UNSEEN, "").trim(), side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
   localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, from: own.walk?.from, at: Date.now() }));
 }
 
@@ -276,11 +279,17 @@ $("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {})
 
 // ---- Rounds and fields.
 $("round").onchange = () => { own.round = $("round").value; own.home = ""; readWalk(); };
-$("begin").onclick = () => $("new").showModal();
+function drawHouses() {
+  const houses = own.walk?.houses || [];
+  $("known-house").replaceChildren(...houses.map((one) => new Option(one, one)), new Option("New house …", ""));
+  $("known-house").onchange();
+}
+$("known-house").onchange = () => { $("new-house").hidden = $("known-house").value !== ""; };
+$("begin").onclick = () => { drawHouses(); $("new").showModal(); };
 $("new").onclose = async () => {
   if ($("new").returnValue !== "begin") return;
   try {
-    const begun = await post("/api/rounds", { name: $("name").value, house: $("house").value });
+    const begun = await post("/api/rounds", { name: $("name").value, house: $("known-house").value || $("house").value });
     Object.assign(own, { round: begun.round, home: "" });
     readWalk();
   } catch (fault) { show($("told"), `The round was not started: ${fault.message}`); }

@@ -38,7 +38,7 @@ def page(one: RoundView) -> None:
 
 
 def _age(one: RoundView) -> None:
-    walked = one.last_s or one.record.started_s
+    walked = one.walked_s
     days, age = age_of(walked, time.time())
     if age is not Age.FRESH:
         useless = age is Age.USELESS

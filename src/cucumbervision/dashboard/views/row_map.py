@@ -183,7 +183,7 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
         pair = (key, fruit.key) if is_earlier else (fruit.key, key)
         return store.unlink_growth(*pair)
 
-    when = round_day(day.round.record.started_s)
+    when = round_day(day.round.walked_s)
     if day.linked is not None:
         act = ("Different fruit", "link_off", part)
         _pictures(fruit, f"The same fruit on {when}", [day.linked], act)

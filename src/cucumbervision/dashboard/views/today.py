@@ -48,7 +48,7 @@ def page(one: RoundView) -> None:
 
 
 def _age(one: RoundView, today: Today) -> None:
-    walked = round_day(one.last_s or one.record.started_s)
+    walked = round_day(one.walked_s)
     if not one.stops:
         return
     if today.age is Age.USELESS:

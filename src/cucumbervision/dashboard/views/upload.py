@@ -10,7 +10,9 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.uploading import CAMERAS
 from cucumbervision.dashboard.uploads import SentPlace
-from cucumbervision.dashboard.words import counted, plain, round_day
+from cucumbervision.dashboard.words import counted, plain, round_day, sentence
+from cucumbervision.errors import NameRefusedError
+from cucumbervision.names import checked_name
 from cucumbervision.rounds.walking import next_place, sides_of
 
 if TYPE_CHECKING:
@@ -64,8 +66,14 @@ def _place(one: RoundView) -> SentPlace:
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
     given = f"{one.key}_{one.stops}"
+    named = row.text_input("Row", begun.row, key=f"up_row_{given}")
+    try:
+        named = checked_name(named, "row")
+    except NameRefusedError as error:
+        st.warning(sentence(error), icon=":material/error:")
+        named = ""
     return SentPlace(
-        row=row.text_input("Row", begun.row, key=f"up_row_{given}").strip(),
+        row=named,
         side=side.segmented_control(
             "Side",
             sides,

@@ -169,6 +169,72 @@ def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
     assert any(metric.label == "Mean length" for metric in test.metric)
 
 
+def test_a_fruit_marked_as_none_keeps_its_place_among_the_others(house: Path) -> None:
+    with open_store(house) as store:
+        keys = [view.key for view in store.detections(WALK) if view.best]
+    test = app("results", fruit=keys[1])
+    tap(test, "Not a fruit")
+    for label, key in (("Next", keys[2]), ("Previous", keys[0])):
+        tap(test, label)
+        assert test.query_params["fruit"] == key
+        test.query_params["fruit"] = keys[1]
+        test.run()
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "settings"])
+def test_an_address_of_no_round_shows_no_other_one(page: str, house: Path) -> None:
+    test = app(page, round="nonsense")
+    assert "There is no round 'nonsense'" in said(test)
+    assert not [*test.metric, *test.button_group, *test.get("bidi_component")]
+    test.run()  # drawn anew, as by news
+    assert "There is no round 'nonsense'" in said(test)
+    test.selectbox(key="round").select(WALK).run()
+    assert "nonsense" not in said(test)
+
+
+@pytest.mark.parametrize(
+    ("page", "part", "words"),
+    [
+        ("results", "fruit", "no such fruit"),
+        ("row_map", "fruit", "no such fruit"),
+        ("row_map", "stop", "no such stop"),
+    ],
+)
+def test_an_address_of_no_fruit_or_stop_is_told(
+    page: str, part: str, words: str, house: Path
+) -> None:
+    assert words in said(app(page, **{part: "![x](http://a)"}))
+
+
+def test_another_row_of_an_upload_begins_at_its_own_place_and_outlives_a_reload(
+    store: Store, house: Path
+) -> None:
+    for step, row, at_m in ((11, "7", 3.0), (12, "7", 3.5), (13, "1", 8.0), (14, "1", 8.4)):
+        store.save_stop(StopRecord(key_of(step), WALK, row, "left", at_m, step=step, taken_s=2e9))
+    test = app("upload")
+
+    def place() -> list[Any]:
+        fields = (
+            ("text_input", "Row"),
+            ("number_input", "First at [m]"),
+            ("number_input", "Step [m]"),
+        )
+        return [field(test, *one).value for one in fields]
+
+    assert place() == ["1", 8.8, 0.4]
+    field(test, "text_input", "Row").set_value("7").run()
+    assert place() == ["7", 4.0, 0.5]
+    field(test, "text_input", "Row").set_value("new").run()
+    assert place() == ["new", 0.0, 0.4]
+    field(test, "number_input", "First at [m]").set_value(2.5).run()
+    # Another capture is measured meanwhile: what was typed stays.
+    store.save_stop(StopRecord(key_of(15), WALK, "1", "left", 8.8, step=15, taken_s=2e9))
+    test.run()
+    assert place() == ["new", 2.5, 0.4]
+    again = app("upload", row=test.query_params["row"])
+    assert field(again, "text_input", "Row").value == "new"
+
+
 def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -> None:
     with open_store(house) as store:
         first, second, *_ = store.detections(WALK)

@@ -30,7 +30,7 @@ from cucumbervision.dashboard.access import DEVICE
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview
 from cucumbervision.dashboard.routes import Shown, routes
 from cucumbervision.rounds.adding import DEMONSTRATION
-from cucumbervision.store.records import Round, key_of
+from cucumbervision.store.records import Round, StopRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import Verdict
 
@@ -201,6 +201,21 @@ def test_a_round_is_begun(asked: TestClient, store: Store) -> None:
     assert one.record.profile == "long-cucumber"
     walk = asked.get("/api/walk", params={"round": begun, "source": "camera"}).json()
     assert (walk["round"], walk["last"], walk["place"]["row"]) == (begun, None, "1")
+
+
+def test_a_walk_of_no_round_opens_no_other_one(asked: TestClient) -> None:
+    walk = asked.get("/api/walk", params={"round": "nonsense", "source": "camera"}).json()
+    assert (walk["missing"], walk["round"], walk["home"], walk["last"]) == (True, "", "", None)
+    newest = asked.get("/api/walk", params={"source": "camera"}).json()
+    assert (newest["missing"], newest["round"]) == (False, WALK)
+
+
+def test_a_walk_says_where_each_row_goes_on(asked: TestClient, store: Store) -> None:
+    for step, row, at_m in ((1, "8", 0.5), (2, "8", 1.0), (3, "9", 2.0)):
+        store.save_stop(StopRecord(key_of(step), WALK, row, "left", at_m, step=step))
+    walk = asked.get("/api/walk", params={"round": WALK, "source": "camera"}).json()
+    assert (walk["rows"]["8"]["position_m"], walk["rows"]["9"]["position_m"]) == (1.5, 2.4)
+    assert "10" not in walk["rows"]
 
 
 def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:

@@ -116,8 +116,8 @@ def read_address() -> None:
 
 def keep_inputs() -> None:
     """Keep the input of pages that are not shown."""
-    for name in _KEPT_INPUTS:
-        if name in st.session_state:
+    for name in list(st.session_state):
+        if name in _KEPT_INPUTS or str(name).startswith("up_"):
             st.session_state[name] = st.session_state[name]
 
 

@@ -25,6 +25,8 @@ from cucumbervision.store.corrections import TAKE_BACK
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.routes import SentFruit, SentUndo
@@ -44,14 +46,14 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     store : Store
         Signed by the viewer.
     round_key : str
-        The round that is open; the newest where there is none of that key.
+        The round that is open; empty for the newest. Where there is none of that key, none is.
     source : str
         'camera' or 'replay'; by what the server was started with where it is neither.
     """
     every = resources.rounds()
     if source not in ("camera", "replay"):
         source = "replay" if resources.replay_named() else "camera"
-    one = next((x for x in every if x.key == round_key), every[0] if every else None)
+    one = next((x for x in every if round_key in ("", x.key)), None)
     shown = _preview_of(source)
     home = DEMONSTRATION if shown is not None and shown.simulated else one.key if one else ""
     stops = resources.store().stops(home) if any(x.key == home for x in every) else []
@@ -63,9 +65,11 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
         "houses": resources.houses(),
         "round": one.key if one else "",
+        "missing": bool(round_key) and one is None,
         "home": home,
         "source": source,
         "place": asdict(place),
+        "rows": _rows([*stops, *waiting]),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
         "waiting": len(waiting),
@@ -76,6 +80,12 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "last": _last_stop(one, last) if one and last else None,
         "done": _done(store, home),
     }
+
+
+def _rows(stops: Sequence[Stop | StopView]) -> dict[str, dict[str, Any]]:
+    """Return where the walk of each row goes on, by the rows' names."""
+    rows = dict.fromkeys(one.row or "" for one in stops)
+    return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
 
 
 def _done(store: Store, home: str) -> dict[str, Any] | None:

@@ -12,12 +12,12 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.fruit_view import component
-from cucumbervision.dashboard.round_choice import choose_round
+from cucumbervision.dashboard.round_choice import choose_round, missing_round
 from cucumbervision.dashboard.words import action_words, plain, sentence, step_words
 from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Container, Sequence
 
     from streamlit.delta_generator import DeltaGenerator
 
@@ -149,7 +149,12 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
     @wraps(draw)
     def page() -> None:
         one = choose_round()
-        if one is None:
+        if missing := missing_round():
+            st.warning(
+                f"There is no round '{plain(missing[:40])}'. Choose one above, or start a new one.",
+                icon=":material/search_off:",
+            )
+        elif one is None:
             st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
         else:
             draw(one)
@@ -198,6 +203,22 @@ def name_in_address(name: str, value: str | None) -> None:
     elif name in st.query_params:
         del st.query_params[name]
     note_address()
+
+
+def say_missing(name: str, there: Container[str | None], words: str) -> None:
+    """Say that what the address names is not there, so that nothing else is taken for it.
+
+    Parameters
+    ----------
+    name : str
+        The part of the address: 'fruit', 'stop' or 'row'.
+    there : container of str
+        What it could name.
+    words : str
+        What is said.
+    """
+    if (named := st.query_params.get(name)) is not None and named not in there:
+        st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
 
 
 def note_address() -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView
 
+_MISSING = "missing_round"
 _NEW_HOUSE = "New house …"
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
@@ -25,8 +26,14 @@ _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 def choose_round() -> RoundView | None:
     """Draw the choice, and return the round that is open; None where there is none."""
     rounds = {one.key: one for one in resources.rounds()}
-    if st.session_state.get("round") not in rounds:
+    asked = st.session_state.get("round")
+    if asked in rounds:
+        st.session_state.pop(_MISSING, None)
+    elif asked is None and not st.session_state.get(_MISSING):
         st.session_state["round"] = next(iter(rounds), None)
+    else:  # no other round is shown in its place
+        st.session_state[_MISSING] = asked or st.session_state[_MISSING]
+        st.session_state["round"] = None
     with st.container(key="rounds"):
         chosen, new, change = st.columns([6, 2, 1], vertical_alignment="center")
     key = chosen.selectbox(
@@ -34,7 +41,7 @@ def choose_round() -> RoundView | None:
         list(rounds),
         format_func=lambda key: round_name(rounds[key]),
         key="round",
-        placeholder="No round yet",
+        placeholder="Choose a round" if rounds else "No round yet",
         label_visibility="collapsed",
     )
     one = rounds.get(key) if key else None
@@ -49,6 +56,11 @@ def choose_round() -> RoundView | None:
     with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
         _change(one)
     return one
+
+
+def missing_round() -> str:
+    """Return the round that the address names and that is not there; empty where all is well."""
+    return str(st.session_state.get(_MISSING) or "")
 
 
 def _begin() -> None:
@@ -129,6 +141,7 @@ def _rename(key: str) -> None:
 def _delete(key: str) -> None:
     for after in delete_round(resources.store(), key, resources.waiting()):
         resources.merge(after)
+    st.session_state["round"] = None  # the newest of the others
 
 
 def _bring_back(key: str) -> None:

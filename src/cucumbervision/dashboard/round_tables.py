@@ -40,7 +40,7 @@ class GradedRound:
     deleted : tuple of DetectionView
         Those that somebody deleted; no figure counts them.
     grades : dict of str to Grade
-        By fruit key, of both.
+        By fruit key, of both, in the order of the walk.
     figures : RoundFigures
         Numbers of fruit and their lengths.
     """
@@ -59,7 +59,7 @@ def grade_round(
     best = [view for view in content.views if view.best]
     fruit = tuple(shown[view.key] for view in best if view.key in shown)
     deleted = tuple(view for view in best if view.key not in shown)
-    grades = {view.key: grade(view.record, profile) for view in (*fruit, *deleted)}
+    grades = {view.key: grade(shown.get(view.key, view).record, profile) for view in best}
     return GradedRound(fruit, deleted, grades, round_figures(content, table))
 
 

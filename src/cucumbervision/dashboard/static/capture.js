@@ -5,7 +5,7 @@ import drawPicture from "./picture.js";
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, CLOCK_S = 0.5;
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [], undone: "" };
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [], undone: "", rows: {} };
 
 function show(node, words) {
   node.textContent = words;
@@ -59,31 +59,34 @@ async function readWalk() {
 }
 
 function showWalk(walk) {
-  const moved = `${walk.round} ${walk.source}` !== own.watched;
-  Object.assign(own, { walk, round: walk.round, source: walk.source });
-  if (moved) {
-    own.watched = `${walk.round} ${walk.source}`;
+  // A round that the address names and that is not there stays named: no other one is opened.
+  Object.assign(own, { walk, round: walk.missing ? own.round : walk.round, source: walk.source });
+  if (`${own.round} ${walk.source}` !== own.watched) {
+    own.watched = `${own.round} ${walk.source}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
     for (const link of document.querySelectorAll("nav a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
     watchNews();
     watchPreview();
   }
-  $("round").replaceChildren(...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
+  const none = walk.missing ? [new Option("Choose a round", "", true, true)] : [];
+  $("round").replaceChildren(...none, ...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
   for (const name of ["camera", "replay"]) $(name).setAttribute("aria-pressed", String(own.source === name));
   if (own.home !== walk.home) {
     own.home = walk.home;
     own.mine = null;
+    own.rows = {};
     const kept = JSON.parse(localStorage.getItem(`place-${walk.home}`) || "null");
     // Was the last stop saved at another place since, the walk goes on from there.
     const moved = kept?.from && kept.from.key === walk.from?.key && JSON.stringify(kept.from) !== JSON.stringify(walk.from);
-    const still = kept && !moved && Date.now() - kept.at < 12 * 3600e3 && walk.place.row === kept.place.row;
+    const still = kept && !moved && Date.now() - kept.at < 12 * 3600e3;
     usePlace(still ? kept.place : walk.place);
   } else if (own.mine && walk.from?.key === own.mine.key && ["row", "side", "position_m"].some((name) => walk.from[name] !== own.mine[name])) {
     // Its place was corrected: the walk goes on from there.
     own.mine = walk.from;
     usePlace(walk.place);
   }
-  if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
+  if (walk.missing) show($("told"), "There is no such round as this address names. Choose one, or start a new round.");
+  else if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
@@ -106,9 +109,22 @@ function usePlace(place) {
 // Control characters, and marks that turn the writing: no name has them (names.py).
 const UNSEEN = /[\p{Cc}\p{Cs}\p{Zl}\p{Zp}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/gu;
 
+// A row goes on where its last stop is; a new one begins at 0.
+function placeIn(row) {
+  const known = [own.rows, own.walk?.rows || {}].find((rows) => Object.hasOwn(rows, row));
+  return known ? known[row] : { position_m: 0, step_m: own.place.step_m, back: false };
+}
+
 function readPlace() {
   const number = (id, known) => { const value = $(id).valueAsNumber; return Number.isFinite(value) ? Math.min(Math.max(value, 0), 10000) : known; };
-  own.place = { row: $("row").value.replace(UNSEEN, "").trim(), side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
+  const row = $("row").value.replace(UNSEEN, "").trim(), typed = $("position").value !== own.place.position_m.toFixed(2);
+  const place = { row, side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
+  if (row !== own.place.row && !typed) {
+    const { position_m, step_m, back } = placeIn(row);
+    usePlace({ ...place, position_m, step_m, back });
+    return;
+  }
+  own.place = place;
   localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, from: own.walk?.from, at: Date.now() }));
 }
 
@@ -154,6 +170,7 @@ function press() {
   const { row, side, position_m } = own.place;
   presses.press({ at_s, round: own.round, source: own.source, row, side, position_m });
   usePlace(onward(own.place));
+  own.rows[row] = own.place;
   own.undone = "";
   click();
   flash();

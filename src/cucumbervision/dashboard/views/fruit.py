@@ -75,8 +75,8 @@ def show(one: RoundView, graded: GradedRound, key: str) -> None:
 
 
 def _head(graded: GradedRound, key: str) -> None:
-    keys = [view.key for view in graded.fruit]
-    keys += [] if key in keys else [key]  # a deleted one is shown by itself
+    shown = {key, *(view.key for view in graded.fruit)}  # one marked as no fruit keeps its place
+    keys = [one for one in graded.grades if one in shown]
     at = keys.index(key)
 
     def go(to: str | None) -> None:

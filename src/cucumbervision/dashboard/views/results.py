@@ -63,10 +63,12 @@ _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ 
 def page(one: RoundView) -> None:
     """Draw the page."""
     graded = resources.graded_round(one)
-    opened = st.query_params.get("fruit")
-    if opened in {view.key for view in (*graded.fruit, *graded.deleted)}:
+    groups = {view.key: view.group for view in resources.content_of(one).views}
+    opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
+    if opened in graded.grades:
         fruit_page.show(one, graded, opened)
         return
+    page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")
     if not (graded.fruit or graded.deleted):
         _empty(one)
         return

@@ -45,6 +45,10 @@ def page(one: RoundView) -> None:
         draw_undo(one.key)
     with maps:
         opened = _opened(one)
+        there = {view.key for view in opened.views} if opened else ()
+        page_elements.say_missing(
+            "fruit", there, "There is no such fruit in this round (any more)."
+        )
         _maps(one, opened)
     with views:
         if opened is not None:

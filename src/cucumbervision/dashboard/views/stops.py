@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.page_elements import button, do
+from cucumbervision.dashboard.page_elements import button, do, say_missing
 from cucumbervision.dashboard.words import counted, stop_name
 from cucumbervision.rounds.merge_and_link import move_stop
 from cucumbervision.rounds.walking import sides_of
@@ -23,6 +23,7 @@ def list_stops(one: RoundView) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
     stops = {stop.key: stop for stop in resources.store().stops(one.key)}
     named = st.query_params.get("stop")  # as the capture page's link does
+    say_missing("stop", stops, "There is no such stop in this round (any more).")
     if named in stops:
         st.session_state.setdefault(f"stop_of_{one.key}", named)
     with st.expander(

@@ -141,6 +141,7 @@ def _picks(one: RoundView, today: Today) -> None:
         done = {name: sum(_is_picked(p, picked) for p in own) for name, own in ready.items()}
         if st.session_state.get("pick_row") not in rows:
             named = st.query_params.get("row")
+            page_elements.say_missing("row", rows, "Nothing is ready in row '{}' today.")
             st.session_state["pick_row"] = named if named in rows else next(iter(rows))
         name = st.segmented_control(
             "Row, in the order of the walk",

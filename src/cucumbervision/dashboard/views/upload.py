@@ -13,7 +13,7 @@ from cucumbervision.dashboard.uploads import SentPlace
 from cucumbervision.dashboard.words import counted, plain, round_day, sentence
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
-from cucumbervision.rounds.walking import next_place, sides_of
+from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.uploads import Upload
@@ -59,14 +59,47 @@ def page(one: RoundView) -> None:
 
 
 def _place(one: RoundView) -> SentPlace:
-    """Draw where the first capture was taken, for files that do not say; it goes on from there."""
+    """Draw where the first capture was taken, for files that do not say; it goes on from there.
+
+    What was typed stays until it was sent, also in the address for a reload; another row goes on
+    where its last stop is.
+    """
     stops = resources.store().stops(one.key)
-    begun, sides = next_place(stops), sides_of(stops)
+    sides = sides_of(stops)
+    keys = {name: f"up_{name}_{one.key}" for name in ("row", "side", "at", "step", "way")}
+
+    def suggest(place: NextPlace) -> None:
+        side = place.side if place.side in sides else sides[0]
+        values = place.row, side, place.position_m, place.step_m, "down" if place.back else "up"
+        st.session_state.update(zip(keys.values(), values, strict=True))
+
+    def change_row() -> None:
+        row = st.session_state[keys["row"]].strip()
+        side = st.session_state[keys["side"]]
+        own = [stop for stop in stops if (stop.row or "") == row]
+        suggest(next_place(own) if own else NextPlace(row, side))
+        keep()
+
+    def keep() -> None:
+        page_elements.name_in_address("row", st.session_state[keys["row"]].strip())
+
+    sent = [upload.sending.key for upload in resources.uploads().all(one.key)[:1]]
+    given = (tuple(sent), one.stops)
+    before = st.session_state.get(f"up_given_{one.key}")
+    is_typed = "row" in st.query_params
+    if before is not None and before[0] != given[0] and is_typed:
+        page_elements.name_in_address("row", None)  # it was sent: on from there
+        is_typed = False
+    if keys["row"] not in st.session_state or (before != given and not is_typed):
+        suggest(next_place(stops))
+        if is_typed:
+            st.session_state[keys["row"]] = st.query_params["row"]
+            change_row()
+    st.session_state[f"up_given_{one.key}"] = given
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
-    given = f"{one.key}_{one.stops}"
-    named = row.text_input("Row", begun.row, key=f"up_row_{given}")
+    named = row.text_input("Row", key=keys["row"], on_change=change_row)
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
@@ -77,27 +110,31 @@ def _place(one: RoundView) -> SentPlace:
         side=side.segmented_control(
             "Side",
             sides,
-            default=begun.side if begun.side in sides else sides[0],
-            format_func=str.capitalize,
+            format_func=_side_words,
             required=True,
-            key=f"up_side_{given}",
+            key=keys["side"],
+            on_change=keep,
         )
         or sides[0],
         position_m=position.number_input(
-            "First at [m]", 0.0, None, begun.position_m, 0.1, "%.2f", key=f"up_at_{given}"
+            "First at [m]", 0.0, step=0.1, format="%.2f", key=keys["at"], on_change=keep
         ),
-        step_m=step.number_input("Step [m]", 0.0, 5.0, begun.step_m, 0.1, key=f"up_step_{given}"),
+        step_m=step.number_input("Step [m]", 0.0, 5.0, step=0.1, key=keys["step"], on_change=keep),
         back=way.segmented_control(
             "Walking",
             ["up", "down"],
-            default="down" if begun.back else "up",
             format_func="{} the row".format,
             required=True,
             width="stretch",
-            key=f"up_way_{given}",
+            key=keys["way"],
+            on_change=keep,
         )
         == "down",
     )
+
+
+def _side_words(side: str) -> str:
+    return plain(side.capitalize())
 
 
 def _show(upload: Upload) -> None:

@@ -65,7 +65,7 @@ def page(one: RoundView) -> None:
     graded = resources.graded_round(one)
     groups = {view.key: view.group for view in resources.content_of(one).views}
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
-    if opened in graded.grades:
+    if opened is not None and opened in graded.grades:
         fruit_page.show(one, graded, opened)
         return
     page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")

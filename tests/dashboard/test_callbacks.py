@@ -57,3 +57,21 @@ def test_a_press_that_is_overtaken_is_carried_out_whole_and_once() -> None:
         page.button[0].click().run()
         assert not page.exception
         assert page.session_state["begun"] == page.session_state["pressed"] == presses
+
+
+def _choice() -> None:
+    import streamlit as st
+
+    from cucumbervision.dashboard.callbacks import label_options
+
+    st.session_state["stops"] = st.session_state.get("stops", 0) + 1  # more with every run
+    names = dict.fromkeys(("a", "b", "c"), f"Round, {st.session_state['stops']} stops")
+    st.selectbox("Round", list(names), format_func=label_options("round", names), key="round")
+
+
+def test_what_is_called_alike_is_told_apart_and_a_name_of_before_is_understood() -> None:
+    page = AppTest.from_function(_choice, default_timeout=PATIENCE_S).run()
+    for key in ("c", "b", "a", "b"):
+        page.selectbox[0].select(key).run()
+        assert not page.exception
+        assert page.session_state["round"] == page.selectbox[0].value == key

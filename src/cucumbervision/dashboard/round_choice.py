@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.callbacks import label_options
 from cucumbervision.dashboard.words import plain, round_name, sentence
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
@@ -26,6 +27,8 @@ _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 def choose_round() -> RoundView | None:
     """Draw the choice, and return the round that is open; None where there is none."""
     rounds = {one.key: one for one in resources.rounds()}
+    names = {key: round_name(one) for key, one in rounds.items()}
+    label = label_options("round", names)
     asked = st.session_state.get("round")
     if asked in rounds:
         st.session_state.pop(_MISSING, None)
@@ -39,7 +42,7 @@ def choose_round() -> RoundView | None:
     key = chosen.selectbox(
         "Round",
         list(rounds),
-        format_func=lambda key: round_name(rounds[key]),
+        format_func=label,
         key="round",
         placeholder="Choose a round" if rounds else "No round yet",
         label_visibility="collapsed",

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import re
 import time
-from typing import TYPE_CHECKING
+from itertools import chain, count
+from typing import TYPE_CHECKING, TypeVar
 
 from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from cucumbervision.agronomy.picking import Pick, Span
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.merge_and_link import RowReport
     from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.views import ActionView, RoundView, StopView
+
+Option = TypeVar("Option")
 
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
@@ -247,6 +252,23 @@ def stop_name(stop: Stop | StopView) -> str:
     at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
     where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
     return f"{step_words(stop.step)}: {where or 'no place given'}"
+
+
+def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
+    """Return options with their names, those with a name of before numbered: a choice goes by name.
+
+    Examples
+    --------
+    >>> told_apart({"a": "Row 3", "b": "Row 3", "c": "Row 4", "d": "Row 3"})
+    {'a': 'Row 3', 'b': 'Row 3 (2)', 'c': 'Row 4', 'd': 'Row 3 (3)'}
+    """
+    found: dict[Option, str] = {}
+    used: set[str] = set()
+    for option, name in names.items():
+        numbered = (f"{name} ({number})" for number in count(2))
+        found[option] = next(label for label in chain([name], numbered) if label not in used)
+        used.add(found[option])
+    return found
 
 
 def step_words(step: int | None) -> str:

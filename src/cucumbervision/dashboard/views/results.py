@@ -10,6 +10,7 @@ import streamlit as st
 
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
+from cucumbervision.dashboard.callbacks import label_options
 from cucumbervision.dashboard.round_tables import GradedRound
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.dashboard.words import (
@@ -128,7 +129,12 @@ def _statistics(graded: GradedRound) -> None:
 def _filtered(graded: GradedRound) -> list[DetectionView]:
     def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
         known = sorted({value for value in values if value})
-        return column.selectbox(label, [None, *known], format_func=lambda x: str(x or "all"))
+        names: dict[str | None, str] = {None: "all", **{name: str(name) for name in known}}
+        key = f"only_{label}"
+        labelled = label_options(key, names)
+        if st.session_state.get(key) not in names:
+            st.session_state[key] = None  # as in another round
+        return column.selectbox(label, names, format_func=labelled, key=key)
 
     with st.expander("Filters", icon=":material/filter_alt:"):
         row, named, checked = st.columns(3)

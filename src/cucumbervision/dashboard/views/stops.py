@@ -8,6 +8,7 @@ import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.callbacks import label_options
 from cucumbervision.dashboard.page_elements import button, do, say_missing
 from cucumbervision.dashboard.words import counted, stop_name
 from cucumbervision.rounds.merge_and_link import move_stop
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
 def list_stops(one: RoundView) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
     stops = {stop.key: stop for stop in resources.store().stops(one.key)}
+    key = f"stop_of_{one.key}"
     named = st.query_params.get("stop")  # as the capture page's link does
     say_missing("stop", stops, "There is no such stop in this round (any more).")
     if named in stops:
-        st.session_state.setdefault(f"stop_of_{one.key}", named)
+        st.session_state.setdefault(key, named)
     with st.expander(
         "Stops: move, rename, delete", expanded=named in stops, icon=":material/place:"
     ):
@@ -33,9 +35,9 @@ def list_stops(one: RoundView) -> None:
             "Stop",
             list(stops),
             index=None,
-            format_func=lambda key: _words(stops[key]),
+            format_func=label_options(key, {at: _words(stop) for at, stop in stops.items()}),
             placeholder=f"Choose one of {counted(len(stops), 'stop', 'stops')}",
-            key=f"stop_of_{one.key}",
+            key=key,
         )
         if chosen in stops:
             change_stop(stops[chosen], sides_of(stops.values()))

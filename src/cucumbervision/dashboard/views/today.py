@@ -11,6 +11,7 @@ import streamlit as st
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision.agronomy.picking import PickKind, work_of
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.callbacks import label_options
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import doubtful
 from cucumbervision.dashboard.words import (
@@ -139,6 +140,8 @@ def _picks(one: RoundView, today: Today) -> None:
         rows = {row.row: row for row in today.rows}
         ready = {name: own.of(PickKind.READY) for name, own in rows.items()}
         done = {name: sum(_is_picked(p, picked) for p in own) for name, own in ready.items()}
+        counts = {row: f"{plain(row or 'no row')}: {done[row]}/{len(ready[row])}" for row in rows}
+        label = label_options("pick_row", counts)
         if st.session_state.get("pick_row") not in rows:
             named = st.query_params.get("row")
             page_elements.say_missing("row", rows, "Nothing is ready in row '{}' today.")
@@ -146,7 +149,7 @@ def _picks(one: RoundView, today: Today) -> None:
         name = st.segmented_control(
             "Row, in the order of the walk",
             list(rows),
-            format_func=lambda name: f"{plain(name or 'no row')}: {done[name]}/{len(ready[name])}",
+            format_func=label,
             key="pick_row",
             required=True,
         )

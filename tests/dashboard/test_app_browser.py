@@ -147,7 +147,7 @@ def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: 
     nodes = list[int]()
     for number in range(NEWS):
         known = page.locator("#where").inner_text()
-        told = {"version": str(number), "now_s": 0.0, "waiting": 0, "jobs": []}
+        told = {"version": str(number), "now_s": 0.0, "work": {"words": "", "waiting": 0}}
         news[-1].send(json.dumps(told))
         page.wait_for_function(
             "known => document.getElementById('where').textContent !== known", arg=known
@@ -227,6 +227,62 @@ def test_an_upload_is_measured_and_what_is_no_capture_is_told(
     page.get_by_role("button", name="Measure these files").click()
     page.get_by_text("1 capture saved, 1 not.").wait_for()
     dashboard.shot("upload")
+
+
+def by_hand(page: Any, values: list[str], first: int = 0, pause_ms: int = 0) -> Any:
+    """Type a column of lengths as somebody does who types fast; return its fields."""
+    fields = page.get_by_label("By hand, fruit")
+    fields.nth(7).wait_for()
+    fields.nth(first).click()
+    for value in values:  # the page is drawn anew after each
+        page.keyboard.press("Control+a")
+        page.keyboard.type(value, delay=pause_ms)
+        page.keyboard.press("Enter")
+        page.wait_for_timeout(pause_ms)
+    return fields
+
+
+def save_by_hand(dashboard: Dashboard, page: Any, values: list[str]) -> None:
+    """Save them, and wait until all of these stand in the file."""
+    sure = page.get_by_text("Yes, these lengths are right")
+    page.get_by_text(f"{values[-1]} cm by hand").wait_for()  # the page has all of them
+    while sure.count() > 1:  # one of before goes
+        page.wait_for_timeout(100)
+    sure.click()
+    page.get_by_role("button", name="Save these lengths", disabled=False).click()
+    lines = [f",{float(value):.2f},," for value in values]
+    for _ in range(500):
+        written = "".join(x.read_text() for x in dashboard.store.parent.glob("house.truth/*.csv"))
+        if all(line in written for line in lines):
+            return
+        page.wait_for_timeout(200)
+    raise AssertionError(written)
+
+
+@pytest.mark.parametrize("pause_ms", [0, 60])
+def test_lengths_typed_one_after_the_other_are_all_kept(
+    dashboard: Dashboard, new_page: Callable[[], Any], pause_ms: int
+) -> None:
+    page = dashboard.page
+    dashboard.go("Accuracy")
+    second = new_page()  # of somebody who looks at the same fruit
+    second.goto(page.url)
+    typed = [f"{70 + line}.{1 + pause_ms % 7}" for line in range(7)]
+    fields = by_hand(page, typed, pause_ms=pause_ms)
+    dashboard.quiet()
+    assert [fields.nth(line).input_value() for line in range(7)] == typed
+    save_by_hand(dashboard, page, typed)
+    # What is saved by somebody else since does not take it away.
+    last = f"99.{1 + pause_ms % 7}"
+    by_hand(second, [last], first=7)
+    save_by_hand(dashboard, second, [*typed, last])
+    for one in (page, second):
+        one.reload()
+        fields = one.get_by_label("By hand, fruit")
+        fields.nth(7).wait_for()
+        assert [fields.nth(line).input_value() for line in range(8)] == [*typed, last]
+    second.close()
+    dashboard.shot("hand")
 
 
 @pytest.mark.parametrize(

@@ -207,30 +207,17 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     open_exports(packed, tablet, fruit_of(house))
 
 
-def cell(table: Any, column: int, line: int) -> str:
-    """What a table, which is a picture, says to those who cannot see it."""
-    return str(table.get_by_test_id(f"glide-cell-{column}-{line}").text_content())
-
-
 def measure_by_hand(page: Any, times: float) -> list[float]:
     """Type so many times what the program says for three fruit, and save; return what was typed."""
-    table = page.get_by_test_id("stDataFrame").first
-    table.scroll_into_view_if_needed()
-    table.click(position={"x": 40, "y": 40 + 28})  # its first line, of 56 pixels
-    table.get_by_test_id("glide-cell-3-2").wait_for(state="attached")
-    typed = [round(times * float(cell(table, 3, line)), 2) for line in range(3)]
-    page.keyboard.press("ArrowRight")
-    for line, length in enumerate(typed):
-        page.keyboard.press("Enter")
-        opened = page.locator("#portal input")
-        opened.wait_for()
-        opened.fill(f"{length:.2f}")
+    fields = page.get_by_label("By hand, fruit")
+    fields.nth(2).wait_for()
+    program = page.locator("tr:has(input) td:nth-child(4)").all_inner_texts()[:3]
+    typed = [round(times * float(words.split()[0]), 2) for words in program]
+    fields.first.click()
+    for length in typed:
+        page.keyboard.press("Control+a")
+        page.keyboard.type(f"{length:.2f}")
         page.keyboard.press("Enter")  # to the next line
-        page.wait_for_function(
-            "([id, typed]) => "
-            "Number(document.querySelector(`[data-testid=${id}]`).textContent) === typed",
-            arg=[f"glide-cell-1-{line}", length],
-        )
     return typed
 
 

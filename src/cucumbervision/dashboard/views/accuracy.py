@@ -16,6 +16,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.settings import replace_text
 from cucumbervision.dashboard.words import length_words, metres_words, plain
 from cucumbervision.errors import CucumberVisionError
@@ -27,6 +28,7 @@ from cucumbervision.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
@@ -222,6 +224,7 @@ def _or_nan(value: float | None) -> float:
 
 
 _LINES = 30
+_LENGTHS = 0.5, 100.0  # that can be typed, in the unit of the page
 
 
 @page_elements.of_round
@@ -256,54 +259,95 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         required=True,
         help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
     )
-    lines = [_line(view, known.get(view.key, (None, None))) for view in shown]
-    typed: dict[str, Any] = {"min_value": 0.5, "max_value": 100.0, "format": "%.2f"}
     st.caption(f"Lengths in {units.name}.")
-    edited: list[dict[str, Any]] = st.data_editor(
-        lines,
-        hide_index=True,
-        row_height=56,
-        placeholder="",
-        disabled=["Picture", "At", "Row", "Program"],
-        column_config={
-            # Narrow: on a phone too, what is typed stands beside what it is compared with.
-            "Picture": st.column_config.ImageColumn("", width=50),
-            "First": st.column_config.NumberColumn("By hand", width=98, **typed),
-            "Second": st.column_config.NumberColumn("Again", width=88, **typed),
-            "Program": st.column_config.NumberColumn("Program", width=74, format="%.1f"),
+    name = f"hand_{path.stem}_{units.name}"
+    typed: dict[str, list[str]] = st.session_state.setdefault(f"{name}_typed", {})
+    key = f"{name}_{shown[0].key}"
+    component("handlist")(
+        key=key,
+        data={
+            "lines": [_line(view, known.get(view.key, (None, None))) for view in shown],
+            "typed": typed,
+            "least": _LENGTHS[0],
+            "most": _LENGTHS[1],
         },
-        key=f"hand_{path.stem}_{shown[0].key}",
+        default={"typed": {}},
+        on_typed_change=lambda: typed.update(st.session_state[key].typed or {}),
     )
-    for view, line in zip(shown, edited, strict=True):
-        known[view.key] = _typed_m(line["First"]), _typed_m(line["Second"])
+    bad = _read(typed, known)
+    if bad:
+        st.warning(
+            plain(f"{', '.join(bad)}: no length between {_LENGTHS[0]} and {_LENGTHS[1]}."),
+            icon=":material/error:",
+        )
     odd = [
         f"{units.text(hand_m)} by hand, {length_words(view.record, units)} by the program"
-        for view in shown
-        for hand_m in known[view.key]
+        for view in fruit
+        for hand_m in known.get(view.key, ())
         if is_odd(view.record, hand_m)
     ]
     if odd:
         st.warning(f"{plain('; '.join(odd))}. Is that right?", icon=":material/help:")
         odd = [] if st.checkbox("Yes, these lengths are right", key=f"sure_{odd}") else odd
-    if st.button("Save these lengths", type="primary", icon=":material/save:", disabled=bool(odd)):
-        write_hand_lengths(path, fruit, known, kind or LengthDefinition.CENTRELINE)
+    unsure = bool(odd or bad)  # also where the button was pressed before that was known
+    save: dict[str, Any] = {"type": "primary", "icon": ":material/save:", "disabled": unsure}
+    if st.button("Save these lengths", **save) and not unsure:
+        if not write_hand_lengths(path, fruit, known, kind or LengthDefinition.CENTRELINE):
+            path.unlink()  # every length was taken out again
+        typed.clear()
         st.rerun()
+
+
+def _read(
+    typed: Mapping[str, Sequence[str]], known: dict[str, tuple[float | None, float | None]]
+) -> list[str]:
+    """Put what was typed among the known lengths; return what is none."""
+    units, bad = resources.settings().units, list[str]()
+    for key, cells in typed.items():
+        lengths = list(known.get(key, (None, None)))
+        for at, cell in enumerate(cells[:2]):
+            try:
+                lengths[at] = typed_m(str(cell), units)
+            except ValueError:
+                bad.append(str(cell))
+        known[key] = lengths[0], lengths[1]
+    return bad
 
 
 def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
+    at = metres_words(view.along_m) if view.along_m is not None else ""
     return {
-        "Picture": resources.thumbnail_of(view),
-        "First": units.value(known[0]),
-        "Second": units.value(known[1]),
-        "Program": units.value(view.record.length_m),
-        "At": metres_words(view.along_m) if view.along_m is not None else "",
-        "Row": view.row or "?",
+        "key": view.key,
+        "picture": resources.thumbnail_of(view),
+        "saved": ["" if x is None else f"{units.value(x):.5g}" for x in known],
+        "program": units.text(view.record.length_m),
+        "name": f"fruit {view.record.number}, {at or view.capture}",
+        "at": at,
+        "row": view.row or "?",
     }
 
 
-def _typed_m(value: float | None) -> float | None:
-    return None if value is None else resources.settings().units.metres(float(value))
+def typed_m(cell: str, units: Units) -> float | None:
+    """Return a length as somebody typed it, metres; None for an empty cell.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or far from any fruit's.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> typed_m("21.5", Units("cm")), typed_m(" 21,5 ", Units("cm")), typed_m("", Units("cm"))
+    (0.215, 0.215, None)
+    """
+    if not cell.strip():
+        return None
+    value = float(cell.strip().replace(",", "."))
+    if not _LENGTHS[0] <= value <= _LENGTHS[1]:
+        raise ValueError(cell)
+    return units.metres(value)
 
 
 def _scores(one: RoundView, path: Path) -> None:

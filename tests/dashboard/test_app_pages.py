@@ -20,6 +20,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.capture_state import walk
 from cucumbervision.rounds.adding import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.merge_and_link import link_rounds, move_stop, settle
 from cucumbervision.store.corrections import StopPlace
@@ -459,13 +460,45 @@ def test_the_example_says_that_it_is_being_measured(house: Path) -> None:
     with open_store(house) as store:
         round_for_capture(store, "", simulated=True)
     done = threading.Event()
-    resources.worker().submit("Measuring the bundled captures", lambda _: done.wait(600))
+    work = lambda _: done.wait(600)  # noqa: E731
+    resources.worker().submit("Measuring the bundled captures", work, DEMONSTRATION)
     words = said(app("today", round=DEMONSTRATION))
     done.set()
     wait_for_jobs()
     assert "The example is being measured" in words
     assert "no stops yet" not in words
     assert "no stops yet" in said(app("today", round=DEMONSTRATION))
+
+
+def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None:
+    empty = Round(key_of("empty"), "evening", "house 1")
+    capture = next(iter(open_source(example_captures()))).load()
+    with open_store(house) as store:
+        store.save_round(empty)
+        for number, key in enumerate([WALK, empty.key, empty.key, empty.key, WALK]):
+            place = Stop("1", "left", 50.0 + number)
+            waiting = replace(capture, stop=place, name=str(number))
+            resources.waiting().put(waiting, key_of(number), key, 1_700_000_000.0 + number)
+        busy = threading.Event()
+        resources.worker().submit("Loading the networks", lambda _: busy.wait(600))
+        told = "3 captures are saved, and none is measured yet"
+        for page in ("today", "results"):
+            words = said(app(page, round=empty.key))
+            assert told in words
+            assert "no stops yet" not in words
+        walked = walk(store, empty.key, "camera")
+        assert walked["first"].startswith(told)
+        work = {"words": "Measuring: 0 of 3 captures; 2 of other rounds wait too"}
+        assert walked["work"] == resources.news(empty.key)["work"]
+        assert walked["work"] == {**work, "done": 0, "total": 3, "waiting": 3}
+        assert "2 captures are still being measured" in said(app("today", round=WALK))
+        assert resources.news(WALK)["work"]["waiting"] == 2
+        for one in resources.waiting().captures():
+            resources.waiting().done(one)
+        busy.set()
+        wait_for_jobs()
+        assert "no stops yet" in said(app("results", round=empty.key))
+        assert walk(store, empty.key, "camera")["first"] == ""
 
 
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:

@@ -275,7 +275,7 @@ def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Sto
 def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:
     with asked.websocket_connect(f"/api/news?round={WALK}") as line:
         first = line.receive_json()
-        assert (first["waiting"], first["jobs"]) == (0, [])
+        assert first["work"] == {"words": "", "done": 0, "total": 0, "waiting": 0}
         line.send_text("next")
         store.pick([store.detections(WALK)[0].key])
         second = line.receive_json()

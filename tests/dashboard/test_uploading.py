@@ -12,10 +12,17 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer
+from cucumbervision.dashboard.progress import progress_of
 from cucumbervision.dashboard.uploading import CAMERAS, measure_upload
-from cucumbervision.dashboard.uploads import Sending, SentFile, SentPlace, UploadOutcome, Uploads
+from cucumbervision.dashboard.uploads import (
+    Sending,
+    SentFile,
+    SentPlace,
+    Upload,
+    UploadOutcome,
+    Uploads,
+)
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
@@ -49,7 +56,6 @@ def measured(store: Store, measurer: SharedMeasurer, tmp_path: Path) -> Measure:
     def measure(
         files: list[tuple[str, io.BytesIO]],
         options: MeasureOptions = OPTIONS,
-        job: Job | None = None,
         camera: str = "",
     ) -> tuple[UploadOutcome, ...]:
         listed = tuple(SentFile(name=name, size=len(f.getvalue())) for name, f in files)
@@ -58,7 +64,7 @@ def measured(store: Store, measurer: SharedMeasurer, tmp_path: Path) -> Measure:
         for number, (_, content) in enumerate(files):
             uploads.append(sending.key, number, 0, content.getvalue())
         assert uploads.to_measure() == [sending.key]
-        measure_upload(uploads, sending.key, measurer, store, options, job or Job(1, "uploads"))
+        measure_upload(uploads, sending.key, measurer, store, options)
         assert uploads.to_measure() == []
         return uploads.all()[0].outcomes
 
@@ -96,10 +102,7 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
     store: Store, measured: Measure
 ) -> None:
     files = [("odd.png", io.BytesIO(b"MZ")), *pair(1), ("row.zip", packed())]
-    job = Job(1, "uploads")
-    told = measured(files, job=job)
-    # Four files are checked; a pair that is none and two captures are measured.
-    assert (job.total, job.done) == (7, 7)
+    told = measured(files)
     assert sum(one.saved for one in told) == 2
     lost = [one for one in told if not one.saved]
     assert [one.name for one in lost] == ["odd.png", "upload"]
@@ -117,6 +120,23 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
         (False, "was deleted: undo that to have it back"),
         (False, "is in the round already"),
     ]
+
+
+def test_an_upload_is_counted_in_captures_and_not_in_files(
+    store: Store, measured: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    write = Uploads._write
+
+    def heard(uploads: Uploads, upload: Upload) -> None:
+        write(uploads, upload)
+        said.append(progress_of(ROUND.key, (), uploads=[upload]).words)
+
+    monkeypatch.setattr(Uploads, "_write", heard)
+    measured([("odd.png", io.BytesIO(b"MZ")), ("row.zip", packed())])
+    # It is announced, begun, and opened; then its two captures; then it is done.
+    counted = ["Measuring: 0 of 2 captures", "Measuring: 1 of 2 captures"]
+    assert said[:-2] == ["Checking 2 files", "Checking 2 files", *counted]
 
 
 def test_an_upload_with_other_options_is_measured_again(store: Store, measured: Measure) -> None:
@@ -164,7 +184,7 @@ def test_files_stay_while_nothing_can_be_measured(
     uploads.begin(sending, 10**9)
     uploads.append(sending.key, 0, 0, b"PK.")
     lost = replace(OPTIONS, instances=str(tmp_path / "lost.json"))
-    measure_upload(uploads, sending.key, measurer, store, lost, Job(1, "uploads"))
+    measure_upload(uploads, sending.key, measurer, store, lost)
     (outcome,) = uploads.all()[0].outcomes
     assert not outcome.saved
     assert "lost.json" in outcome.words

@@ -59,7 +59,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     stops = resources.store().stops(home) if any(x.key == home for x in every) else []
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
-    aside = resources.waiting().set_aside()
+    aside, progress = resources.waiting().set_aside(), resources.progress(home)
     return {
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
@@ -72,7 +72,8 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "rows": _rows([*stops, *waiting]),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
-        "waiting": len(waiting),
+        "work": progress.told,
+        "first": progress.first_words,
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."
         if aside
@@ -232,10 +233,12 @@ def outline(asked: SentFruit) -> dict[str, Any]:
     InstancesError
         If there is nothing.
     """
-    _, capture = _picture_of(asked)
+    record, capture = _picture_of(asked)
     measurer = resources.measurer()
     job = resources.worker().submit(
-        "Outlining the fruit", lambda _: measurer.mask_of(capture, asked.point, asked.box)
+        "Outlining the fruit",
+        lambda _: measurer.mask_of(capture, asked.point, asked.box),
+        record.round_key,
     )
     job.wait()
     return {"outline": mask_outline(job.result)}
@@ -256,7 +259,8 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
         mask = measurer.mask_of(capture, asked.point, asked.box)
         return measurer.add(store, record, capture, mask, options)
 
-    job = resources.worker().submit("Measuring the fruit", work)  # its networks serve one at a time
+    # Its networks serve one at a time.
+    job = resources.worker().submit("Measuring the fruit", work, record.round_key)
     job.wait()
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
 

@@ -40,6 +40,11 @@ class Job:
         Steps; a total of 0 where it is not known.
     notes : list of str
         What went wrong along the way without ending it, one line each.
+    round_key : str, optional
+        The round that it works on; empty for none, None for captures of any, which
+        `progress.progress_of` counts.
+    measured : dict of str
+        Captures that became stops, by key, each with its round.
     """
 
     number: int
@@ -47,6 +52,8 @@ class Job:
     total: int = 0
     done: int = 0
     notes: list[str] = field(default_factory=list)
+    round_key: str | None = ""
+    measured: dict[str, str] = field(default_factory=dict)
     future: Future[Any] = field(default_factory=Future, repr=False)
 
     @property
@@ -104,10 +111,10 @@ class Worker:
         self._next = 1
         self.finished = 0
 
-    def submit(self, title: str, work: Work) -> Job:
-        """Queue a job; `work` is given the job, to count its steps."""
+    def submit(self, title: str, work: Work, round_key: str | None = "") -> Job:
+        """Queue a job; `work` is given the job, to count its steps; the rest as `Job`."""
         with self._lock:
-            job = Job(self._next, title)
+            job = Job(self._next, title, round_key=round_key)
             self._next += 1
             old = [number for number, one in self._jobs.items() if one.finished]
             for number in old[: max(0, len(old) - KEPT)]:

@@ -232,14 +232,13 @@ def measure_waiting(
     settle : callable
         Given a round's key when none of its captures waits any more; says what went wrong.
     job : Job
-        Gets a step a capture, and a note for each that could not be measured.
+        Counts the captures of each round, and gets a note for each that could not be measured.
 
     Raises
     ------
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    done = 0
     left: list[Waiting] = []
     measures = measurer.with_options(options)
     measures.load()  # without it none is tried
@@ -247,7 +246,7 @@ def measure_waiting(
     def items() -> Iterator[RoundCapture | Failure]:
         nonlocal left
         while left := waiting.captures():
-            one, job.total = left[0], done + len(left)
+            one = left[0]
             waiting.begin(one)
             try:
                 yield RoundCapture.to_add(
@@ -260,15 +259,15 @@ def measure_waiting(
     for _, added in add_all(store, items(), measures, in_turn):
         one = left[0]
         if added.failure is not None:
-            job.step(added.failure.message)
+            job.notes.append(added.failure.message)
             continue
-        job.step(added.note)
+        job.notes += filter(None, [added.note])
+        job.measured[one.key] = one.round_key
         waiting.done(one)
-        done += 1
         last_of_round = all(other.round_key != one.round_key for other in left[1:])
         if last_of_round and (fault := settle(one.round_key)):
             job.notes.append(fault)
-    return done
+    return len(job.measured)
 
 
 _SAME_IOU = 0.7  # of two outlines of what lies at one point

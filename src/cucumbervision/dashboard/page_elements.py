@@ -244,9 +244,9 @@ def keep_address() -> None:
         st.query_params.from_dict(kept)
 
 
-def start_job(key: str, title: str, work: Work) -> None:
-    """Queue a job and remember it in the viewer's session."""
-    st.session_state[key] = resources.worker().submit(title, work).number
+def start_job(key: str, title: str, work: Work, round_key: str) -> None:
+    """Queue a job on a round and remember it in the viewer's session."""
+    st.session_state[key] = resources.worker().submit(title, work, round_key).number
 
 
 def finished_job(key: str) -> Job | None:

@@ -24,6 +24,7 @@ from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, 
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
+from cucumbervision.dashboard.progress import Progress, progress_of
 from cucumbervision.dashboard.round_tables import GradedRound, grade_round
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -151,7 +152,7 @@ def wake() -> Job | None:
         return jobs[0] if jobs else None
     parts = waiting(), measurer(), store(), settings().options, _settle
     # With these it is no page's function any more, and may run when no page is open.
-    jobs[:] = [worker().submit("Measuring what waits", partial(measure_waiting, *parts))]
+    jobs[:] = [worker().submit("Measuring", partial(measure_waiting, *parts), None)]
     return jobs[0]
 
 
@@ -177,12 +178,12 @@ def measure_uploads() -> None:
     for key in uploads().to_measure():
         if key not in _uploading():
             _uploading().add(key)
-            worker().submit("Measuring the uploads", partial(_measure_upload, key))
+            worker().submit("Measuring", partial(_measure_upload, key), None)
 
 
-def _measure_upload(key: str, job: Job) -> None:
+def _measure_upload(key: str, _: Job) -> None:
     try:
-        measure_upload(uploads(), key, measurer(), store(), settings().options, job)
+        measure_upload(uploads(), key, measurer(), store(), settings().options)
     finally:
         _uploading().discard(key)
     for round_key in {one.sending.round for one in uploads().all() if one.sending.key == key}:
@@ -193,7 +194,8 @@ def _settle(round_key: str) -> str:
     one = next((x for x in store().rounds() if x.key == round_key), None)
     fault = settle(store(), round_key, profile_of(one)[1] if one else None)
     _mergings()[round_key] += 1
-    worker().submit("Measuring fruit by all their views", partial(_measure_all_views, round_key))
+    work = partial(_measure_all_views, round_key)
+    worker().submit("Measuring fruit by all their views", work, round_key)
     return fault
 
 
@@ -266,7 +268,7 @@ def merge(round_key: str) -> None:
     def work(job: Job) -> None:
         job.notes += filter(None, [_settle(round_key)])
 
-    worker().submit("Merging views of the same fruit", work)
+    worker().submit("Merging views of the same fruit", work, round_key)
 
 
 def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
@@ -329,12 +331,17 @@ def news(round_key: str) -> dict[str, Any]:
     return {
         "version": f"{counts[0]}-{counts[1]}",
         "now_s": time.time(),
-        "waiting": len(waiting().captures()),
-        "jobs": [
-            {"title": job.title, "done": job.done, "total": job.total, "queued": job.is_waiting}
-            for job in worker().unfinished()
-        ],
+        "work": progress(round_key).told,
     }
+
+
+def progress(round_key: str) -> Progress:
+    """Return what waits and is measured of a round, for every page alike."""
+    going_on = [uploads().read(key) for key in sorted(_uploading())]
+    measured = next((job.measured for job in _measuring() if not job.finished), None)
+    there = [one for one in going_on if one is not None and not one.done]
+    queue = waiting().captures(), waiting().set_aside()
+    return progress_of(round_key, *queue, there, measured, worker().unfinished())
 
 
 def _version(one: RoundView) -> tuple[object, ...]:
@@ -461,7 +468,7 @@ def prepare() -> Job | None:
     if store().rounds() or store().rounds(deleted=True):
         return worker().submit("Loading the networks", _warm_up)
     round_for_capture(store(), "", simulated=True, profile=settings().profile)
-    return worker().submit("Measuring the bundled captures", _demonstrate)
+    return worker().submit("Measuring the bundled captures", _demonstrate, DEMONSTRATION)
 
 
 def read_ahead() -> None:

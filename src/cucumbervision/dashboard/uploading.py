@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
-    from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.capture.source import CaptureSource, ReadOptions
     from cucumbervision.dashboard.measuring import SharedMeasurer
     from cucumbervision.dashboard.uploads import Uploads
     from cucumbervision.intake.uploads import AcceptedSource
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.walking import NextPlace
     from cucumbervision.store.repository import Store
+
+    _Opened: TypeAlias = tuple[AcceptedSource, CaptureSource]
 
 # Focal length over the picture's height, of colour cameras as their makers give them.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
@@ -56,12 +58,12 @@ def measure_upload(
     measurer: SharedMeasurer,
     store: Store,
     options: MeasureOptions,
-    job: Job,
 ) -> None:
     """Check an upload and save its captures as stops of its round; a bad one costs only itself.
 
-    Each outcome is kept as it comes: refused files first, then as the files were sorted into
-    captures. Simulated captures go into the demonstration instead.
+    Each outcome is kept as it comes, with how many captures there are and how many are done with:
+    refused files first, then as the files were sorted into captures. Simulated captures go into the
+    demonstration instead.
 
     Parameters
     ----------
@@ -69,8 +71,6 @@ def measure_upload(
         Where it is.
     key : str
         Which one.
-    job : Job
-        Gets a step a file that is checked, and a step a capture that is measured.
 
     Notes
     -----
@@ -80,9 +80,9 @@ def measure_upload(
     files, outcomes = uploads.files(key), list[UploadOutcome]()
     measures = measurer.with_options(options)
 
-    def note(*new: UploadOutcome, done: bool = False) -> None:
+    def note(*new: UploadOutcome, done: bool = False, **counts: int) -> None:
         outcomes.extend(new)
-        uploads.note(key, outcomes, done=done)
+        uploads.note(key, outcomes, done=done, **counts)
 
     try:
         measures.load()
@@ -97,35 +97,39 @@ def measure_upload(
         return
     place = sending.place.next_place
     limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
-    job.total = len(files)
+    measured = itertools.count(1)
 
-    def items(sources: Iterable[AcceptedSource]) -> Iterator[RoundCapture]:
+    def items(sources: Iterable[_Opened]) -> Iterator[RoundCapture]:
         nonlocal place
-        for source in sources:
-            for read in _captures(source, options.reading, sending.camera):
-                job.total = max(job.total, job.done + 1)
-                if isinstance(read, UploadOutcome):
-                    note(read)
-                    job.step()
-                    continue
-                capture, place = _placed(read, place)
-                try:
-                    yield _to_add(capture, measures, store, sending.round)
-                except CucumberVisionError as error:
-                    note(_failed(capture.source or capture.name, error.message))
-                    job.step()
+        for read in (read for source in sources for read in _captures(source)):
+            if isinstance(read, UploadOutcome):
+                note(read, measured=next(measured))
+                continue
+            capture, place = _placed(read, place)
+            try:
+                yield _to_add(capture, measures, store, sending.round)
+            except CucumberVisionError as error:
+                note(
+                    _failed(capture.source or capture.name, error.message), measured=next(measured)
+                )
 
     with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
         try:
-            accepted = accept_uploads(files, Path(folder), limits, report=lambda *_: job.step())
+            accepted = accept_uploads(files, Path(folder), limits)
         except UploadError as error:
             note(*(_failed(name, error.message) for name, _ in files), done=True)
             return
-        outcomes += [_failed(str(one.source), one.message) for one in accepted.refused]
-        for item, added in add_all(store, items(accepted.sources), measures, in_turn):
+        opened = [_open(one, options.reading, sending.camera) for one in accepted.sources]
+        there = [one for one in opened if not isinstance(one, UploadOutcome)]
+        note(
+            *(_failed(str(one.source), one.message) for one in accepted.refused),
+            *(one for one in opened if isinstance(one, UploadOutcome)),
+            captures=sum(source.total or 0 for _, source in there),
+            is_open=any(source.total is None for _, source in there),
+        )
+        for item, added in add_all(store, items(there), measures, in_turn):
             if isinstance(item, RoundCapture):
-                note(_outcome(item, added, sending.round))
-                job.step()
+                note(_outcome(item, added, sending.round), measured=next(measured))
     note(done=True)
 
 
@@ -133,15 +137,17 @@ def _failed(name: str, words: str) -> UploadOutcome:
     return UploadOutcome(name=name, saved=False, words=words)
 
 
-def _captures(
-    source: AcceptedSource, reading: ReadOptions, camera: str
-) -> Iterator[Capture | UploadOutcome]:
-    """Yield a source's captures, and why a part of it is none, by the sender's names."""
+def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened | UploadOutcome:
+    """Return a source with its captures, or why it has none, by the sender's names."""
     try:
-        refs: Iterator[CaptureRef] = iter(_open(source, reading, camera))
+        return source, _open_with(source, reading, camera)
     except CucumberVisionError as error:
-        yield _failed(str(error.source or source.title), f"{error.message}; {error.remedy}")
-        return
+        return _failed(str(error.source or source.title), f"{error.message}; {error.remedy}")
+
+
+def _captures(opened: _Opened) -> Iterator[Capture | UploadOutcome]:
+    """Yield a source's captures, and why a part of it is none."""
+    source, refs = opened[0], iter(opened[1])
     while True:
         try:
             ref = next(refs, None)
@@ -152,7 +158,7 @@ def _captures(
             yield _failed(str(error.source or source.title), error.message)
 
 
-def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
+def _open_with(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
     """Open a source with the camera's usual intrinsics where pictures bring none."""
     try:
         return source.open(reading)

@@ -21,6 +21,7 @@ MOST_TRIES = 3  # an upload that ends the program each time must not do so for e
 _ABOUT = "upload.json"
 _MOST_FILES = 1000
 _KEPT = 20  # uploads whose outcomes are still told
+_UNCOUNTED = {"captures": None, "measured": 0, "is_open": False}
 _RESERVE_BYTES = 500_000_000  # that captures, which are kept at once, need of the disk
 
 
@@ -116,6 +117,12 @@ class Upload(_Frozen):
         How often its measuring was begun.
     outcomes : tuple of UploadOutcome
         Of what was measured so far.
+    captures : int, optional
+        How many it holds, as far as is known; None while its files are checked.
+    measured : int
+        How many of them are done with.
+    is_open : bool
+        Whether a recording is being read, which may hold more.
     """
 
     sending: Sending
@@ -123,6 +130,9 @@ class Upload(_Frozen):
     done: bool = False
     tries: int = 0
     outcomes: tuple[UploadOutcome, ...] = ()
+    captures: int | None = None
+    measured: int = 0
+    is_open: bool = False
 
 
 class Uploads:
@@ -154,7 +164,7 @@ class Uploads:
                 remedy="send it in smaller parts, or change the limit in 'Settings'",
             )
         with self._lock:
-            known = self._read(sending.key)
+            known = self.read(sending.key)
             if known is None or known.done:
                 self.folder.mkdir(parents=True, exist_ok=True)
                 free = shutil.disk_usage(self.folder).free
@@ -229,29 +239,34 @@ class Uploads:
 
     def all(self, round_key: str | None = None) -> list[Upload]:
         """Return the uploads, or those into a round, the newest first."""
-        found = [self._read(path.parent.name) for path in self.folder.glob(f"*/{_ABOUT}")]
+        found = [self.read(path.parent.name) for path in self.folder.glob(f"*/{_ABOUT}")]
         known = [one for one in found if one and round_key in (None, one.sending.round)]
         return sorted(known, key=lambda one: one.begun_s, reverse=True)
 
     def try_once(self, key: str) -> Upload:
         """Note that measuring begins, and return the upload as it was before."""
         with self._lock:
-            upload = self._read(key)
+            upload = self.read(key)
             if upload is None:
                 raise UploadError("this upload is gone", remedy="choose the files again")
-            self._write(upload.model_copy(update={"tries": upload.tries + 1}))
+            self._write(upload.model_copy(update={**_UNCOUNTED, "tries": upload.tries + 1}))
             return upload
 
-    def note(self, key: str, outcomes: list[UploadOutcome], *, done: bool = False) -> None:
-        """Keep outcomes; when all is done the files go, and the oldest uploads with theirs."""
+    def note(
+        self, key: str, outcomes: list[UploadOutcome], *, done: bool = False, **counts: int
+    ) -> None:
+        """Keep outcomes and counts of captures (as `Upload` names them).
+
+        When all is done the files go, and the oldest uploads with theirs.
+        """
         with self._lock:
-            upload = self._read(key)
+            upload = self.read(key)
             if upload is None:
                 return
             # One that a killed run saved stays saved, though its capture is there already now.
             saved = {one.name: one for one in upload.outcomes if one.saved}
             kept = tuple(one if one.saved else saved.get(one.name, one) for one in outcomes)
-            self._write(upload.model_copy(update={"outcomes": kept, "done": done}))
+            self._write(upload.model_copy(update={"outcomes": kept, "done": done, **counts}))
             if done:
                 for number in range(len(upload.sending.files)):
                     self._part(key, number).unlink(missing_ok=True)
@@ -259,7 +274,7 @@ class Uploads:
                     shutil.rmtree(self.folder / old.sending.key, ignore_errors=True)
 
     def _known(self, key: str) -> Sending:
-        upload = self._read(key)
+        upload = self.read(key)
         if upload is None:
             raise UploadError("this upload is gone", remedy="choose the files again")
         return upload.sending
@@ -267,7 +282,8 @@ class Uploads:
     def _part(self, key: str, number: int) -> Path:
         return self.folder / key / f"{number:04d}"
 
-    def _read(self, key: str) -> Upload | None:
+    def read(self, key: str) -> Upload | None:
+        """Return an upload as it stands; None where there is none of that key."""
         try:
             text = (self.folder / key / _ABOUT).read_text(encoding="utf-8")
             return Upload.model_validate_json(text)

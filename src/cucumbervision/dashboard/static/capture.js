@@ -5,7 +5,7 @@ import drawPicture from "./picture.js";
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, CLOCK_S = 0.5;
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [], undone: "", rows: {} };
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, work: "", undone: "", rows: {} };
 
 function show(node, words) {
   node.textContent = words;
@@ -61,8 +61,10 @@ async function readWalk() {
 function showWalk(walk) {
   // A round that the address names and that is not there stays named: no other one is opened.
   Object.assign(own, { walk, round: walk.missing ? own.round : walk.round, source: walk.source });
-  if (`${own.round} ${walk.source}` !== own.watched) {
-    own.watched = `${own.round} ${walk.source}`;
+  const home = own.home;
+  own.home = walk.home;
+  if (`${own.round} ${walk.source} ${walk.home}` !== own.watched) {
+    own.watched = `${own.round} ${walk.source} ${walk.home}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
     for (const link of document.querySelectorAll("nav a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
     watchNews();
@@ -71,8 +73,7 @@ function showWalk(walk) {
   const none = walk.missing ? [new Option("Choose a round", "", true, true)] : [];
   $("round").replaceChildren(...none, ...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
   for (const name of ["camera", "replay"]) $(name).setAttribute("aria-pressed", String(own.source === name));
-  if (own.home !== walk.home) {
-    own.home = walk.home;
+  if (home !== walk.home) {
     own.mine = null;
     own.rows = {};
     const kept = JSON.parse(localStorage.getItem(`place-${walk.home}`) || "null");
@@ -90,7 +91,7 @@ function showWalk(walk) {
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
-  drawLast(walk.last);
+  drawLast(walk.last, walk.first);
   drawUndo();
 }
 
@@ -211,9 +212,8 @@ function drawPresses() {
 function drawWork() {
   const kept = presses.waiting.length;
   const many = (number, one, more) => `${number} ${number === 1 ? one : more}`;
-  $("count").textContent = kept ? `${kept} waiting on this device` : own.waiting ? `${own.waiting} being measured` : "press as fast as you walk";
-  const [job] = own.jobs;
-  $("work").textContent = job ? `${job.title}${job.total ? `: ${job.done} of ${job.total}` : " …"}` : "";
+  $("count").textContent = kept ? `${kept} waiting on this device` : own.waiting ? `${own.waiting} to be measured` : "press as fast as you walk";
+  $("work").textContent = own.work;
   show($("lost"), own.connected ? "" : `Connection to the camera computer lost; ${kept ? `${many(kept, "press is", "presses are")} kept on this device` : "trying again"}.`);
 }
 
@@ -237,9 +237,9 @@ function socket(path, binary, heard, state) {
 let endNews = null, endPreview = null;
 function watchNews() {
   endNews?.();
-  endNews = socket(`/api/news?round=${own.round}`, false, (news) => {
-    const changed = own.version !== news.version || own.waiting !== news.waiting;
-    Object.assign(own, { version: news.version, waiting: news.waiting, jobs: news.jobs });
+  endNews = socket(`/api/news?round=${own.home}`, false, (news) => {
+    const changed = own.version !== news.version || own.waiting !== news.work.waiting;
+    Object.assign(own, { version: news.version, waiting: news.work.waiting, work: news.work.words });
     drawWork();
     if (changed) readWalk();
   }, (connected) => {
@@ -343,12 +343,12 @@ function fruitTable(capture) {
   return table;
 }
 
-async function drawLast(last) {
-  const text = JSON.stringify(last);
+async function drawLast(last, first) {
+  const text = JSON.stringify([last, first]);
   if (text === drawn) return;
   drawn = text;
   show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
-  $("where").textContent = last ? `${last.name}: saved` : "No stops yet: each photo's result is shown here";
+  $("where").textContent = last ? `${last.name}: saved` : first || "No stops yet: each photo's result is shown here";
   $("open").hidden = !last;
   if (!last) { $("pictures").replaceChildren(); return; }
   $("open").href = `/map?round=${last.round}&stop=${last.key}`;

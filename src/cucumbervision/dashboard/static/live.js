@@ -2,26 +2,26 @@
 const AGAIN_MS = 1000, SETTLE_MS = 400, LOST_MS = 1500;
 const own = { line: null, round: null, version: "", asked: "", news: null, lost: false, root: null, trigger: null, begun: new Map() };
 
-function left(job) {
-  const now = performance.now(), name = `${job.title}-${job.total}`;
-  if (!own.begun.has(name)) own.begun.set(name, { at: now, done: job.done });
-  const from = own.begun.get(name), done = job.done - from.done;
-  if (done < 1 || !job.total) return "";
-  const s = ((now - from.at) / 1000 / done) * (job.total - job.done);
+function left(work) {
+  const now = performance.now(), name = work.words.split(":")[0];
+  if (!own.begun.has(name)) own.begun.set(name, { at: now, done: work.done });
+  const from = own.begun.get(name), done = work.done - from.done;
+  if (done < 1 || !work.total) return "";
+  const s = ((now - from.at) / 1000 / done) * (work.total - work.done);
   return s < 5 ? "" : s < 90 ? `, about ${Math.round(s)} s left` : `, about ${Math.round(s / 60)} min left`;
 }
 
 function draw() {
-  const lost = own.root.querySelector(".lost"), work = own.root.querySelector(".work"), [job] = own.news?.jobs || [];
+  const lost = own.root.querySelector(".lost"), work = own.root.querySelector(".work"), at = own.news?.work;
   lost.hidden = !own.lost;
   document.documentElement.toggleAttribute("data-lost", own.lost); // what Streamlit says of it is not shown
   lost.textContent = own.lost ? "Connection to the camera computer lost; trying again." : "";
-  work.hidden = !job || own.lost;
-  if (!job) { own.begun.clear(); return; }
-  work.firstChild.textContent = job.total ? `${job.title}: ${job.done} of ${job.total}${left(job)}` : `${job.title} …`;
+  work.hidden = !at?.words || own.lost;
+  if (!at?.words) { own.begun.clear(); return; }
+  work.firstChild.textContent = at.words + left(at);
   const bar = work.querySelector("progress");
-  bar.setAttribute("aria-label", job.title);
-  if (job.total) Object.assign(bar, { max: job.total, value: job.done });
+  bar.setAttribute("aria-label", at.words);
+  if (at.total) Object.assign(bar, { max: at.total, value: at.done });
   else bar.removeAttribute("value");
 }
 

@@ -295,7 +295,9 @@ def _correct(
         job.step()
         return measurer.correct(store, detail, mask, options, drawn_by)
 
-    page_elements.start_job(f"correction_{detail.view.key}", "Measuring with the new outline", work)
+    view = detail.view
+    title = "Measuring with the new outline"
+    page_elements.start_job(f"correction_{view.key}", title, work, view.round_key)
 
 
 def _outcome(key: str) -> tuple[int | None, str]:

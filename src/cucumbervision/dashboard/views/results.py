@@ -86,8 +86,8 @@ def page(one: RoundView) -> None:
 
 
 def _empty(one: RoundView) -> None:
-    if resources.worker().unfinished():
-        st.info("The first photos are being measured; their fruit appear here.")
+    if not one.stops and (words := resources.progress(one.key).first_words):
+        st.info(words, icon=":material/hourglass_empty:")
     elif one.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
     else:

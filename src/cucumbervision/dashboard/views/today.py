@@ -70,19 +70,22 @@ def _age(one: RoundView, today: Today) -> None:
 
 def _next(one: RoundView, today: Today) -> None:
     """Say what to do next, with a way to where it is done."""
-    waiting = sum(x.round_key == one.key for x in resources.waiting().captures())
+    progress = resources.progress(one.key)
     steps: list[tuple[str, str, str]] = []
-    if waiting:
+    if progress.waiting:
         resources.wake()
-        words = counted(waiting, "capture is", "captures are")
+    if not one.stops and progress.first_words:
+        steps.append((progress.first_words, "capture", "Capture"))
+    elif progress.waiting:
+        words = counted(progress.waiting, "capture is", "captures are")
         steps.append((f"{words} still being measured.", "capture", "Capture"))
-    if not one.stops and is_demonstration(one.key) and resources.worker().unfinished():
+    if not one.stops and is_demonstration(one.key) and progress.title:
         st.info("The example is being measured; its fruit appear here.")
-    elif not one.stops and not waiting:
+    elif not one.stops and not progress.first_words:
         steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
-    elif today.age is not Age.FRESH:
+    elif one.stops and today.age is not Age.FRESH:
         steps.append(("Start a new round and walk again.", "capture", "Capture"))
-    elif not today.rows and not waiting:
+    elif one.stops and not today.rows and not progress.waiting:
         steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
     if unsure := len(doubtful(resources.content_of(one).views)):
         steps.append(

@@ -8,6 +8,7 @@ import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import component
+from cucumbervision.dashboard.progress import progress_of
 from cucumbervision.dashboard.uploading import CAMERAS
 from cucumbervision.dashboard.uploads import SentPlace
 from cucumbervision.dashboard.words import counted, plain, round_day, sentence
@@ -155,7 +156,8 @@ def _show(upload: Upload) -> None:
     words = f"{counted(saved, 'capture', 'captures')} saved{f', {left} not' if left else ''}"
     when = round_day(upload.begun_s)
     if not upload.done:
-        st.info(f"{names}{more}, {when}: being measured. {words} so far.")
+        at_work = progress_of(sending.round, (), uploads=[upload]).words
+        st.info(f"{names}{more}, {when}: {at_work or 'waiting'}. {words} so far.")
     else:
         (st.success if saved else st.warning)(f"{names}{more}, {when}: {words}.")
     if saved:

@@ -501,6 +501,26 @@ def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None
         assert walk(store, empty.key, "camera")["first"] == ""
 
 
+def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house: Path) -> None:
+    hollow = Round(key_of("hollow"), "relative depth", "house 1")
+    with open_store(house) as store:
+        store.save_round(hollow)
+        for view in store.stops(WALK):
+            stop = store.stop(view.key)
+            doubted = [
+                replace(one, fruit=tuple(replace(x, flags="depth-hollow") for x in one.fruit))
+                for one in stop.captures
+            ]
+            new = replace(stop, key=new_key(), round_key=hollow.key, captures=tuple(doubted))
+            store.save_stop(new)
+        words = "8 of 8 fruit: the depth of their middle lies behind that of their flanks; check"
+        assert said(app("upload", round=hollow.key)).count(words) == 1
+        (line,) = walk(store, hollow.key, "camera")["doubts"]
+        assert line.startswith(words)
+        assert "8 of 8" not in said(app("upload", round=WALK))
+        assert walk(store, WALK, "camera")["doubts"] == []
+
+
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:
     round_for_capture(store, WALK, simulated=True)
     store.delete_round(DEMONSTRATION)

@@ -74,6 +74,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "sides": sides_of(stops),
         "work": progress.told,
         "first": progress.first_words,
+        "doubts": [line for x in every if x.key == home for line in resources.doubts_of(x)],
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."
         if aside

@@ -50,6 +50,7 @@ from cucumbervision.rounds.adding import (
     is_demonstration,
     round_for_capture,
 )
+from cucumbervision.rounds.data_doubts import round_doubts
 from cucumbervision.rounds.forecasting import Today, forecast_today, midnight_s, read_today
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.fruit_table import RoundFruit, fruit_table
@@ -383,6 +384,12 @@ def methods_of(one: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
 def rows_of(one: RoundView) -> list[RowReport]:
     """Return a round's rows with their counts; read again only when something changed."""
     return row_reports(content_of(one))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def doubts_of(one: RoundView) -> list[str]:
+    """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
+    return round_doubts(store(), content_of(one).views)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)

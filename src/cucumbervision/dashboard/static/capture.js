@@ -91,6 +91,7 @@ function showWalk(walk) {
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
+  show($("doubts"), walk.doubts.length ? `Check the data of this round. ${walk.doubts.join(". ")}.` : "");
   drawLast(walk.last, walk.first);
   drawUndo();
 }

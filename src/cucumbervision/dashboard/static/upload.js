@@ -24,7 +24,7 @@ async function send(files, about, tell) {
           tell(`Sending: ${mb(sent)} of ${mb(all)}`, sent / Math.max(all, 1));
         } while (received[number] < files[number].size);
       }
-      tell("All files are there; they are measured now. You may leave this page.", null);
+      tell("All files are sent. You may leave this page; their results appear below.", null);
       return;
     } catch (fault) {
       if (fault.final) { tell(fault.message, null); return; }

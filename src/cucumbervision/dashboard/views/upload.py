@@ -55,6 +55,9 @@ def page(one: RoundView) -> None:
                 "accept": ",".join(f".{ending}" for ending in _ENDINGS),
             },
         )
+    if doubts := resources.doubts_of(one):
+        words = f"Check the data of this round. {'. '.join(doubts)}."
+        st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(one.key)[:_SHOWN]:
         _show(upload)
 

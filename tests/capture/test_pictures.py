@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import pickle
 import struct
 import subprocess
@@ -8,6 +9,7 @@ import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -260,3 +262,23 @@ def test_arrays_that_fill_the_memory_together_are_refused(
         else:
             with pytest.raises(DepthError, match="more than colour and depth of 64 million"):
                 read_arrays(tmp_path / name)
+
+
+@pytest.mark.parametrize("dtype", ["<U9999999", "S4000", "V2000", [("a", "<f4", 9)]])
+def test_items_that_are_no_numbers_are_refused_by_the_head(dtype: Any, tmp_path: Path) -> None:
+    path = tmp_path / "d.npz"
+    head = io.BytesIO()
+    # An array of no items takes no room in the file, whatever its items would take in memory.
+    np.lib.format.write_array_header_1_0(
+        head,
+        {
+            "descr": np.lib.format.dtype_to_descr(np.dtype(dtype)),
+            "fortran_order": False,
+            "shape": (0, 0),
+        },
+    )
+    np.savez(path, depth=DEPTH)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("matrix.npy", head.getvalue())
+    with pytest.raises(DepthError, match=r"d\.npz: holds an array of \d+ bytes an item"):
+        read_arrays(path)

@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -18,6 +19,7 @@ from cucumbervision.perception.masks import (
     box_of_mask,
     disjoint_masks,
     distances_inside,
+    is_box_mask,
     mask_iou,
     mask_pixels,
     mask_window,
@@ -258,3 +260,22 @@ def test_only_a_flower_leaves_the_mask() -> None:
 def test_an_empty_mask_has_no_flower() -> None:
     empty = np.zeros((4, 5), bool)
     assert not without_flower(empty, np.zeros((4, 5, 3), np.uint8)).any()
+
+
+@pytest.mark.parametrize("turn_deg", [0, 17, 45, 90])
+def test_a_filled_box_is_told_from_a_fruit(turn_deg: float) -> None:
+    sides = ((200.0, 160.0), (150.0, 40.0), turn_deg)
+    box = np.zeros((320, 400), np.uint8)
+    cv2.fillConvexPoly(box, cv2.boxPoints(sides).round().astype(np.int32), 1)
+    assert is_box_mask(box > 0)
+    turn = np.deg2rad(turn_deg)
+    step = 55 * np.array([np.cos(turn), np.sin(turn)])
+    ends = [tuple((np.array([200, 160]) + sign * step).round().astype(int)) for sign in (-1, 1)]
+    fruit = cv2.line(np.zeros((320, 400), np.uint8), *ends, 1, 40)  # of round ends, 15 x 4 cm
+    assert not is_box_mask(fruit > 0)
+
+
+def test_a_fruit_that_runs_through_the_picture_is_no_box() -> None:
+    mask = np.zeros((60, 80), bool)
+    mask[20:40] = True
+    assert not is_box_mask(mask)

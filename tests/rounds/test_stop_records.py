@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.measurement.result import Flag, Method
@@ -73,6 +75,21 @@ def _check_place(store: Store, key: str) -> None:
     [view] = store.stops(key)
     assert (view.row, view.side, view.position_m, view.step) == ("3", "left", 1.2, 4)
     assert (view.position_sd_m, view.taken_s, view.fruit, view.failures) == (0.03, 1234.5, 3, 1)
+
+
+def test_a_stop_of_a_file_without_a_time_has_the_files_time_whoever_saves_it(
+    measured: CaptureResult, tmp_path: Path
+) -> None:
+    folder = write_native(replace(measured.capture, timestamp_s=None), tmp_path / "a").parent
+    os.utime(folder / "capture.json", (1_700_000_000.0, 1_700_000_000.5))
+    capture = replace(measured.capture, timestamp_s=None, source=str(folder))
+    saved = [stop_record("r", [replace(measured, capture=capture)], key="k") for _ in range(2)]
+    assert saved[0] == saved[1]
+    assert saved[0].taken_s == 1_700_000_000.5
+    timed = replace(capture, timestamp_s=1_600_000_000.0)
+    assert stop_record("r", [replace(measured, capture=timed)]).taken_s == 1_600_000_000.0
+    elsewhere = replace(capture, source="s3://bucket/a")
+    assert stop_record("r", [replace(measured, capture=elsewhere)]).taken_s > 1_700_000_001
 
 
 def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None:

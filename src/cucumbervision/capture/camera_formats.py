@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_bytes, read_json, read_text
+from cucumbervision.capture.pictures import check_array_head
 from cucumbervision.errors import IntrinsicsError, wrap_reader_errors
 
 if TYPE_CHECKING:
@@ -118,6 +119,7 @@ def _read(path: Path) -> Any:
     if suffix == ".npy":
         with wrap_reader_errors(path, IntrinsicsError):
             stored = read_bytes(path)[:_MOST_BYTES]
+            check_array_head(io.BytesIO(stored), len(stored))
             return {"K": np.load(io.BytesIO(stored), allow_pickle=False).astype(float)}
     text = read_text(path)
     if "<!ENTITY" in text or ("&" in text and "*" in text):

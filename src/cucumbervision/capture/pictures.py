@@ -30,6 +30,7 @@ MOST_PIXELS = 64_000_000
 MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
 """Maximum total size of the frames of a burst, and of the masks of a frame."""
 _MOST_ARRAYS, _MOST_ARRAY_BYTES = 16, 16 * MOST_PIXELS  # of an .npz
+_MOST_ITEM_BYTES = 1024  # of a word of 256 letters
 _TOO_LARGE = f"more than colour and depth of {MOST_PIXELS / 1e6:g} million pixels"
 
 _ROWS_AT_ONCE = 64  # blended in float32: all rows at once would take four times the memory
@@ -230,7 +231,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             _require_arrays(data)
             arrays = dict(np.load(io.BytesIO(data), allow_pickle=False))
         else:
-            _require_whole_array(io.BytesIO(data), len(data))
+            check_array_head(io.BytesIO(data), len(data))
             arrays = {"depth": np.load(io.BytesIO(data), allow_pickle=False)}
     except MemoryError:
         raise
@@ -270,13 +271,30 @@ def _require_arrays(data: bytes) -> None:
             if not member.filename.endswith(".npy"):
                 raise _TooLargeError("something other than arrays")
             with archive.open(member) as stream:
-                _require_whole_array(stream, member.file_size)
+                check_array_head(stream, member.file_size)
 
 
-def _require_whole_array(stream: IO[bytes], size: int) -> None:
+def check_array_head(stream: IO[bytes], size: int) -> None:
+    """Check an array by its head, before NumPy allocates what that says.
+
+    Parameters
+    ----------
+    stream : binary file
+        At the beginning of the array's file.
+    size : int
+        The file's bytes.
+
+    Raises
+    ------
+    ValueError
+        If the array is longer than the file, larger than pictures are, or of items that are no
+        numbers or words: an array of no items may still say that each has gigabytes.
+    """
     version = npy.read_magic(stream)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(stream, max_header_size=4000)
+    if dtype.itemsize > _MOST_ITEM_BYTES or dtype.names or dtype.subdtype:
+        raise _TooLargeError(f"an array of {dtype.itemsize} bytes an item, which is no number")
     # Objects have no size of their own: they are refused as they are read.
     room = math.prod(shape) * dtype.itemsize
     if not dtype.hasobject and stream.tell() + room > size:

@@ -376,3 +376,45 @@ def painted_mask(
     for x, y in line[[0, -1], 0].tolist():
         cv2.circle(ink, (x, y), max(round(radius_px), 1), 1, thickness=-1)
     return mask & (ink == 0) if erase else mask | (ink > 0)
+
+
+_BOX_SIDE_PX, _BOX_FILL, _BOX_CORNER = 12, 0.95, 0.08
+
+
+def is_box_mask(mask: NDArray[np.bool_]) -> bool:
+    """Return whether a mask is a rectangle, upright or turned: a box that was filled, no outline.
+
+    A fruit leaves the corners of the rectangle around it empty, unless the picture's edge cuts it:
+    a mask that reaches the edge is no box.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        Rectangles of fewer than 12 pixels across are not told from fruit.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 60), bool)
+    >>> mask[10:30, 5:55] = True
+    >>> is_box_mask(mask)
+    True
+    >>> mask[10:13, 5:8] = False
+    >>> is_box_mask(mask)
+    False
+    """
+    import cv2
+
+    if mask[[0, -1]].any() or mask[:, [0, -1]].any() or not mask.any():
+        return False
+    outlines, _ = cv2.findContours(
+        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
+    rectangle = cv2.minAreaRect(np.concatenate(outlines))
+    sides_px = np.array(rectangle[1]) + 1.0  # from the pixels' centres to their edges
+    if sides_px.min() < _BOX_SIDE_PX or mask.sum() < _BOX_FILL * sides_px.prod():
+        return False
+    corners = cv2.boxPoints(rectangle)
+    steps = (np.roll(corners, 1, axis=0) - corners, np.roll(corners, -1, axis=0) - corners)
+    inset = sum(step / np.linalg.norm(step, axis=1, keepdims=True) for step in steps)
+    u, v = np.rint(corners + _BOX_CORNER * sides_px.min() * inset).astype(int).T
+    return bool(mask[v, u].all())

@@ -20,7 +20,7 @@ from cucumbervision.perception.instances import (
     with_keypoints,
 )
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.masks import box_of_mask, without_flower
+from cucumbervision.perception.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.stages import Stage
@@ -173,7 +173,7 @@ def make_finder(
     boxes = _box_finder(options, networks) if detector is None else _found_by(detector)
 
     def find(capture: Capture) -> Found:
-        found = boxes(capture).of_classes(options.classes)
+        found = _without_box_masks(boxes(capture).of_classes(options.classes))
         if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
             found = _with_fitting_masks(capture, found)
         # Masks that were given are used as they are unless a segmenter was asked for.
@@ -190,6 +190,17 @@ def make_finder(
         return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
     return Finder(find, networks)
+
+
+def _without_box_masks(found: Found) -> Found:
+    """Return fruit whose mask is a filled box as boxes, which a segmenter draws."""
+    instances = tuple(
+        replace(one, mask=None, mask_source=None)
+        if one.mask is not None and is_box_mask(one.mask)
+        else one
+        for one in found.instances
+    )
+    return replace(found, instances=instances)
 
 
 def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:

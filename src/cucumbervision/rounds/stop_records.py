@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 from dataclasses import asdict, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Capture, Doubt, Stop
+from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag
@@ -82,22 +84,35 @@ def stop_record(
     key : str, optional
         The stop's own key, kept for sending it again; a new one by default.
     position_sd_m : float, optional
-        How sure the position is; place and time are the first capture's.
+        How sure the position is; place and time are the first capture's. The time of a capture
+        that does not say it is when its file was written, so that two programs that save the same
+        files save the same stop.
     images : ImageStore, optional
         None keeps no pictures.
     """
     first = results[0].capture if results else None
-    when = first.timestamp_s if first else None
+    taken_s = first and (first.timestamp_s or _written_s(first.source))
     return StopRecord(
         key=key or new_key(),
         round_key=round_key,
         **asdict(first.stop if first else Stop()),
         position_sd_m=position_sd_m,
-        taken_s=time.time() if when is None else when,
+        taken_s=taken_s or time.time(),
         captures=tuple(_capture_record(one, images) for one in results),
         artifacts=() if measurer is None else _artifact_records(measurer, results),
         failures=tuple(vars(failure) for one in results for failure in one.failures),
     )
+
+
+def _written_s(source: str) -> float | None:
+    """Return when a capture's file, or the manifest of its folder, was written; None if unknown."""
+    if not source:
+        return None
+    path = Path(source)
+    try:
+        return (path / MANIFEST if path.is_dir() else path).stat().st_mtime
+    except (OSError, ValueError):  # in memory, in a bucket, or a frame of a recording
+        return None
 
 
 def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> CaptureRecord:

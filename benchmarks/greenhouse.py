@@ -105,7 +105,7 @@ def fruit_table(judged: list[Judged]) -> Table:
 
 
 def summary(judged: list[Judged]) -> list[str]:
-    """Return recall, precision, how often `end-hidden` is right, and how lengths repeat."""
+    """Return recall, precision, how often `end-hidden` is right, and how sure lengths are."""
     lines = []
     for name, chosen in (
         ("all captures", judged),
@@ -132,6 +132,17 @@ def summary(judged: list[Judged]) -> list[str]:
         for true, found in one.fruit
         if one.name.startswith("sample") and true["marked"] and found and found.length
     ]
+    lengths = [
+        found.length
+        for one in judged
+        for true, found in one.fruit
+        if found is not None and found.length and not found.at_least and not true["end_hidden"]
+    ]
+    widths = [100 * (k.high_m - k.low_m) / k.value_m for k in lengths if k.high_m and k.low_m]
+    lines.append(
+        f"90 % intervals of {len(lengths)} fruit without a hidden end: {len(widths)} given, median "
+        f"width {np.median(widths):.0f} % of the length, widest {max(widths):.0f} %"
+    )
     if len(repeats) > 1:
         spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
         lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")

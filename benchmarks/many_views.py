@@ -6,7 +6,7 @@ A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), 
 leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
 each view anew, or with --perceived found and drawn by the networks in painted pictures. The best
 view is the one of the narrowest interval, 'combined' weighs the views' lengths by their intervals
-(`rounds.row_fruit.pooled_length`), 'one tube' is `measurement.views`, and rounds take that
+(`measurement.matching.pooled_length`), 'one tube' is `measurement.views`, and rounds take that
 unless the combined lengths contradict it. Coverage is that of the 90 % interval, depth scale known.
 """
 
@@ -24,6 +24,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
+from cucumbervision.measurement.matching import pooled_length
 from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, Method, Selector
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
@@ -31,7 +32,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.row_fruit import joint_tube_is_used, pooled_length
+from cucumbervision.rounds.row_fruit import joint_tube_is_used
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
+from cucumbervision.measurement.matching import ALONG, DEPTH, UP
+from cucumbervision.rounds.row_views import RowStops, RowViews
 from cucumbervision_lab.synthesis.bodies import random_fruit
 
 _SIZES = 64  # bodies drawn, from which fruit take their thickness

@@ -151,7 +151,8 @@ def test_one_camera_takes_a_place_once_and_another_on_its_mast_too(
     manifest.write_text(json.dumps(other))
     [lens] = add_captures(store, MORNING, [second], OPTIONS, place)
     assert (higher.new, lens.new) == (True, True)
-    assert [one.position_m for one in store.stops(MORNING)] == [2.0, 2.5, 2.0, 2.0]
+    # In the order in which their files were written.
+    assert [one.position_m for one in store.stops(MORNING)] == [2.0, 2.0, 2.5, 2.0]
 
 
 def test_a_capture_without_its_pose_is_refused(store: Store, tmp_path: Path) -> None:

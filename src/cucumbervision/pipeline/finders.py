@@ -173,7 +173,9 @@ def make_finder(
     boxes = _box_finder(options, networks) if detector is None else _found_by(detector)
 
     def find(capture: Capture) -> Found:
-        found = _without_box_masks(boxes(capture).of_classes(options.classes))
+        found = boxes(capture).of_classes(options.classes)
+        if name != "none":
+            found = _without_box_masks(found)
         if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
             found = _with_fitting_masks(capture, found)
         # Masks that were given are used as they are unless a segmenter was asked for.

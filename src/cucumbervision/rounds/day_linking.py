@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import ALONG, UP, log_density, pairs_within
+from cucumbervision.measurement.matching import ALONG, UP, log_density
+from cucumbervision.rounds.row_views import pairs_within
 
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_fruit import RowFruit

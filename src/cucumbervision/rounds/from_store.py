@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import RoundError
+from cucumbervision.measurement.matching import ALONG, DEPTH, UP
 from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision.rounds.row_fruit import USUAL, FalseShare
-from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
+from cucumbervision.rounds.row_views import RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import key_of

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.agronomy.forecast import natural_key
+from cucumbervision.measurement.matching import pooled_length
 from cucumbervision.measurement.result import INTERVAL_Z
 from cucumbervision.rounds.from_store import (
     RoundContent,
@@ -18,7 +19,7 @@ from cucumbervision.rounds.from_store import (
     stored_merging,
 )
 from cucumbervision.rounds.merge_and_link import earlier_round, later_rounds
-from cucumbervision.rounds.row_fruit import joint_tube_is_used, pooled_length
+from cucumbervision.rounds.row_fruit import joint_tube_is_used
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.views import Verdict
 

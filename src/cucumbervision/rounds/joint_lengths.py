@@ -2,7 +2,7 @@
 
 One tube is fitted to the stored depth and outlines. The result is kept for each set of views; a set
 that changes (another view, a corrected mask, a moved stop) is measured again. Without a reliable
-joint fit, the fruit has the pooled length of its views (`row_fruit.pooled_length`).
+joint fit, the fruit has the pooled length of its views (`matching.pooled_length`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 
 from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
+from cucumbervision.measurement.matching import ALONG
 from cucumbervision.measurement.result import Flag, LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
-from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.rounds.stop_records import fruit_record, instance_of, stored_capture
 from cucumbervision.store.records import JointRecord
 

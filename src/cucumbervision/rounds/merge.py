@@ -7,20 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import (
-    ALONG,
-    DEPTH,
-    Crowd,
-    RowStops,
-    RowViews,
-    pairs_within,
-    position_ratio,
-    shape_ratio,
-)
+from cucumbervision.measurement.matching import ALONG, DEPTH, position_ratio
+from cucumbervision.rounds.row_views import RowStops, RowViews, crowd_of, pairs_within, shape_ratio
 from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_stops, vote_pairs
 
 if TYPE_CHECKING:
-    from cucumbervision.rounds.row_views import Floats, Ints, RowViews
+    from cucumbervision.measurement.matching import Crowd
+    from cucumbervision.rounds.row_views import Floats, Ints
 
 _UNLIKE = -8.0  # log likelihood ratio of a pair that is no candidate
 
@@ -245,7 +238,7 @@ def merge_row(
     [0, 0]
     """
     by_hand = by_hand or ByHand()
-    crowd = Crowd.of(views, _views_per_m(stops, views))
+    crowd = crowd_of(views, _views_per_m(stops, views))
     start = prior_stops(stops)
     i, j = _candidates(start, views)
     one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]

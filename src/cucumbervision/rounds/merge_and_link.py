@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.measurement.matching import ALONG
 from cucumbervision.names import house_key
 from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import (
@@ -22,7 +23,6 @@ from cucumbervision.rounds.from_store import (
 from cucumbervision.rounds.merge import NO_PAIRS, Merged, merge_row
 from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
-from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.rounds.walking import refuse_taken
 from cucumbervision.store.corrections import STOP_EDITS, StopPlace

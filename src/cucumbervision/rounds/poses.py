@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import RoundError, wrap_reader_errors
+from cucumbervision.measurement.matching import SURFACE_DEPTH_SD_M, SURFACE_SD_M
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -184,10 +185,6 @@ def stored_pose(numbers: Sequence[float], side: str | None) -> NDArray[np.float6
 
 
 _AXIS_SD_M = 0.005  # of a fitted tube's middle
-
-SURFACE_SD_M = 0.010  # of the middle of what is seen: a box's or a mask's
-
-SURFACE_DEPTH_SD_M = 0.020  # the surface lies a radius before the axis
 
 _PART_SHARE = 0.15  # of the length: how far the middle of a part is from the fruit's own
 

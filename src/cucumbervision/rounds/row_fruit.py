@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import DEPTH
+from cucumbervision.measurement.matching import DEPTH, pooled_length
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import Length
     from cucumbervision.rounds.merge import Merged
     from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
-
-SHARED = 0.5  # of a view's variance: errors that all views of a fruit have in common
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,46 +98,6 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
         length_sd,
         views.partial[best],
     )
-
-
-def pooled_length(
-    length_m: Floats, length_sd: Floats, partial: Bools
-) -> tuple[float, float] | None:
-    """Return the length that all whole views of a fruit give together, and its standard deviation.
-
-    Weighted by the inverse variance of the logarithm. Views of one camera share errors, so that
-    half of the variance does not become less however many there are; and where views differ by
-    more than they should (Birge's ratio above 1), the deviation is widened by that ratio.
-
-    Parameters
-    ----------
-    length_m, length_sd : ndarray of float64, shape (M,)
-        Lengths, NaN for none, and relative standard deviations.
-    partial : ndarray of bool, shape (M,)
-        Lower bounds, which are left out.
-
-    Returns
-    -------
-    tuple of float, or None
-        Length and standard deviation in metres; None without a whole view.
-
-    Examples
-    --------
-    >>> found = pooled_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
-    ...     np.array([False, False, True]))
-    >>> [round(x, 4) for x in found]
-    [0.305, 0.0061]
-    """
-    used = np.isfinite(length_m) & ~partial
-    if not used.any():
-        return None
-    logs, weight = np.log(length_m[used]), 1.0 / length_sd[used] ** 2
-    mean = float((weight * logs).sum() / weight.sum())
-    alone = float(1.0 / weight.mean())
-    variance = SHARED * alone + (1 - SHARED) / float(weight.sum())
-    if len(logs) > 1:
-        variance *= max(1.0, float((weight * (logs - mean) ** 2).sum()) / (len(logs) - 1))
-    return float(np.exp(mean)), float(np.exp(mean)) * float(np.sqrt(variance))
 
 
 _MOST_APART_SD, _MOST_WIDER = 2.5, 1.5

@@ -1,10 +1,4 @@
-"""One row as arrays: its stops, the views of its fruit, and the similarity of two views.
-
-The similarity is the log likelihood ratio of multi-target tracking (Blackman & Popoli 1999, ch. 6):
-the density of the difference between two views of one fruit, against the density of other fruit at
-the second view. Densities have heavy tails, so that one outlier does not separate views that all
-other readings join.
-"""
+"""One row as arrays: its stops, its views, and how alike the shapes of two views are."""
 
 from __future__ import annotations
 
@@ -13,14 +7,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from cucumbervision.measurement.matching import Crowd
+
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
 Floats: TypeAlias = "NDArray[np.float64]"
 Ints: TypeAlias = "NDArray[np.integer]"
 Bools: TypeAlias = "NDArray[np.bool_]"
-
-ALONG, UP, DEPTH = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +120,6 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     return i, j
 
 
-_TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
-
-_UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
-
 _SIZE_TAIL = 0.1  # share of sizes that are wrong anyhow: an end unseen, leaves taken for fruit
 
 _SIZE_REACH = 0.7  # of the logarithm: how wrong they are, to either side
@@ -139,61 +129,20 @@ _MOST_HIDDEN = 1.2  # of the logarithm: a fruit read at less than 30 % is rarely
 _LONGEST_PAST = 0.02  # noise of the logarithm that a lower bound has at least
 
 
-@dataclass(frozen=True)
-class Crowd:
-    """The other fruit that a view may be mistaken for.
+def crowd_of(views: RowViews, per_m: float) -> Crowd:
+    """Return the crowd of a row's own views, each width that of a uniform band of equal spread."""
 
-    Parameters
-    ----------
-    per_m : float
-        Views of a capture per metre of row.
-    up_m, depth_m : float
-        Width of the band in which they hang, upwards and into the row, metres.
-    length_width, diameter_width : float
-        Width of the logarithm of their lengths and diameters.
-    """
+    def width(values: Floats, least: float) -> float:
+        known = values[np.isfinite(values)]
+        return max(float(np.sqrt(12) * known.std()), least) if len(known) else least
 
-    per_m: float
-    up_m: float
-    depth_m: float
-    length_width: float
-    diameter_width: float
-
-    @classmethod
-    def of(cls, views: RowViews, per_m: float) -> Crowd:
-        """Take the widths from the views themselves: that of a uniform band of equal spread."""
-
-        def width(values: Floats, least: float) -> float:
-            known = values[np.isfinite(values)]
-            return max(float(np.sqrt(12) * known.std()), least) if len(known) else least
-
-        return cls(
-            max(per_m, 0.1),
-            width(views.offset_m[:, 1], 0.2),
-            width(np.abs(views.offset_m[:, 2]), 0.1),
-            width(np.log(views.length_m), 0.3),
-            width(np.log(views.diameter_m), 0.1),
-        )
-
-
-def log_density(gap: ArrayLike, variance: ArrayLike) -> Floats:
-    """Return the log density of a gap under a normal distribution with heavy tails.
-
-    Parameters
-    ----------
-    gap, variance : array_like of float
-        The gap, and the variance of its core.
-
-    Examples
-    --------
-    >>> float(log_density(0.0, 1.0).round(3)), float(log_density(6.0, 1.0).round(2))
-    (-1.002, -5.55)
-    """
-    spread = np.asarray(variance, np.float64)
-    square = np.square(gap) / spread
-    core = (1 - _TAIL) * np.exp(-0.5 * square)
-    tail = _TAIL / _TAIL_FACTOR * np.exp(-0.5 * square / _TAIL_FACTOR**2)
-    return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
+    return Crowd(
+        per_m=max(per_m, 0.1),
+        up_m=width(views.offset_m[:, 1], 0.2),
+        depth_m=width(np.abs(views.offset_m[:, 2]), 0.1),
+        length_width=width(np.log(views.length_m), 0.3),
+        diameter_width=width(np.log(views.diameter_m), 0.1),
+    )
 
 
 def _size_ratio(
@@ -251,27 +200,3 @@ def shape_ratio(views: RowViews, i: Ints, j: Ints, crowd: Crowd) -> Floats:
         views.diameter_m[i], views.diameter_m[j], diameter_sd, (whole, whole), crowd.diameter_width
     )
     return length + diameter
-
-
-def position_ratio(gap_m: Floats, variance_m2: Floats, crowd: Crowd) -> Floats:
-    """Return the log likelihood ratio of positions: of one fruit, against the crowd.
-
-    Parameters
-    ----------
-    gap_m, variance_m2 : ndarray of float64, shape (..., 3)
-        What separates two views, and its variance: along, up, into the row.
-    crowd : Crowd
-        The other fruit.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-    """
-    density = log_density(gap_m, variance_m2).sum(axis=-1)
-    # A hidden end that no flag names moves the middle up or down, by centimetres.
-    up, variance = gap_m[..., UP], variance_m2[..., UP]
-    wide = variance + _UNSEEN_END_M**2
-    moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))
-    known = log_density(up, variance)
-    density += np.logaddexp(known, np.log(_UNSEEN_END) + moved) - known
-    return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import ALONG, log_density, position_ratio, shape_ratio
+from cucumbervision.measurement.matching import ALONG, log_density, position_ratio
+from cucumbervision.rounds.row_views import shape_ratio
 
 if TYPE_CHECKING:
-    from cucumbervision.rounds.row_views import Bools, Crowd, Floats, Ints, RowStops, RowViews
+    from cucumbervision.measurement.matching import Crowd
+    from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
 _FREEDOM = 4.0  # degrees of freedom of Student's t
 _ROUNDS = 6  # of reweighting

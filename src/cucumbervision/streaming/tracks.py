@@ -7,7 +7,7 @@ one to one. Frames have few fruit and follow each other closely, so each frame i
 Much of a depth camera's error is the same in all frames from one place (`docs/results.md`), and so
 are errors of the outline and hidden ends. Frames from one place are therefore averaged to one view,
 which keeps the share `FIXED` of the variance of a single frame. Views from different places are
-pooled like the stops of a round, by `rounds.row_fruit.pooled_length`: half of the variance is
+pooled like the stops of a round, by `measurement.matching.pooled_length`: half of the variance is
 common, since they share a camera, and views that disagree widen the interval.
 """
 
@@ -20,12 +20,16 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.intervals import SCALE_SD
+from cucumbervision.measurement.matching import (
+    SURFACE_DEPTH_SD_M,
+    SURFACE_SD_M,
+    Crowd,
+    pooled_length,
+    position_ratio,
+)
 from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition
 from cucumbervision.perception.instances import visible_mask
 from cucumbervision.perception.masks import mask_window
-from cucumbervision.rounds.poses import SURFACE_DEPTH_SD_M, SURFACE_SD_M
-from cucumbervision.rounds.row_fruit import pooled_length
-from cucumbervision.rounds.row_views import Crowd, position_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

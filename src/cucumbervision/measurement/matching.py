@@ -1,0 +1,140 @@
+"""Whether two views show one fruit, by where they saw it, and the length that several views give.
+
+The similarity is the log likelihood ratio of multi-target tracking (Blackman & Popoli 1999, ch. 6):
+the density of the difference between two views of one fruit, against the density of other fruit at
+the second view. Densities have heavy tails, so that one outlier does not separate views that all
+other readings join.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+ALONG, UP, DEPTH = 0, 1, 2
+"""Columns of positions in a row: along it, upwards, and into it."""
+
+SURFACE_SD_M = 0.010
+"""Standard deviation of the middle of what is seen: a box's or a mask's."""
+
+SURFACE_DEPTH_SD_M = 0.020
+"""The same in depth: the surface lies a radius before the axis."""
+
+SHARED = 0.5
+"""Share of a view's variance that is of errors that all views of a fruit have in common."""
+
+_TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
+
+_UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """The other fruit that a view may be mistaken for.
+
+    Parameters
+    ----------
+    per_m : float
+        Views of a capture per metre of row.
+    up_m, depth_m : float
+        Width of the band in which they hang, upwards and into the row, metres.
+    length_width, diameter_width : float
+        Width of the logarithm of their lengths and diameters.
+    """
+
+    per_m: float
+    up_m: float
+    depth_m: float
+    length_width: float
+    diameter_width: float
+
+
+def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
+    """Return the log density of a gap under a normal distribution with heavy tails.
+
+    Parameters
+    ----------
+    gap, variance : array_like of float
+        The gap, and the variance of its core.
+
+    Examples
+    --------
+    >>> float(log_density(0.0, 1.0).round(3)), float(log_density(6.0, 1.0).round(2))
+    (-1.002, -5.55)
+    """
+    spread = np.asarray(variance, np.float64)
+    square = np.square(gap) / spread
+    core = (1 - _TAIL) * np.exp(-0.5 * square)
+    tail = _TAIL / _TAIL_FACTOR * np.exp(-0.5 * square / _TAIL_FACTOR**2)
+    return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
+
+
+def position_ratio(
+    gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd
+) -> NDArray[np.float64]:
+    """Return the log likelihood ratio of positions: of one fruit, against the crowd.
+
+    Parameters
+    ----------
+    gap_m, variance_m2 : ndarray of float64, shape (..., 3)
+        What separates two views, and its variance: along, up, into the row.
+    crowd : Crowd
+        The other fruit.
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+    """
+    density = log_density(gap_m, variance_m2).sum(axis=-1)
+    # A hidden end that no flag names moves the middle up or down, by centimetres.
+    up, variance = gap_m[..., UP], variance_m2[..., UP]
+    wide = variance + _UNSEEN_END_M**2
+    moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))
+    known = log_density(up, variance)
+    density += np.logaddexp(known, np.log(_UNSEEN_END) + moved) - known
+    return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)
+
+
+def pooled_length(
+    length_m: NDArray[np.float64], length_sd: NDArray[np.float64], partial: NDArray[np.bool_]
+) -> tuple[float, float] | None:
+    """Return the length that all whole views of a fruit give together, and its standard deviation.
+
+    Weighted by the inverse variance of the logarithm. Views of one camera share errors, so that
+    half of the variance does not become less however many there are; and where views differ by
+    more than they should (Birge's ratio above 1), the deviation is widened by that ratio.
+
+    Parameters
+    ----------
+    length_m, length_sd : ndarray of float64, shape (M,)
+        Lengths, NaN for none, and relative standard deviations.
+    partial : ndarray of bool, shape (M,)
+        Lower bounds, which are left out.
+
+    Returns
+    -------
+    tuple of float, or None
+        Length and standard deviation in metres; None without a whole view.
+
+    Examples
+    --------
+    >>> found = pooled_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
+    ...     np.array([False, False, True]))
+    >>> [round(x, 4) for x in found]
+    [0.305, 0.0061]
+    """
+    used = np.isfinite(length_m) & ~partial
+    if not used.any():
+        return None
+    logs, weight = np.log(length_m[used]), 1.0 / length_sd[used] ** 2
+    mean = float((weight * logs).sum() / weight.sum())
+    alone = float(1.0 / weight.mean())
+    variance = SHARED * alone + (1 - SHARED) / float(weight.sum())
+    if len(logs) > 1:
+        variance *= max(1.0, float((weight * (logs - mean) ** 2).sum()) / (len(logs) - 1))
+    return float(np.exp(mean)), float(np.exp(mean)) * float(np.sqrt(variance))

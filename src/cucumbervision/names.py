@@ -43,14 +43,29 @@ def checked_name(text: str, what: str = "name") -> str:
     cucumbervision.errors.NameRefusedError: the row '3?' contains U+202E, ...
     """
     name = text.strip()
-    bad = next((c for c in name if c in _TURNING or category(c) in _NO_LETTERS), None)
+    bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
-        shown = "".join("?" if c in _TURNING or category(c) in _NO_LETTERS else c for c in name)
+        shown = readable(name)[:_SHOWN]
         raise NameRefusedError(
-            f"the {what} '{shown[:_SHOWN]}' contains U+{ord(bad):04X}, which is no letter or sign",
+            f"the {what} '{shown}' contains U+{ord(bad):04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",
         )
     return name
+
+
+def readable(text: str) -> str:
+    r"""Return a text with a question mark in place of what no name may contain.
+
+    Examples
+    --------
+    >>> readable("a\u202eb"), readable("a\tb")
+    ('a?b', 'a?b')
+    """
+    return "".join("?" if _is_unreadable(c) else c for c in text)
+
+
+def _is_unreadable(character: str) -> bool:
+    return character in _TURNING or category(character) in _NO_LETTERS
 
 
 def house_key(house: str) -> str:

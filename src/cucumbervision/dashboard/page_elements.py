@@ -74,7 +74,7 @@ def draw_undo(round_key: str) -> None:
 def table(lines: list[dict[str, Any]]) -> None:
     """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
     said = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
-    st.table([{name: plain(line[name]) for name in said} for line in lines], hide_index=True)
+    st.table([{plain(name): plain(line[name]) for name in said} for line in lines], hide_index=True)
 
 
 def fruit_list(

@@ -71,7 +71,7 @@ def _begin() -> None:
     houses = resources.houses()
     known = [*houses, _NEW_HOUSE]
     if houses:
-        st.selectbox("House", known, format_func=plain, key="known_house")
+        st.selectbox("House", known, key="known_house")
     if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
         st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
+from cucumbervision.names import readable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,6 +27,13 @@ Option = TypeVar("Option")
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
 _LINE_STARTS = re.compile(r"(?m)^(\s*\d+)\.")
+# What becomes a link, an icon or another sign in spite of these, since it is looked for in the text
+# that is drawn: addresses, :names:, and arrows and the like between spaces.
+_FOUND_LATER = re.compile(
+    r"(?i)(https?(?=://)|www(?=\.)|@(?=[-\w])|:(?=[\w+/-]+:)"
+    r"|(?<!\S)(?:<(?=->(?!\S)|[-=](?!\S))|-(?=[->](?!\S))|[>~](?==(?!\S))))"
+)
+_JOINER = "\u2060"  # takes no room, and parts no word
 
 
 def plain(text: object) -> str:
@@ -33,10 +41,12 @@ def plain(text: object) -> str:
 
     Examples
     --------
-    >>> plain("row [3](http://x) *a*")
-    'row \\[3\\]\\(http\\://x\\) \\*a\\*'
+    >>> plain("row [3](x) *a*")
+    'row \\[3\\]\\(x\\) \\*a\\*'
+    >>> plain("http://x"), plain("a :tada:")
+    ('http\u2060\\://x', 'a \\:\u2060tada\\:')
     """
-    words = " ".join(str(text).split())
+    words = _FOUND_LATER.sub(rf"\1{_JOINER}", readable(" ".join(str(text).split())))
     return _LINE_STARTS.sub(r"\1\\.", _MARKS.sub(r"\\\1", words))
 
 

@@ -70,7 +70,11 @@ def _maps(one: RoundView, opened: FruitContext | None) -> None:
     colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
     rows = sorted({line["row"] for line in lines})
     chosen = where.pills(
-        "Rows and sides", rows, default=rows[:_ROWS_AT_ONCE], selection_mode="multi"
+        "Rows and sides",
+        rows,
+        default=rows[:_ROWS_AT_ONCE],
+        format_func=plain,
+        selection_mode="multi",
     )
     for report in resources.rows_of(one):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")

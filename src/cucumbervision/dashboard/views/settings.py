@@ -10,7 +10,7 @@ from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
-from cucumbervision.dashboard.words import plain
+from cucumbervision.dashboard.words import plain, told_apart
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 
@@ -43,11 +43,12 @@ def _crop() -> None:
     now = resources.settings()
     entries = {entry.name: entry for entry in profiles()}
     good = [name for name, entry in entries.items() if entry.profile is not None]
+    titles = told_apart({n: p.title if (p := entries[n].profile) else n for n in good})
     name = st.selectbox(
         "Crop profile of new rounds",
         good,
         index=good.index(now.profile) if now.profile in good else 0,
-        format_func=lambda n: p.title if (p := entries[n].profile) else n,
+        format_func=titles.__getitem__,
     )
     unit = st.segmented_control(
         "Lengths in",

@@ -117,7 +117,7 @@ def _ready(one: RoundView, today: Today) -> None:
             shown.append((kind.capitalize(), count))
     with st.container(horizontal=True):
         for label, value in shown:
-            st.metric(label, value, width="content")
+            st.metric(plain(label), value, width="content")
     lines = []
     for row, own in today.by_class().items():
         counts = {label: own.get(name) or "" for name, label in labels.items()}

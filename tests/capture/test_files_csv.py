@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import pytest
@@ -26,3 +27,39 @@ def test_formulas_are_defused(start: str) -> None:
 def test_plain_text_stays() -> None:
     assert defused("row-3 = left") == "row-3 = left"
     assert defused("") == ""
+
+
+EVIL = [
+    "x;=cmd|'/c calc'!A0",
+    'x;"=1+1"',
+    "x; +1",
+    "x\t=1",
+    "x\n@sum(1)",
+    "x\r\n-1",
+    ";;=1",
+    "x;\u3000\uff1d1",
+    "\"x\";''=1",
+    "=1;=2;=3",
+]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("name", EVIL)
+def test_no_spreadsheet_finds_a_formula_wherever_it_parts_the_cells(
+    tmp_path: Path, name: str, separator: str
+) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(path, ["row", "note"], [{"row": name, "note": name}])
+    text = path.read_text(encoding="utf-8-sig")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        cells = [cell for line in csv.reader(file, delimiter=separator) for cell in line]
+    if separator != ",":  # in the worst case: quotes keep nothing together
+        cells += re.split(rf"[{separator}\r\n]", text)
+    begun = [cell.lstrip(' \u3000"')[:1] for cell in cells]
+    assert not set(begun) & set("=+-@\uff1d")
+
+
+def test_a_semicolon_alone_stays_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(path, ["row"], [{"row": "north; 3 = left"}])
+    assert path.read_text(encoding="utf-8-sig").splitlines()[1] == "north; 3 = left"

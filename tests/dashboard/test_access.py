@@ -137,6 +137,14 @@ def test_the_link_sets_a_cookie_that_admits() -> None:
     assert ask(guard, "/_stcore/stream", kind="websocket", cookie=cookie)[0]
 
 
+@pytest.mark.parametrize("proto", ["", "http", "https", "https, http"])
+def test_behind_https_the_cookie_is_sent_by_no_other_way(proto: str) -> None:
+    told = {"x-forwarded-proto": proto} if proto else {}
+    _, sent = ask((Login.TOKEN, TOKEN), "/", query=f"token={TOKEN}", host="house", **told)
+    cookie = dict(sent[0]["headers"])[b"set-cookie"].decode()
+    assert ("Secure" in cookie) == proto.startswith("https")
+
+
 @pytest.mark.parametrize("path", ["/", "/_stcore/health", "/_stcore/upload_file/eve/1"])
 @pytest.mark.parametrize("cookie", ["", f"{COOKIE}=wrong", f"{COOKIE}=", "=;"])
 def test_without_the_token_nothing_is_answered(path: str, cookie: str) -> None:

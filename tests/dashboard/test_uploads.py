@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import errno
+import math
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from cucumbervision.dashboard.uploads import (
     Sending,
@@ -37,6 +40,22 @@ def test_a_file_goes_on_where_it_ended_after_a_reload_and_a_restart(tmp_path: Pa
     assert again.to_measure() == [FILES.key]
     named = {name: path.read_bytes() for name, path in again.files(FILES.key)}
     assert named == {"a.zip": b"abcdef", "b": b""}
+
+
+def test_what_cannot_be_announced_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for odd in (math.nan, math.inf):
+        with pytest.raises(ValidationError):
+            SentFile(name="a.zip", size=6, changed=odd)
+
+    def is_full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("cucumbervision.dashboard.uploads.replace_text", is_full)
+    with pytest.raises(OSError, match="No space"):
+        Uploads(tmp_path / "up").begin(FILES, 10)
+    assert list((tmp_path / "up").iterdir()) == []
 
 
 def test_what_is_too_large_is_refused_before_it_is_sent(tmp_path: Path) -> None:

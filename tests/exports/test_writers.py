@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.files import defused
 from cucumbervision.cli.app import app
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision.exports.writers import SHEETS, render_sheet, write_exports
@@ -364,6 +364,18 @@ def test_a_folder_that_cannot_be_written_is_named(tables: RoundTables, tmp_path:
     (tmp_path / "file").touch()
     with pytest.raises(CucumberVisionError, match="cannot be written"):
         write_exports(tables, tmp_path / "file", [ExportFormat.JSON])
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("one", [one for one in ExportFormat if one is not ExportFormat.XLSX])
+def test_a_full_disk_is_named_with_its_own_remedy(
+    tables: RoundTables, tmp_path: Path, one: ExportFormat
+) -> None:
+    names = [f"{name}.{kind}" for name in tables.tables for kind in ("csv", "parquet")]
+    for name in (*names, "round.xlsx", "round.json", "round.html"):
+        (tmp_path / name).symlink_to("/dev/full")
+    with pytest.raises(DiskFullError, match=r"cannot be written .*; free some space on the disk"):
+        write_exports(tables, tmp_path, [one])
 
 
 def test_the_command_writes_what_is_asked_for(store: Store, house: Path, tmp_path: Path) -> None:

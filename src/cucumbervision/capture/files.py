@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import os
+import re
 import stat
 from collections.abc import Mapping
 from contextlib import contextmanager, suppress
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 ModelT = TypeVar("ModelT")
 _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
+# Where a spreadsheet may part a cell of a CSV file, whatever the quotes say: Excel at semicolons
+# where commas are decimal, others at tabs and line ends; before the spaces and quotes of a formula.
+_INNER_FORMULA = re.compile(r"([;\t\r\n\v\f\x85\u2028\u2029])(?=[\s\"']*[=+\-@＝＋－＠])")
 
 
 _held: ContextVar[dict[str, bytes] | None] = ContextVar("held", default=None)
@@ -171,6 +175,8 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write a table as CSV; texts are defused, None leaves a cell empty.
 
+    So are the parts of a text at which Excel parts cells where commas are decimal.
+
     Parameters
     ----------
     path : Path
@@ -197,7 +203,19 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
     with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
-        writer.writerows([cell_value(row[name]) for name in columns] for row in rows)
+        writer.writerows([_csv_value(row[name]) for name in columns] for row in rows)
+
+
+def _csv_value(value: str | float | bool | None) -> str | int | float | None:
+    """Return what a cell of a CSV file holds: as `cell_value`, in every part of a text.
+
+    Examples
+    --------
+    >>> _csv_value("x;=1+1"), _csv_value("a; b"), _csv_value("=1; @2")
+    ("x;'=1+1", 'a; b', "'=1;' @2")
+    """
+    cell = cell_value(value)
+    return _INNER_FORMULA.sub(r"\1'", cell) if isinstance(cell, str) else cell
 
 
 def cell_value(value: str | float | bool | None) -> str | int | float | None:

@@ -181,6 +181,19 @@ def device_of(cookies: Mapping[str, str]) -> str:
 _viewers: dict[str, tuple[Callable[[], bool], str]] = {}
 
 
+def is_encrypted(request: HTTPConnection) -> bool:
+    """Tell whether a browser asks by https, also where a proxy before this server answers it.
+
+    Examples
+    --------
+    >>> scope = {"type": "http", "scheme": "http", "headers": [(b"x-forwarded-proto", b"https")]}
+    >>> is_encrypted(HTTPConnection(scope))
+    True
+    """
+    told = request.headers.get("x-forwarded-proto", "").split(",")[0].strip().lower()
+    return "https" in (request.scope.get("scheme"), told)
+
+
 def note_viewer(session: str, is_admitted: Callable[[], bool] | None, name: str = "") -> None:
     """Note who is behind a page, for what that page sends outside Streamlit's connection.
 
@@ -240,7 +253,8 @@ class AccessGuard:
             # The token goes into a cookie, and out of the address.
             place = f"/{scope['path'].lstrip('/')}" + (f"?{urlencode(query)}" if query else "")
             answer: Response = RedirectResponse(place, 303, _HEADERS)
-            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="lax")
+            safe = is_encrypted(request)
+            answer.set_cookie(COOKIE, self._token, secure=safe, httponly=True, samesite="lax")
             await answer(scope, receive, send)
         elif self._admits(request):
             await self._app(scope, receive, _with_headers(send, request))
@@ -300,7 +314,7 @@ def _with_headers(send: Callable[..., Any], request: HTTPConnection) -> Callable
                     DEVICE,
                     secrets.token_urlsafe(12),
                     max_age=_DEVICE_S,
-                    secure=request.url.scheme == "https",
+                    secure=is_encrypted(request),
                     httponly=True,
                     samesite="strict",
                 )

@@ -46,7 +46,7 @@ class SentFile(_Frozen):
 
     name: Name
     size: Annotated[int, Field(ge=0)]
-    changed: float = 0.0
+    changed: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
 
 class SentPlace(_Frozen):
@@ -174,8 +174,12 @@ class Uploads:
                         remedy="free some space on the disk",
                     )
                 shutil.rmtree(self.folder / sending.key, ignore_errors=True)
-                (self.folder / sending.key).mkdir()
-                self._write(Upload(sending=sending, begun_s=time.time()))
+                try:
+                    (self.folder / sending.key).mkdir()
+                    self._write(Upload(sending=sending, begun_s=time.time()))
+                except BaseException:
+                    shutil.rmtree(self.folder / sending.key, ignore_errors=True)
+                    raise
         return self.received(sending.key)
 
     def received(self, key: str) -> list[int]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.picking import PickKind, hours_words
 from cucumbervision.capture.files import write_csv, write_json
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import Table
 from cucumbervision.pipeline.tables import Workbook, write_parquet
@@ -56,7 +56,7 @@ def write_exports(
         ExportFormat.JSON: _write_json_round,
         ExportFormat.HTML: _write_sheet,
     }
-    try:
+    with wrap_os_errors("cannot be written", out, "choose another folder, and close its files"):
         out.mkdir(parents=True, exist_ok=True)
         for name, make in tables.pictures.items():
             (out / name).parent.mkdir(exist_ok=True)
@@ -64,12 +64,6 @@ def write_exports(
         return [
             path for one in ExportFormat if one in formats for path in writers[one](tables, out)
         ]
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror or error})",
-            source=out,
-            remedy="choose another folder, and close its files elsewhere",
-        ) from None
 
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:

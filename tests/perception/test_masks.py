@@ -270,8 +270,11 @@ def test_a_filled_box_is_told_from_a_fruit(turn_deg: float) -> None:
     assert is_box_mask(box > 0)
     turn = np.deg2rad(turn_deg)
     step = 55 * np.array([np.cos(turn), np.sin(turn)])
-    ends = [tuple((np.array([200, 160]) + sign * step).round().astype(int)) for sign in (-1, 1)]
-    fruit = cv2.line(np.zeros((320, 400), np.uint8), *ends, 1, 40)  # of round ends, 15 x 4 cm
+    first, second = (
+        (np.array([200, 160]) + sign * step).round().astype(int).tolist() for sign in (-1, 1)
+    )
+    fruit = np.zeros((320, 400), np.uint8)
+    cv2.line(fruit, first, second, 1, 40)  # with round ends, 15 times 4 cm
     assert not is_box_mask(fruit > 0)
 
 

@@ -33,8 +33,9 @@ def write_pair(
         depth_mm = 1000 * capture.depth_m
     write_png(folder / "color_1.png", capture.color)
     write_png(folder / "depth_1.png", np.rint(depth_mm).astype(np.uint16))
-    block = {"width": camera.width, "height": camera.height, "fx": camera.fx_px}
-    block |= {"fy": camera.fy_px, "cx": camera.cx_px, "cy": camera.cy_px, "stream": camera.stream}
+    block: dict[str, Any] = {"width": camera.width, "height": camera.height}
+    block |= {"fx": camera.fx_px, "fy": camera.fy_px, "cx": camera.cx_px, "cy": camera.cy_px}
+    block["stream"] = camera.stream
     (folder / "intrinsics.json").write_text(json.dumps(block | keys))
     return folder
 
@@ -47,6 +48,7 @@ def load(folder: Path, **options: Any) -> Capture:
 def length_m(read: Capture, drawn: Capture) -> float:
     """Return the length of the one fruit of a capture, by the mask that was drawn with it."""
     (fruit,) = measure(replace(read, masks=drawn.masks), instances="dataset").fruit
+    assert fruit.length is not None
     return float(fruit.length.value_m)
 
 
@@ -63,7 +65,7 @@ def test_distance_along_the_ray_becomes_depth_along_the_axis(door: str, tmp_path
     rays_mm = along_rays_mm(drawn)
     believed = load(write_pair(tmp_path / "believed", drawn, rays_mm))
     assert abs(length_m(believed, drawn) - CAPSULE.length_m) > 0.02 * CAPSULE.length_m
-    keys = {"depth_along": "ray"} if door == "key" else {}
+    keys: dict[str, Any] = {"depth_along": "ray"} if door == "key" else {}
     told = {"depth_along": DepthAlong.RAY} if door == "option" else {}
     read = load(write_pair(tmp_path / door, drawn, rays_mm, **keys), **told)
     np.testing.assert_allclose(read.depth_m, drawn.depth_m, atol=0.0006)

@@ -501,6 +501,19 @@ def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None
         assert walk(store, empty.key, "camera")["first"] == ""
 
 
+def test_why_nothing_is_measured_is_told_on_every_page(house: Path, tmp_path: Path) -> None:
+    lost = tmp_path / "lost.json"
+    resources.change_settings(calibration=str(lost))
+    capture = next(iter(open_source(example_captures()))).load()
+    place = Stop("1", "left", 50.0)
+    resources.waiting().put(replace(capture, stop=place), key_of("lost"), WALK, time.time())
+    assert app("today", round=WALK).exception == []
+    wait_for_jobs()
+    words = resources.news(WALK)["work"]["words"]
+    assert words.startswith("1 capture waits to be measured: ")
+    assert "lost.json" in words
+
+
 def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house: Path) -> None:
     hollow = Round(key_of("hollow"), "relative depth", "house 1")
     with open_store(house) as store:

@@ -59,7 +59,8 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     stops = resources.store().stops(home) if any(x.key == home for x in every) else []
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
-    aside, progress = resources.waiting().set_aside(), resources.progress(home)
+    aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
+    progress = resources.progress(home)
     return {
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in every],

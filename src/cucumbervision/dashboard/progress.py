@@ -33,6 +33,8 @@ class Progress:
         Captures that failed three times: they are kept, and not tried again.
     elsewhere : int
         Captures of other rounds that wait.
+    fault : str
+        Why nothing that waits can be measured; empty where it can.
     title, done, total : str, int
         Other work on the round, or on none, and its steps; a total of 0 where it is not known.
     """
@@ -43,6 +45,7 @@ class Progress:
     is_open: bool = False
     aside: int = 0
     elsewhere: int = 0
+    fault: str = ""
     title: str = ""
     done: int = 0
     total: int = 0
@@ -61,8 +64,13 @@ class Progress:
         'Measuring: 2 captures so far; checking 1 file'
         >>> Progress(title="Loading the networks").words, Progress(elsewhere=2).words
         ('Loading the networks …', 'Measuring 2 captures of other rounds')
+        >>> Progress(waiting=2, fault="lost.json: is not there").words
+        '2 captures wait to be measured: lost.json: is not there'
         """
         captures, total = "", self.waiting + self.measured
+        if self.waiting and self.fault:
+            waits = counted(self.waiting, "capture waits", "captures wait")
+            return f"{waits} to be measured: {self.fault}"
         if self.is_open:
             captures = f"Measuring: {counted(self.measured, 'capture', 'captures')} so far"
         elif self.waiting:
@@ -116,6 +124,7 @@ def progress_of(
     uploads: Sequence[Upload] = (),
     measured: Mapping[str, str] | None = None,
     jobs: Iterable[Job] = (),
+    fault: str = "",
 ) -> Progress:
     """Return the work on a round.
 
@@ -133,6 +142,8 @@ def progress_of(
         Captures of the queue that were measured since it was empty, by key, each with its round.
     jobs : iterable of Job
         Those that wait or run, in their order.
+    fault : str
+        Why the queue cannot be measured; empty where it can.
     """
     own = [one for one in uploads if one.sending.round == round_key]
     stops = measured or {}
@@ -146,6 +157,7 @@ def progress_of(
         is_open=any(one.is_open for one in own),
         aside=sum(one.round_key == round_key for one in aside),
         elsewhere=len(queued) - sum(queued) + sum(_left(one) for one in uploads if one not in own),
+        fault=fault,
         title=job.title if job else "",
         done=job.done if job else 0,
         total=job.total if job else 0,

@@ -342,7 +342,8 @@ def progress(round_key: str) -> Progress:
     measured = next((job.measured for job in _measuring() if not job.finished), None)
     there = [one for one in going_on if one is not None and not one.done]
     queue = waiting().captures(), waiting().set_aside()
-    return progress_of(round_key, *queue, there, measured, worker().unfinished())
+    jobs = worker().unfinished()
+    return progress_of(round_key, *queue, there, measured, jobs, measuring_fault())
 
 
 def _version(one: RoundView) -> tuple[object, ...]:

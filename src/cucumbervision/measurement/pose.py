@@ -272,6 +272,7 @@ def _turned(fit: TubeFit) -> TubeFit:
         ends_seen=(last, first),
         ends_covariance=fit.ends_covariance[::-1],
         ends_open=fit.ends_open[::-1],
+        looks=None if fit.looks is None else fit.looks[::-1],
     )
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
+    from cucumbervision.perception.end_look import EndLook
     from cucumbervision.perception.instances import Instance, MaskSource
 
 
@@ -107,6 +108,10 @@ class Flag(StrEnum):
     END_HIDDEN = "end-hidden"
     ENDS_DISAGREE = "ends-disagree"
     ENDS_UNSURE = "ends-unsure"
+    UPPER_END = "upper-end-doubtful"
+    LOWER_END = "lower-end-doubtful"
+    LEFT_END = "left-end-doubtful"
+    RIGHT_END = "right-end-doubtful"
     END_ON = "end-on"
     PART_HIDDEN = "part-hidden"
     POOR_FIT = "poor-fit"
@@ -129,6 +134,14 @@ class Flag(StrEnum):
     DEPTH_RESAMPLED = "depth-resampled"
     DOUBTFUL = "doubtful"
 
+
+DOUBTFUL_END = {
+    "upper": Flag.UPPER_END,
+    "lower": Flag.LOWER_END,
+    "left": Flag.LEFT_END,
+    "right": Flag.RIGHT_END,
+}
+"""Flags of an end that may go on out of sight, by where it is in the picture."""
 
 LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
 """Flags of a fruit that goes on out of sight: it is at least as long as was measured."""
@@ -154,6 +167,10 @@ _FLAG_WORDS = {
     Flag.BOX_CLIPPED: "cut by the picture's edge",
     Flag.END_HIDDEN: "an end is hidden",
     Flag.ENDS_DISAGREE: "its ends were found at two places",
+    **{
+        flag: f"the {place} end may go on behind what covers it"
+        for place, flag in DOUBTFUL_END.items()
+    },
     Flag.END_ON: "seen end on",
     Flag.PART_HIDDEN: "partly hidden",
     Flag.POOR_FIT: "its shape is not that of one fruit",
@@ -301,6 +318,8 @@ class TubeFit:
     whole : HiddenLength, optional
         The whole fruit's centreline, where one end is hidden by something in the picture;
         `traits` are those of what is seen.
+    looks : tuple of EndLook, optional
+        What the first and the last end look like, where a network looked at them.
     """
 
     traits: TubeTraits
@@ -316,6 +335,7 @@ class TubeFit:
     ends_open: tuple[float, float]
     flags: tuple[Flag, ...] = ()
     whole: HiddenLength | None = None
+    looks: tuple[EndLook, EndLook] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,111 @@
+"""What a look at both ends of a measured fruit adds to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from cucumbervision.measurement.result import DOUBTFUL_END, Flag, Method
+from cucumbervision.perception.end_look import EndCrop, EndLook, end_crop
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+
+LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
+"""Looks at many crops in one batch, as `EndLooker.look`."""
+
+DOUBTFUL = 0.3
+"""Probability from which an end that may go on out of sight is named."""
+
+
+def with_end_looks(
+    capture: Capture, fruit: Sequence[FruitMeasurement], look: LookAtEnds
+) -> list[FruitMeasurement]:
+    """Return the fruit of a capture with what their ends look like, seen in one batch.
+
+    A fruit whose end may go on out of sight is flagged with where that end is in the picture,
+    unless another flag says already that its length is a lower bound.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    fruit : sequence of FruitMeasurement
+        Those that M6 did not measure are returned as they are.
+    look : callable
+        What looks.
+    """
+    tubes = {k: tube for k, one in enumerate(fruit) if (tube := _tube(one)) is not None}
+    crops = [crop for k, tube in tubes.items() for crop in _crops(capture, fruit[k], tube)]
+    looks = look(crops)
+    pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
+    return [
+        _looked_at(capture, one, tubes[k], pairs[k]) if k in tubes else one
+        for k, one in enumerate(fruit)
+    ]
+
+
+def _tube(fruit: FruitMeasurement) -> Measurement | None:
+    tube = fruit.measurements.get(Method.M6)
+    return tube if tube is not None and tube.fit is not None and fruit.mask is not None else None
+
+
+def _crops(capture: Capture, fruit: FruitMeasurement, tube: Measurement) -> list[EndCrop]:
+    if tube.fit is None or fruit.mask is None:
+        return []
+    traits = tube.fit.traits
+    lines = traits.axis_m, traits.axis_m[::-1]
+    return [
+        end_crop(
+            capture.color,
+            capture.depth_m,
+            fruit.mask,
+            capture.intrinsics,
+            line,
+            traits.diameter_max_m,
+        )
+        for line in lines
+    ]
+
+
+def _looked_at(
+    capture: Capture,
+    fruit: FruitMeasurement,
+    tube: Measurement,
+    looks: tuple[EndLook, EndLook],
+) -> FruitMeasurement:
+    if tube.fit is None:
+        return fruit
+    seen = replace(tube, fit=replace(tube.fit, looks=looks))
+    selected = seen if fruit.selected is tube else fruit.selected
+    measurements = {**fruit.measurements, Method.M6: seen}
+    fruit = replace(fruit, measurements=measurements, selected=selected)
+    if fruit.at_least or selected is not seen:
+        return fruit
+    ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])
+    doubtful = [
+        end_flag(ends_px[k] - ends_px[1 - k])
+        for k, one in enumerate(looks)
+        if one.covered >= DOUBTFUL
+    ]
+    return fruit.flagged(*doubtful)
+
+
+def end_flag(outward_px: NDArray[np.float64]) -> Flag:
+    """Return the flag of a doubtful end by the direction in the picture out of the fruit there.
+
+    Examples
+    --------
+    >>> [str(end_flag(np.array(out))) for out in ([5.0, 40.0], [-30.0, 2.0])]
+    ['lower-end-doubtful', 'left-end-doubtful']
+    """
+    across, down = outward_px.tolist()
+    if abs(down) >= abs(across):
+        return DOUBTFUL_END["lower" if down > 0 else "upper"]
+    return DOUBTFUL_END["right" if across > 0 else "left"]

@@ -1,0 +1,356 @@
+"""Fruit of drawn scenes as M6 measures them, with where their true ends are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+from scipy.spatial import cKDTree
+
+from cucumbervision.capture.pictures import read_color
+from cucumbervision.errors import DataSetError, wrap_reader_errors
+from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.measurement.intervals import mask_features, tube_features
+from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.boxes import box_ious
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.mask_codes import Rle
+from cucumbervision.perception.masks import mask_pixels
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_lab.detection.pictures import capture_of
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+
+AXIS_POINTS = 33
+_FOUND_IOU = 0.5
+_LEAST_SEEN = 12  # pixels of the visible mask
+_FINE = 201  # points of a true axis that mask pixels are assigned to
+_EDGE_SHARE = 0.002  # of the mask's pixels, beyond either end: specks
+_LEAST_SPAN = 0.05  # of the axis
+_END_SD, _GIRTH_SD = 0.25, 0.06  # errors: of an end, in radii; of the girth, relative
+
+
+@dataclass(frozen=True)
+class EndTruth:
+    """What is true of one end of a measured axis.
+
+    Parameters
+    ----------
+    missing_m : float
+        How far the true end lies beyond the measured one along the true axis, metres; negative
+        where the measured one lies beyond the fruit.
+    is_stem : bool
+        Whether it is the stem end.
+    in_sight : bool
+        Whether the true end is visible in the picture.
+    """
+
+    missing_m: float
+    is_stem: bool
+    in_sight: bool
+
+
+@dataclass(frozen=True)
+class MeasuredFruit:
+    """One fruit of a drawn picture, measured by M6.
+
+    Parameters
+    ----------
+    picture, scene : str
+        The picture's file, and its scene.
+    given : bool
+        Whether the mask is the label's; otherwise the networks drew it.
+    mask : Rle
+        The mask that was measured.
+    axis_m : tuple of tuple of float
+        `AXIS_POINTS` points of the fitted axis, camera coordinates, metres.
+    diameter_m : float
+        Largest diameter, metres.
+    lengths_m, true_m : tuple of float
+        Centreline, thread and chord as measured, and true.
+    ends : tuple of EndTruth
+        Of the first and the last point of the axis.
+    hidden_share : float
+        Occluded share of the fruit, 0 to 1.
+    cut : bool
+        Whether the fruit goes on beyond the picture.
+    flags : tuple of str
+        The measurement's.
+    features : dict of str to float
+        Of the interval model.
+    """
+
+    picture: str
+    scene: str
+    given: bool
+    mask: Rle
+    axis_m: tuple[tuple[float, ...], ...]
+    diameter_m: float
+    lengths_m: tuple[float, float, float]
+    true_m: tuple[float, float, float]
+    ends: tuple[EndTruth, EndTruth]
+    hidden_share: float
+    cut: bool
+    flags: tuple[str, ...] = ()
+    features: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def relative_missing(self) -> tuple[float, float]:
+        """How much of the true length is missing at either end; negative for too much."""
+        first, last = (end.missing_m / self.true_m[0] for end in self.ends)
+        return first, last
+
+
+def end_truths(
+    axis_m: NDArray[np.float64], true_m: NDArray[np.float64], in_sight: tuple[bool, bool]
+) -> tuple[EndTruth, EndTruth]:
+    """Return what is true of both ends of a measured axis.
+
+    Parameters
+    ----------
+    axis_m : ndarray of float64, shape (K, 3)
+        The measured axis.
+    true_m : ndarray of float64, shape (T, 3)
+        The true axis from the blossom end to the stem end.
+    in_sight : tuple of bool
+        Whether the true blossom end and the true stem end can be seen.
+
+    Examples
+    --------
+    A fruit of 20 cm, measured from its stem end to 3 cm before the blossom end, 1 cm too far there:
+
+    >>> true = np.stack([np.linspace(0, 0.2, 41), np.zeros(41), np.full(41, 0.5)], axis=1)
+    >>> axis = np.stack([np.linspace(0.21, 0.03, 9), np.zeros(9), np.full(9, 0.51)], axis=1)
+    >>> [(round(end.missing_m, 3), end.is_stem) for end in end_truths(axis, true, (False, True))]
+    [(-0.01, True), (0.03, False)]
+    """
+    run = arc_positions(true_m)
+    places = [_place_along(true_m, run, tip) for tip in (axis_m[0], axis_m[-1])]
+    stem_first = places[0] > places[1]
+    beyond = float(run[-1])
+    truths = []
+    for place, is_stem in zip(places, (stem_first, not stem_first), strict=True):
+        missing = beyond - place if is_stem else place
+        truths.append(EndTruth(round(missing, 5), is_stem, in_sight[int(is_stem)]))
+    return truths[0], truths[1]
+
+
+def _place_along(
+    line_m: NDArray[np.float64], run: NDArray[np.float64], point: NDArray[np.float64]
+) -> float:
+    """Return how far along a line, prolonged straight at its ends, a point lies."""
+    nearest = int(np.linalg.norm(line_m - point, axis=1).argmin())
+    before, after = max(nearest - 1, 0), min(nearest + 1, len(line_m) - 1)
+    ahead = line_m[after] - line_m[before]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    return float(run[nearest] + (point - line_m[nearest]) @ ahead)
+
+
+def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[MeasuredFruit]:
+    """Return the fruit of a drawn picture as far as their labels' masks show them, unmeasured.
+
+    Cut from the labels, which costs a hundredth of measuring; ends and girth err at random about as
+    M6's do.
+
+    Parameters
+    ----------
+    picture : LabelledPicture
+        With camera, and the fruit's true axes.
+    rng : Generator
+        Of the errors.
+    """
+    camera, found = picture.camera, []
+    for label in picture.labels:
+        mask = label.mask
+        if camera is None or label.ignore or mask is None or "axis_m" not in label.extras:
+            continue
+        if np.count_nonzero(mask) < _LEAST_SEEN:
+            continue
+        true = np.array(label.extras["axis_m"])
+        line = points_along(true, np.linspace(0, 1, _FINE))
+        seen = cKDTree(camera.project(line)).query(mask_pixels(mask))[1]
+        shares = np.quantile(seen, (_EDGE_SHARE, 1 - _EDGE_SHARE)) / (_FINE - 1)
+        if shares[1] - shares[0] < _LEAST_SPAN:
+            continue
+        axis = points_along(true, np.linspace(*shares, AXIS_POINTS))
+        radius = float(max(label.extras["radius_m"]))
+        for tip, inner in ((0, 1), (-1, -2)):
+            out = axis[tip] - axis[inner]
+            axis[tip] = axis[tip] + out / np.linalg.norm(out) * rng.normal(0, _END_SD) * radius
+        found.append(
+            _measured_fruit(
+                picture, label, mask, axis, 2 * radius * np.exp(rng.normal(0, _GIRTH_SD))
+            )
+        )
+    return found
+
+
+def measure_drawn(
+    picture: LabelledPicture, data: DataSet, *, given: bool = True
+) -> list[MeasuredFruit]:
+    """Measure the fruit of a drawn picture on the networks' masks and on the labels'.
+
+    Parameters
+    ----------
+    picture : LabelledPicture
+        With depth, camera, and the fruit's true axes.
+    data : DataSet
+        Its set.
+    given : bool
+        Whether to measure on the labels' masks too.
+    """
+    capture = capture_of(picture, data, read_color(data.path(picture)))
+    labels = [x for x in picture.labels if "axis_m" in x.extras and x.mask_code is not None]
+    if capture is None or not labels:
+        return []
+    found = _measurer().measure(capture).fruit
+    records = [
+        record
+        for fruit, label in _matched(found, labels)
+        if (record := _record(fruit, label, picture, given=False)) is not None
+    ]
+    for label in labels if given else ():
+        if not label.ignore and (fruit := _measured_given(capture, label)) is not None:
+            record = _record(fruit, label, picture, given=True)
+            records += [] if record is None else [record]
+    return records
+
+
+@lru_cache(maxsize=1)
+def _measurer() -> Measurer:
+    return Measurer(MeasureOptions(instances="models", methods=(Method.M6,)))
+
+
+def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
+    mask = label.mask
+    if mask is None or np.count_nonzero(mask) < _LEAST_SEEN:
+        return None
+    instance = Instance(label.box, mask=mask, mask_source=MaskSource.DATASET)
+    return measure_fruit(capture, instance, (Method.M6,))
+
+
+def _matched(
+    found: tuple[FruitMeasurement, ...], labels: list[Label]
+) -> Iterator[tuple[FruitMeasurement, Label]]:
+    ious = box_ious(
+        np.array([fruit.instance.box for fruit in found]).reshape(-1, 4),
+        np.array([label.box for label in labels]),
+    )
+    for k, fruit in enumerate(found):
+        best = int(ious[k].argmax())
+        if ious[k, best] > _FOUND_IOU and k == int(ious[:, best].argmax()):
+            yield fruit, labels[best]
+
+
+def _record(
+    fruit: FruitMeasurement, label: Label, picture: LabelledPicture, *, given: bool
+) -> MeasuredFruit | None:
+    m6 = fruit.measurements.get(Method.M6)
+    if m6 is None or m6.fit is None or m6.tube is None or fruit.mask is None:
+        return None
+    features = {
+        **tube_features(m6),
+        **mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
+    }
+    traits, tube = m6.fit.traits, m6.tube
+    measured = _measured_fruit(picture, label, fruit.mask, traits.axis_m, traits.diameter_max_m)
+    return replace(
+        measured,
+        given=given,
+        lengths_m=(tube.centreline_m, tube.thread_m, tube.chord_m),
+        flags=tuple(map(str, fruit.flags)),
+        features={name: round(value, 5) for name, value in features.items()},
+    )
+
+
+def _measured_fruit(
+    picture: LabelledPicture,
+    label: Label,
+    mask: NDArray[np.bool_],
+    axis_m: NDArray[np.float64],
+    diameter_m: float,
+) -> MeasuredFruit:
+    extras, points = label.extras, label.keypoints
+    sight = (False, False) if points is None else (points[0, 2] == 2, points[-1, 2] == 2)
+    even = points_along(axis_m, np.linspace(0, 1, AXIS_POINTS)).round(5)
+    length_m = float(arc_positions(axis_m)[-1])
+    return MeasuredFruit(
+        picture.file,
+        picture.scene or picture.file,
+        given=True,
+        mask=Rle.of(mask),
+        axis_m=tuple(tuple(point) for point in even.tolist()),
+        diameter_m=float(diameter_m),
+        lengths_m=(length_m, length_m, length_m),
+        true_m=(extras["centreline_m"], extras["thread_m"], extras["chord_m"]),
+        ends=end_truths(axis_m, np.array(extras["axis_m"]), (bool(sight[0]), bool(sight[1]))),
+        hidden_share=float(label.hidden_share or 0.0),
+        cut=label.cut_off,
+    )
+
+
+def is_held_out(scene: str) -> bool:
+    """Return whether a scene is not trained on: ends are judged and intervals learnt on these."""
+    return crc32(scene.encode()) % 2 == 0
+
+
+def write_measured(data: DataSet, keep: Path, part: int = 0, parts: int = 1) -> None:
+    """Measure every picture of a drawn set that the file does not hold yet.
+
+    Those of held-out scenes come first, on the networks' masks alone; after every fourth of them
+    one to train on, on the labels' masks too.
+
+    Parameters
+    ----------
+    data : DataSet
+        A set by `cucumbervision synth` with depth.
+    keep : Path
+        The file: one line of JSON a picture.
+    part, parts : int
+        Which pictures: those whose number has the remainder `part` when divided by `parts`.
+    """
+    done = {picture for picture, _ in _lines([keep])} if keep.exists() else set()
+    pictures = [one for one in data.pictures[part::parts] if one.file not in done]
+    held = [is_held_out(one.scene or one.file) for one in pictures]
+    turn = [sum(h == own for h in held[:k]) * (1 if own else 4) for k, own in enumerate(held)]
+    for k in np.argsort(turn, kind="stable"):
+        fruit = measure_drawn(pictures[k], data, given=not held[k])
+        line = {"picture": pictures[k].file, "fruit": [asdict(one) for one in fruit]}
+        with keep.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(line) + "\n")
+
+
+def read_measured(files: Iterable[Path]) -> list[MeasuredFruit]:
+    """Read fruit that `write_measured` wrote; a last line that was cut short is left out.
+
+    Raises
+    ------
+    DataSetError
+        If a file cannot be read.
+    """
+    adapter = TypeAdapter(list[MeasuredFruit])
+    return [
+        fruit for _, content in _lines(files) for fruit in adapter.validate_python(content["fruit"])
+    ]
+
+
+def _lines(files: Iterable[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for file in files:
+        with wrap_reader_errors(file, DataSetError, "measure the set again"):
+            for line in file.read_text(encoding="utf-8").splitlines():
+                if line.endswith("}"):
+                    content = json.loads(line)
+                    yield content["picture"], content

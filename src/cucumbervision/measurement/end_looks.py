@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.measurement.result import DOUBTFUL_END, Flag, Method
+from cucumbervision.measurement.result import DOUBTFUL_END, Flag, LengthDefinition, Method
+from cucumbervision.measurement.selector import with_length
 from cucumbervision.perception.end_look import EndCrop, EndLook, end_crop
+from cucumbervision.perception.instances import MaskSource
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
 
 LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
@@ -23,37 +27,53 @@ LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
 DOUBTFUL = 0.3
 """Probability from which an end that may go on out of sight is named."""
 
+_DRAWN = (MaskSource.DETECTOR, MaskSource.SAM)
+
 
 def with_end_looks(
-    capture: Capture, fruit: Sequence[FruitMeasurement], look: LookAtEnds
+    capture: Capture,
+    fruit: Sequence[FruitMeasurement],
+    look: LookAtEnds,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
+    *,
+    scale_known: bool = False,
+    models: IntervalModels | None = None,
 ) -> list[FruitMeasurement]:
     """Return the fruit of a capture with what their ends look like, seen in one batch.
 
-    A fruit whose end may go on out of sight is flagged with where that end is in the picture,
-    unless another flag says already that its length is a lower bound.
+    Their intervals are computed again. A fruit whose end may go on out of sight is flagged with
+    where that end is in the picture, unless another flag says already that its length is a lower
+    bound.
 
     Parameters
     ----------
     capture : Capture
         The frame.
     fruit : sequence of FruitMeasurement
-        Those that M6 did not measure are returned as they are.
+        Those that M6 did not measure, or whose masks no network drew, are returned as they are.
     look : callable
         What looks.
+    definition : LengthDefinition
+        Which length, as for `measure_fruit`.
+    scale_known : bool
+        Whether the camera's depth scale is known, likewise.
+    models : IntervalModels, optional
+        The package's own if not given.
     """
     tubes = {k: tube for k, one in enumerate(fruit) if (tube := _tube(one)) is not None}
     crops = [crop for k, tube in tubes.items() for crop in _crops(capture, fruit[k], tube)]
     looks = look(crops)
     pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
+    again = partial(with_length, definition=definition, scale_known=scale_known, models=models)
     return [
-        _looked_at(capture, one, tubes[k], pairs[k]) if k in tubes else one
+        again(_looked_at(capture, one, tubes[k], pairs[k])) if k in tubes else one
         for k, one in enumerate(fruit)
     ]
 
 
 def _tube(fruit: FruitMeasurement) -> Measurement | None:
-    tube = fruit.measurements.get(Method.M6)
-    return tube if tube is not None and tube.fit is not None and fruit.mask is not None else None
+    tube, drawn = fruit.measurements.get(Method.M6), fruit.mask_source in _DRAWN
+    return tube if tube is not None and tube.fit is not None and drawn else None
 
 
 def _crops(capture: Capture, fruit: FruitMeasurement, tube: Measurement) -> list[EndCrop]:
@@ -85,7 +105,8 @@ def _looked_at(
     seen = replace(tube, fit=replace(tube.fit, looks=looks))
     selected = seen if fruit.selected is tube else fruit.selected
     measurements = {**fruit.measurements, Method.M6: seen}
-    fruit = replace(fruit, measurements=measurements, selected=selected)
+    flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
+    fruit = replace(fruit, measurements=measurements, selected=selected, flags=flags)
     if fruit.at_least or selected is not seen:
         return fruit
     ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])

@@ -28,10 +28,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cucumbervision.measurement.result import Measurement
+    from cucumbervision.perception.end_look import EndLook
 
 _LEAST_DOUBT = 0.01  # of a confidence: above 0.99 detectors do not discriminate
 PERCEIVED = " perceived"
 """Behind the keys of models for the masks that networks draw."""
+LOOKED = " looked"
+"""Behind these, of models for fruit at whose ends a network looked."""
 
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
 
@@ -150,6 +153,7 @@ def _normal_quantile(level: float) -> float:
 
 
 _STEEP_DEG = 35.0
+_LEAST_MEASURED = 0.1  # share of a fruit's length, by the look at its ends
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:
@@ -190,6 +194,32 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         "flare": float(np.log(widest / np.median(fit.traits.diameter_m))),
         "girth": DRAWN_KINDS.beyond(tube.centreline_m, widest),
         **raw_features(tube.centreline_m, distance, fit.fill),
+        **({} if fit.looks is None else look_features(fit.looks)),
+    }
+
+
+def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
+    """Return the features of what both ends of a fruit look like.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.end_look import EndLook
+    >>> true = EndLook(0.98, 0.01, 0.01, (-0.01, -0.005, 0.0, 0.005, 0.02), 0.9)
+    >>> covered = EndLook(0.1, 0.9, 0.0, (0.0, 0.1, 0.2, 0.3, 0.5), 0.1)
+    >>> features = look_features((true, covered))
+    >>> features["covered"], round(features["log_missing"], 2), round(features["log_above"], 2)
+    (0.9, 0.22, -0.42)
+    """
+    low, median, high = (sum(look.missing[k] for look in looks) for k in (0, 2, -1))
+    # The true length is the measured one divided by the share of it that was measured.
+    steps = -np.log(np.clip(1.0 - np.array([low, median, high]), _LEAST_MEASURED, None))
+    return {
+        "looked": 1.0,
+        "covered": max(look.covered for look in looks),
+        "running_on": max(look.running_on for look in looks),
+        "log_missing": float(steps[1]),
+        "log_above": float(np.log(max(steps[2] - steps[1], FLOOR))),
+        "log_below": float(np.log(max(steps[1] - steps[0], FLOOR))),
     }
 
 
@@ -268,7 +298,8 @@ class IntervalModels:
         The level of every interval.
     models : dict of str to IntervalModel
         Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord': on masks that were
-        given. The same with ' perceived' behind them: on what networks draw, which errs otherwise.
+        given. The same with ' perceived' behind them: on what networks draw, which errs otherwise;
+        and with ' perceived looked' for fruit at whose ends a network looked.
     fruit : int
         Simulated fruit behind them.
     """
@@ -293,8 +324,9 @@ class IntervalModels:
         more_sd : float
             As in `IntervalModel.interval`.
         """
-        perceived = self.models.get(key + PERCEIVED) if features.get("perceived") else None
-        model = perceived or self.models.get(key)
+        perceived = key + PERCEIVED if features.get("perceived") else key
+        looked = self.models.get(perceived + LOOKED) if features.get("looked") else None
+        model = looked or self.models.get(perceived) or self.models.get(key)
         if model is None:
             return None
         return model.interval(length_m, features, more_sd)

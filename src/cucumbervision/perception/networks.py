@@ -14,6 +14,7 @@ from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
+from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, merge_instances, with_keypoints
@@ -326,11 +327,28 @@ class NetworkLoader:
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, Segmenter] = {}
         self._begun: dict[str | None, Future[Segmenter]] = {}
+        self._looker: EndLooker | None = None
 
     @property
     def ends(self) -> EndClassifier | None:
         """The classifier of stem ends, which the loaded pose network holds; None without one."""
         return None if self._with_ends is None else self._with_ends.ends
+
+    @property
+    def end_looker(self) -> EndLooker | None:
+        """The registry's network that looks at ends, loaded on first use; None without one.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If its file is missing, damaged, or another kind of network.
+        """
+        own = self.registry.default("look")
+        if self._looker is None and own is not None:
+            path = self.verify(own.name)["network"]
+            self._looker = EndLooker(path, self._runtime)
+            self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], self._looker)
+        return self._looker
 
     def verify(self, name: str) -> dict[str, Path]:
         """Return the files of a registered network by role; each is hashed once.

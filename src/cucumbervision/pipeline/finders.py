@@ -114,10 +114,11 @@ class Finder:
         tasks = {"pose", "ends"} if Stage.POSED in stages else set()
         tasks |= _FINDING if Stage.DETECTED in stages else set()
         drawn = Stage.DRAWN in stages
+        tasks |= {"look"} if drawn or Stage.DETECTED in stages else set()
         return tuple(
             one
             for one in self.networks.models
-            if one["task"] in tasks or (drawn and one["task"] not in _FINDING)
+            if one["task"] in tasks or (drawn and one["task"] not in _FINDING | {"look"})
         )
 
 

@@ -20,6 +20,7 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.geometry.threads import OneThread
+from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import (
     Choice,
@@ -351,12 +352,13 @@ class Measurer:
             Which of the fruit, from 0; the others get no measurement. All if not given.
         """
         capture, found = detected.capture, detected.found
-        fruit = [
-            self.measure_instance(capture, one, tube)
+        measured = [
+            self._measured(capture, one, tube)
             if chosen is None or k in chosen
             else FruitMeasurement(one, {}, None, Choice.WAITING)
             for k, (one, tube) in enumerate(zip_longest(found.instances, found.tubes))
         ]
+        fruit = self._judged(capture, measured)
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
@@ -371,28 +373,51 @@ class Measurer:
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
     ) -> FruitMeasurement:
         """Measure one fruit of a capture whose depth is scaled already; `tube` as `Found.tubes`."""
+        return self._judged(capture, [self._measured(capture, instance, tube)])[0]
+
+    def _measured(
+        self, capture: Capture, instance: Instance, tube: Measurement | None
+    ) -> FruitMeasurement:
         options = self.options
         judge = None
         # A pose network that orders its own points is not asked again.
         if self._finder is not None and instance.end_confidence is not None:
             judge = self._finder.networks.ends
-        fruit = measure_fruit(
+        return measure_fruit(
             capture,
             instance,
             options.methods,
             options.selector,
             options.length,
-            scale_known=self.site is not None and self.site.depth_scale is not None,
+            scale_known=self._scale_known,
             cut_beyond_m=options.cut_beyond_m,
             ends=None if judge is None else judge.log_odds,
             tube=tube,
         )
+
+    def _judged(self, capture: Capture, measured: list[FruitMeasurement]) -> list[FruitMeasurement]:
+        """Return measured fruit of a capture with what their ends look like, all in one batch.
+
+        They are calibrated, and those of sizes that cannot be get no length.
+        """
+        options, looker = self.options, None
+        if options.end_look and self._finder is not None:
+            looker = self._finder.networks.end_looker
+        if looker is not None:
+            measured = with_end_looks(
+                capture, measured, looker.look, options.length, scale_known=self._scale_known
+            )
         if self.site is not None:
-            fruit = calibrated_fruit(fruit, self.site, options.length)
-        fruit = fruit.flagged(*(Flag(doubt) for doubt in capture.doubts))
-        return accepted_fruit(
-            fruit, options.accepted_m, options.accepted_diameter_m, capture.intrinsics
-        )
+            measured = [calibrated_fruit(one, self.site, options.length) for one in measured]
+        doubts = [Flag(doubt) for doubt in capture.doubts]
+        sizes = options.accepted_m, options.accepted_diameter_m
+        return [
+            accepted_fruit(one.flagged(*doubts), *sizes, capture.intrinsics) for one in measured
+        ]
+
+    @property
+    def _scale_known(self) -> bool:
+        return self.site is not None and self.site.depth_scale is not None
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; errors are returned in the result."""

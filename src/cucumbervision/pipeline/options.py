@@ -57,6 +57,9 @@ class MeasureOptions:
     keypoints : bool
         Whether the package's own pose network looks for the keypoints of M4 where the package's own
         detector finds the fruit.
+    end_look : bool
+        Whether a network looks at both ends of each fruit whose mask a network drew; intervals
+        then depend on what it says.
     segmenter : str, optional
         A segmenter's name or the path of a checkpoint of SAM 2, which draws all masks, or 'none'.
         With None the default one draws what has no mask and what the detector's mask fits badly
@@ -100,6 +103,7 @@ class MeasureOptions:
     classes: tuple[str, ...] = ()
     pose: Path | None = None
     keypoints: bool = True
+    end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
     methods: tuple[Method, ...] = AVAILABLE

@@ -115,7 +115,7 @@ class StageHashes:
 
     def _of_stage(self, stage: Stage) -> Any:
         options = self._options
-        computing = [options.runtime, options.full_precision]
+        computing = [options.runtime, options.full_precision, self._look()]
         if stage is Stage.DETECTED:
             seeing = [options.confidence, list(options.input_sizes)]
             return [self._detectors(), seeing, computing]
@@ -138,6 +138,9 @@ class StageHashes:
         posing = None if own or not options.keypoints else self._named("pose")
         posing = _path_sha256(options.pose) if options.pose else posing
         return [detector, posing, self._named("ends")]
+
+    def _look(self) -> Any:
+        return self._named("look") if self._options.end_look else None
 
     def _named(self, task: str) -> Any:
         model = self._registry.default(task)

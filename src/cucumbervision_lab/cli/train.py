@@ -294,6 +294,60 @@ def crops(
 
 
 @app.command()
+def look(
+    sets: Annotated[
+        list[Path], typer.Argument(help="Drawn sets with depth (`synth`).", metavar="SET...")
+    ],
+    out: Folder,
+    init: First,
+    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-look",
+    epochs: Epochs = 8,
+    seed: Seed = 0,
+    threads: Threads = 0,
+    credit: Credit = None,
+) -> None:
+    """Train the network that looks at each end of a fruit, and write it with its card.
+
+    Each set's fruit are measured first, those of held-out scenes on the networks' masks; what was
+    measured and the training so far stay in the folder, and the same command goes on from there.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.end_look import (
+        EndCrops,
+        LookOptions,
+        collect_set,
+        train_look,
+        write_look_card,
+    )
+
+    out.mkdir(parents=True, exist_ok=True)
+    parts = []
+    for number, folder in enumerate(sets):
+        opened = open_dataset(folder)
+        with ticking("measuring ends", len(opened.pictures)) as tick:
+            parts.append(collect_set(opened, out / f"ends-{number}.jsonl", seed, tick))
+    with ticking("training", epochs) as tick:
+        options = LookOptions(
+            epochs,
+            seed,
+            threads,
+            keep=out / f"{name}-training.pt",
+            progress=lambda *_: tick(1),
+        )
+        result = train_look(EndCrops.joined(parts), init, out / f"{name}.onnx", options)
+    write_look_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
+    table = Table("ends of validation scenes", str(result.val_count), title=str(result.network))
+    table.add_row("covered or not: area under the curve", f"{result.covered_auc:.3f}")
+    table.add_row("within the outer quantiles", f"{100 * result.quantiles_hold:.1f} %")
+    table.add_row("stem and blossom end", f"{100 * result.stem_right:.1f} %")
+    Console(highlight=False).print(table)
+
+
+@app.command()
 def average(
     first: Annotated[Path, typer.Argument(help="Checkpoint (.pt).", metavar="FIRST")],
     second: Annotated[

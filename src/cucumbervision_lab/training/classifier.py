@@ -164,6 +164,29 @@ def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: s
     task : str
         Task to note in the file: 'ends' or 'crops'.
     """
+    import torch
+
+    export_network(network, out, {"pictures": torch.zeros(2, 3, *size_px)}, "logits", task)
+
+
+def export_network(
+    network: Any, out: Path, inputs: Mapping[str, Any], output: str, task: str
+) -> None:
+    """Export a network to ONNX, for any number of each input, with weights in half precision.
+
+    Parameters
+    ----------
+    network : torch.nn.Module
+        The network.
+    out : Path
+        The file to write.
+    inputs : mapping of str to torch.Tensor
+        Name and an example of each input, in the network's order.
+    output : str
+        Name of the output.
+    task : str
+        Task to note in the file.
+    """
     import onnx
     import torch
 
@@ -172,11 +195,11 @@ def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: s
         warnings.simplefilter("ignore")
         torch.onnx.export(
             network,
-            (torch.zeros(2, 3, *size_px),),
+            tuple(inputs.values()),
             str(out),
-            input_names=["pictures"],
-            output_names=["logits"],
-            dynamic_axes={"pictures": {0: "count"}, "logits": {0: "count"}},
+            input_names=list(inputs),
+            output_names=[output],
+            dynamic_axes={name: {0: "count"} for name in (*inputs, output)},
             opset_version=17,
             dynamo=False,
         )
@@ -207,7 +230,7 @@ def classifier_card(
     name : str
         Name of the network.
     task : str
-        'ends' or 'crops', as the command that trains it.
+        'ends', 'crops' or 'look', as the command that trains it.
     init : Path
         The checkpoint it began with.
     epochs, seed : int

@@ -27,8 +27,19 @@ from cucumbervision.perception.end_look import (
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.classifier import CHANNELS, first_layers
-from cucumbervision_lab.training.measured_ends import is_held_out
+from cucumbervision_lab.training.classifier import (
+    CHANNELS,
+    classifier_card,
+    export_network,
+    first_layers,
+)
+from cucumbervision_lab.training.measured_ends import (
+    is_held_out,
+    labelled_fruit,
+    read_measured,
+    write_measured,
+)
+from cucumbervision_lab.training.publish import ModelCard
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -44,6 +55,10 @@ _RATE, _WEIGHT_DECAY = 2e-3, 0.02
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
 _NO_DEPTH, _HOLES = 0.2, 0.3  # shares of the crops of a batch that lose their depth, or parts of it
+_LIMITS = (
+    "Trained on drawn fruit only, at the ends of M6 and of labels.",
+    "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
+)
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels
 
 
@@ -87,6 +102,17 @@ class EndCrops:
         by_length = np.where(self.missing > MISSING, 1, np.where(self.missing < -MISSING, 2, 0))
         by_eye = np.where(np.isnan(self.covered), -1, np.where(self.covered > 0.5, 1, 0))
         return np.where(np.isnan(self.missing), by_eye, by_length).astype(np.int64)
+
+    @classmethod
+    def joined(cls, parts: Sequence[EndCrops]) -> EndCrops:
+        """Return the crops of several sets as one; fruit are numbered on."""
+        first = np.cumsum([0, *(int(part.fruit.max(initial=-1)) + 1 for part in parts)])
+        fruit = [part.fruit + k for part, k in zip(parts, first, strict=False)]
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in cls.__dataclass_fields__
+        }
+        return cls(**(columns | {"fruit": np.concatenate(fruit)}))
 
     def only(self, chosen: NDArray[Any]) -> EndCrops:
         """Return some of the crops."""
@@ -162,6 +188,36 @@ def collect_end_crops(
         np.array(moved),
         np.array(held),
     )
+
+
+def collect_set(
+    data: DataSet, keep: Path, seed: int = 0, progress: Callable[[int], None] | None = None
+) -> EndCrops:
+    """Measure the fruit of a drawn set, and cut out their ends.
+
+    Those to train on are cut once more from the labels of all pictures.
+
+    Parameters
+    ----------
+    data : DataSet
+        A set by `cucumbervision synth` with depth.
+    keep : Path
+        The file of what is measured (`write_measured`).
+    seed : int
+        Random seed of the labels' errors and of the moves.
+    progress : callable, optional
+        Called with 1 after each picture that was measured.
+
+    Raises
+    ------
+    TrainingError, CaptureError
+        As `collect_end_crops`.
+    """
+    write_measured(data, keep, progress=progress)
+    rng = np.random.default_rng(seed)
+    learnt = [one for one in data.pictures if not is_held_out(one.scene or one.file)]
+    fruit = [one for picture in learnt for one in labelled_fruit(picture, rng)]
+    return collect_end_crops([*fruit, *read_measured([keep])], data, seed)
 
 
 def _crops_of(
@@ -243,6 +299,32 @@ def _with_planes(conv: Any) -> Any:
         wide.weight.mul_(0.3)
         wide.weight[:, :3] = conv.weight.float()
     return wide
+
+
+@dataclass(frozen=True)
+class LookResult:
+    """How well ends of held-out scenes are told apart.
+
+    Parameters
+    ----------
+    network : Path
+        The ONNX file.
+    train_count, val_count : int
+        Number of crops for training, and of ends for validation.
+    covered_auc : float
+        Area under the ROC curve of the probability that an end is covered.
+    quantiles_hold : float
+        Share of what is missing that lies between the outer quantiles.
+    stem_right : float
+        Share of the ends that are told right as stem or blossom end.
+    """
+
+    network: Path
+    train_count: int
+    val_count: int
+    covered_auc: float
+    quantiles_hold: float
+    stem_right: float
 
 
 @dataclass(frozen=True)
@@ -407,6 +489,103 @@ def predict_looks(network: Any, crops: EndCrops, batch: int = 256) -> list[EndLo
             mean = (network(planes, shapes) + network(planes.flip(2), shapes)) / 2
             looks += [looked_at(row) for row in mean.numpy().astype(np.float64)]
     return looks
+
+
+def train_look(
+    crops: EndCrops, init: Path | str, out: Path, options: LookOptions | None = None
+) -> LookResult:
+    """Train the network, export it to ONNX, and judge it by the held-out scenes.
+
+    Parameters
+    ----------
+    crops : EndCrops
+        Of `collect_end_crops`.
+    init : Path
+        Checkpoint (.pt) of YOLO26n to begin with.
+    out : Path
+        The ONNX file to write.
+    options : LookOptions, optional
+        Options of training.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `train` is not installed.
+    ModelError
+        If the checkpoint cannot be loaded.
+    """
+    network = fit_look(crops, init, options or LookOptions())
+    export_look(network, out)
+    return judge_look(network, crops, out)
+
+
+def judge_look(network: Any, crops: EndCrops, out: Path) -> LookResult:
+    """Return how well a network tells the held-out ends apart."""
+    ends = crops.only(crops.held_out & ~crops.moved & ~np.isnan(crops.missing))
+    looks = predict_looks(network, ends)
+    covered = np.array([look.covered for look in looks])
+    outer = np.array([(look.missing[0], look.missing[-1]) for look in looks]).reshape(-1, 2)
+    inside = (outer[:, 0] <= ends.missing) & (ends.missing <= outer[:, 1])
+    stem = np.array([look.stem > 0.5 for look in looks]) == (ends.stem > 0.5)
+    return LookResult(
+        out,
+        int((~crops.held_out).sum()),
+        len(looks),
+        area_under_curve(covered, ends.state == STATES.index("covered")),
+        float(inside.mean()) if looks else float("nan"),
+        float(stem.mean()) if looks else float("nan"),
+    )
+
+
+def export_look(network: Any, out: Path) -> None:
+    """Export the network to ONNX, with weights in half precision."""
+    import torch
+
+    inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
+    export_network(network.eval(), out, inputs, "looks", "look")
+
+
+def write_look_card(
+    result: LookResult,
+    name: str,
+    init: Path | str,
+    *,
+    epochs: int,
+    seed: int,
+    credits: Sequence[str] = (),
+) -> ModelCard:
+    """Write the model card next to the network.
+
+    Parameters
+    ----------
+    result : LookResult
+        Result of `train_look`.
+    name : str
+        Name of the network.
+    init : Path
+        The checkpoint it began with.
+    epochs, seed : int
+        Training options to record.
+    credits : sequence of str
+        Publishers of training pictures.
+    """
+    return classifier_card(
+        result.network,
+        name,
+        "look",
+        init,
+        epochs=epochs,
+        seed=seed,
+        metrics={
+            "crops learnt from": float(result.train_count),
+            "ends of other scenes judged by": float(result.val_count),
+            "covered ends told from others, area under the curve": result.covered_auc,
+            "missing length between the outer quantiles": result.quantiles_hold,
+            "stem and blossom ends told right": result.stem_right,
+        },
+        credits=credits,
+        limits=_LIMITS,
+    )
 
 
 def area_under_curve(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:

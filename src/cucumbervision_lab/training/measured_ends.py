@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -27,6 +27,7 @@ from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import mask_pixels
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.pictures import capture_of
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[M
         shares = np.quantile(seen, (_EDGE_SHARE, 1 - _EDGE_SHARE)) / (_FINE - 1)
         if shares[1] - shares[0] < _LEAST_SPAN:
             continue
-        axis = points_along(true, np.linspace(*shares, AXIS_POINTS))
+        axis = points_along(true, np.linspace(shares[0], shares[1], AXIS_POINTS))
         radius = float(max(label.extras["radius_m"]))
         for tip, inner in ((0, 1), (-1, -2)):
             out = axis[tip] - axis[inner]
@@ -307,7 +308,13 @@ def is_held_out(scene: str) -> bool:
     return crc32(scene.encode()) % 2 == 0
 
 
-def write_measured(data: DataSet, keep: Path, part: int = 0, parts: int = 1) -> None:
+def write_measured(
+    data: DataSet,
+    keep: Path,
+    part: int = 0,
+    parts: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> None:
     """Measure every picture of a drawn set that the file does not hold yet.
 
     Those of held-out scenes come first, on the networks' masks alone; after every fourth of them
@@ -321,12 +328,14 @@ def write_measured(data: DataSet, keep: Path, part: int = 0, parts: int = 1) -> 
         The file: one line of JSON a picture.
     part, parts : int
         Which pictures: those whose number has the remainder `part` when divided by `parts`.
+    progress : callable, optional
+        Called with 1 after each picture.
     """
     done = {picture for picture, _ in _lines([keep])} if keep.exists() else set()
     pictures = [one for one in data.pictures[part::parts] if one.file not in done]
     held = [is_held_out(one.scene or one.file) for one in pictures]
     turn = [sum(h == own for h in held[:k]) * (1 if own else 4) for k, own in enumerate(held)]
-    for k in np.argsort(turn, kind="stable"):
+    for k in ticked(np.argsort(turn, kind="stable").tolist(), progress):
         fruit = measure_drawn(pictures[k], data, given=not held[k])
         line = {"picture": pictures[k].file, "fruit": [asdict(one) for one in fruit]}
         with keep.open("a", encoding="utf-8") as stream:

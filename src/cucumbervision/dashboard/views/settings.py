@@ -184,6 +184,8 @@ def _models() -> None:
         "pose": "finds end points",
         "prompted-mask": "outlines fruit",
         "ends": "finds the stem end",
+        "crops": "looks at each detection",
+        "look": "looks at each end",
     }
     lines = [
         {

@@ -102,6 +102,8 @@ def fit_interval_model(
     level: float = 0.90,
     edges: tuple[tuple[str, tuple[float, ...]], ...] = (),
     seed: int = 0,
+    *,
+    smallest_group: int = _SMALLEST_GROUP,
 ) -> IntervalModel:
     """Fit sigma, and quantiles of the normalised errors of held-out fruit.
 
@@ -124,6 +126,9 @@ def fit_interval_model(
         Features that define groups, and the boundaries between the groups.
     seed : int
         Random seed of the folds.
+    smallest_group : int
+        Readings that a group needs for quantiles of its own; a smaller one uses those of the
+        group around it.
 
     Returns
     -------
@@ -151,7 +156,7 @@ def fit_interval_model(
     bands = {
         group: _band(error[chosen], sigma[chosen], level)
         for group, chosen in members.items()
-        if not group or chosen.sum() >= _SMALLEST_GROUP
+        if not group or chosen.sum() >= smallest_group
     }
     weights = tuple(map(float, _log_linear(_size(error), columns)))
     return IntervalModel(method, level, names, weights, bands, edges)

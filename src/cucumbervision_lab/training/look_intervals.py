@@ -1,0 +1,80 @@
+"""Learn the intervals of fruit at whose ends a network looked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.measurement.intervals import (
+    LOOKED,
+    PERCEIVED,
+    IntervalModel,
+    IntervalModels,
+    look_features,
+)
+from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
+
+if TYPE_CHECKING:
+    from cucumbervision.perception.end_look import EndLook
+    from cucumbervision_lab.training.measured_ends import MeasuredFruit
+
+LOOK_FEATURES = (
+    *(name for name in TUBE_FEATURES if name != "closed"),
+    *("covered", "running_on", "log_missing", "log_above", "log_below"),
+)
+
+LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("covered", (0.1, 0.5)),)
+"""Fruit are grouped by how likely it is that an end goes on out of sight."""
+
+SMALLEST_GROUP = 400
+"""Fruit of a group that has quantiles of its own."""
+
+_KEYS = ("M6", "M6 thread", "M6 chord")
+
+
+def fit_look_intervals(
+    fruit: Sequence[MeasuredFruit],
+    looks: Sequence[tuple[EndLook, EndLook]],
+    level: float = 0.90,
+) -> dict[str, IntervalModel]:
+    """Fit interval models of M6's three lengths on fruit whose ends were looked at.
+
+    Parameters
+    ----------
+    fruit : sequence of MeasuredFruit
+        Measured on masks that networks drew, of scenes that the network did not learn from. Those
+        that the picture's edge cuts are left out.
+    looks : sequence of (EndLook, EndLook)
+        What their ends look like.
+    level : float
+        Nominal coverage.
+
+    Raises
+    ------
+    ValueError
+        If there are too few fruit for the level.
+    """
+    pairs = [
+        (one, pair)
+        for one, pair in zip(fruit, looks, strict=True)
+        if not (one.given or one.features.get("cut"))
+    ]
+    rows = [{**one.features, **look_features(pair)} for one, pair in pairs]
+    features = {name: np.array([row.get(name, 0.0) for row in rows]) for name in LOOK_FEATURES}
+    names = [one.picture for one, _ in pairs]
+    models = {}
+    for k, key in enumerate(_KEYS):
+        errors = np.log([one.lengths_m[k] / one.true_m[k] for one, _ in pairs])
+        name = key + PERCEIVED + LOOKED
+        models[name] = fit_interval_model(
+            name, errors, features, names, level, LOOK_EDGES, smallest_group=SMALLEST_GROUP
+        )
+    return models
+
+
+def with_look_intervals(book: IntervalModels, models: dict[str, IntervalModel]) -> IntervalModels:
+    """Return interval models with those of fruit whose ends were looked at added or replaced."""
+    return replace(book, models={**book.models, **models})

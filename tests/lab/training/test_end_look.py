@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("ultralytics")
+
+from cucumbervision.perception.end_look import (  # noqa: E402
+    END_PX,
+    ERROR_SCALE,
+    PLANES,
+    QUANTILES,
+    EndCrop,
+    EndLooker,
+)
+from cucumbervision.perception.registry import file_sha256  # noqa: E402
+from cucumbervision_lab.training.end_look import (  # noqa: E402
+    EndCrops,
+    LookOptions,
+    _loss,
+    area_under_curve,
+    augmented,
+    export_look,
+    fit_look,
+    judge_look,
+    make_network,
+    predict_looks,
+    train_look,
+    write_look_card,
+)
+from cucumbervision_lab.training.publish import read_card  # noqa: E402
+
+pytestmark = pytest.mark.train
+
+CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
+
+
+def crops(count: int = 240, seed: int = 0) -> EndCrops:
+    """Draw bars from the left that end in the middle, every other one under a yellow leaf."""
+    rng = np.random.default_rng(seed)
+    planes = rng.integers(80, 120, (count, END_PX, END_PX, PLANES), dtype=np.uint8)
+    planes[..., 3:] = 128, 255, 0
+    middle = slice(END_PX // 2 - 8, END_PX // 2 + 8)
+    planes[:, middle, : END_PX // 2, :3] = 40, 140, 40
+    planes[:, middle, : END_PX // 2, 5] = 255
+    covered = np.arange(count) % 2 == 1
+    planes[covered, :, END_PX // 2 :, :3] = 220, 210, 40
+    missing = np.where(covered, 0.3, 0.0) + rng.normal(0, 0.01, count)
+    numbers = np.arange(count)
+    return EndCrops(
+        planes,
+        np.tile(np.array([2.0, 3.0], np.float32), (count, 1)),
+        missing.astype(np.float32),
+        np.full(count, np.nan, np.float32),
+        covered.astype(np.float32),
+        numbers // 2,
+        np.zeros(count, bool),
+        numbers % 6 > 3,
+    )
+
+
+def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) -> None:
+    if not CHECKPOINT.is_file():
+        pytest.skip("the source archive holds no checkpoints")
+    drawn = crops()
+    result = train_look(
+        drawn, CHECKPOINT, tmp_path / "look.onnx", LookOptions(4, threads=1, batch=16)
+    )
+    assert (result.train_count, result.val_count) == (160, 80)
+    assert result.covered_auc > 0.95
+    assert result.stem_right > 0.9
+    looker = EndLooker(result.network)
+    held = drawn.only(np.flatnonzero(drawn.held_out)[:8])
+    ends = [
+        EndCrop(one, (float(shape[0]), float(shape[1])))
+        for one, shape in zip(held.planes, held.shapes, strict=True)
+    ]
+    looks = looker.look(ends)
+    found = np.array([look.covered for look in looks])
+    assert (found[held.state == 1].min()) > found[held.state == 0].max()
+    write_look_card(result, "look", CHECKPOINT, epochs=4, seed=0)
+    card = read_card(tmp_path / "look.json")
+    assert (card.task, card.sha256) == ("look", file_sha256(result.network))
+
+
+def test_the_exported_file_gives_what_the_network_does(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    network, drawn = make_network("yolo26n-seg.yaml").eval(), crops(6)
+    export_look(network, tmp_path / "look.onnx")
+    looker = EndLooker(tmp_path / "look.onnx")
+    ends = [EndCrop(one, (2.0, 3.0)) for one in drawn.planes]
+    for one, two in zip(looker.look(ends), predict_looks(network, drawn), strict=True):
+        assert one.covered == pytest.approx(two.covered, abs=2e-3)
+        assert one.missing == pytest.approx(two.missing, abs=2e-3)
+
+
+def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
+    drawn, keep = crops(48), tmp_path / "training.pt"
+    options = LookOptions(3, threads=1, batch=16, keep=keep)
+
+    class Interrupt(Exception):
+        pass
+
+    def stop(epoch: int, _: float) -> None:
+        if epoch == 2:
+            raise Interrupt
+
+    with pytest.raises(Interrupt):
+        fit_look(drawn, "yolo26n-seg.yaml", replace(options, progress=stop))
+    epochs: list[int] = []
+    fit_look(
+        drawn, "yolo26n-seg.yaml", replace(options, progress=lambda epoch, _: epochs.append(epoch))
+    )
+    assert epochs == [3]
+
+
+def test_held_out_scenes_and_moved_copies_are_not_judged_by_what_was_learnt() -> None:
+    drawn = crops(48)
+    moved = replace(drawn, moved=drawn.held_out & (drawn.fruit % 2 == 0))
+    judged = judge_look(make_network("yolo26n-seg.yaml").eval(), moved, Path("look.onnx"))
+    assert judged.val_count == int((moved.held_out & ~moved.moved).sum())
+    assert judged.train_count == int((~moved.held_out).sum())
+
+
+def test_states_are_by_what_is_missing_or_by_eye() -> None:
+    drawn = crops(4)
+    missing = np.array([0.06, -0.06, 0.04, np.nan], np.float32)
+    covered = np.array([np.nan, np.nan, np.nan, 1.0], np.float32)
+    assert replace(drawn, missing=missing, covered=covered).state.tolist() == [1, 2, 0, 1]
+    unknown = np.full(4, np.nan, np.float32)
+    assert replace(drawn, missing=unknown, covered=unknown).state.tolist() == [-1] * 4
+
+
+def test_the_loss_is_least_where_quantiles_are_true_and_knows_no_label_that_is_none() -> None:
+    state, missing = torch.zeros(2001), torch.linspace(-0.05, 0.05, 2001)
+    target = torch.stack([state, missing, torch.full((2001,), torch.nan)], 1)
+
+    def loss(levels: list[float], labels: object = target) -> float:
+        row = [9.0, 0, 0, *np.arcsinh(np.array(levels) / ERROR_SCALE), 0]
+        return float(_loss(torch.tensor(row).float().expand(2001, 9), labels))
+
+    best = (np.array(QUANTILES) - 0.5) * 0.1
+    for change in (-0.01, 0.01):
+        for k in range(len(QUANTILES)):
+            other = best.copy()
+            other[k] += change
+            assert loss(list(other)) > loss(list(best))
+    nothing = torch.full((2001, 3), torch.nan)
+    nothing[:, 0] = 0
+    assert loss(list(best), nothing) == pytest.approx(loss([0.5] * 5, nothing))
+
+
+def test_augmenting_keeps_planes_in_their_range_and_the_end_in_its_place() -> None:
+    torch.manual_seed(0)
+    planes = torch.from_numpy(crops(16).planes.transpose(0, 3, 1, 2)).float() / 255
+    seen = augmented(planes)
+    assert seen.shape == planes.shape
+    assert float(seen.min()) >= 0
+    assert float(seen.max()) <= 1
+    half = END_PX // 2
+    assert bool((seen[:, 5, half, : half - 2] > 0.9).all())
+    assert bool((seen[:, 5, half, half + 2 :] < 0.1).all())
+    assert set(seen[:, 4].unique().tolist()) == {0.0, 1.0}
+    lost = seen[:, 4] == 0
+    assert bool((seen[:, 3][lost] == 128 / 255).all())
+
+
+def test_sets_are_joined_with_fruit_numbered_on() -> None:
+    joined = EndCrops.joined([crops(6), crops(4)])
+    assert joined.fruit.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert len(joined.planes) == 10
+
+
+def test_area_under_curve_counts_ties_half() -> None:
+    assert area_under_curve(np.array([0.5, 0.5]), np.array([True, False])) == 0.5
+    assert np.isnan(area_under_curve(np.array([0.5]), np.array([True])))

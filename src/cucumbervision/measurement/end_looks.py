@@ -27,7 +27,7 @@ LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
 DOUBTFUL = 0.3
 """Probability from which an end that may go on out of sight is named."""
 
-_DRAWN = (MaskSource.DETECTOR, MaskSource.SAM)
+_DRAWN = (MaskSource.DETECTOR, MaskSource.SAM, MaskSource.SEGMENTER)
 
 
 def with_end_looks(

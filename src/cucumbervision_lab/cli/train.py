@@ -310,18 +310,23 @@ def look(
 
     Each set's fruit are measured first, those of held-out scenes on the networks' masks; what was
     measured and the training so far stay in the folder, and the same command goes on from there.
+    From the held-out fruit it learns the intervals by what the network says of their ends.
     """
     from rich.console import Console
     from rich.table import Table
 
+    from cucumbervision.measurement.intervals import shipped_interval_models
+    from cucumbervision.perception.end_look import EndLooker
+    from cucumbervision_lab.benchmark.interval_fit import write_interval_models
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.training.end_look import (
-        EndCrops,
-        LookOptions,
-        collect_set,
-        train_look,
-        write_look_card,
+    from cucumbervision_lab.training.end_crops import EndCrops, collect_set
+    from cucumbervision_lab.training.end_look import LookOptions, train_look, write_look_card
+    from cucumbervision_lab.training.look_intervals import (
+        LEAST_FRUIT,
+        fit_look_intervals,
+        looked_fruit,
+        with_look_intervals,
     )
 
     out.mkdir(parents=True, exist_ok=True)
@@ -338,12 +343,20 @@ def look(
             keep=out / f"{name}-training.pt",
             progress=lambda *_: tick(1),
         )
-        result = train_look(EndCrops.joined(parts), init, out / f"{name}.onnx", options)
+        crops = EndCrops.joined([part for _, part in parts])
+        result = train_look(crops, init, out / f"{name}.onnx", options)
+    measured = [one for fruit, _ in parts for one in fruit]
+    chosen, looks = looked_fruit(measured, crops, EndLooker(result.network).look)
+    if len(chosen) >= LEAST_FRUIT:
+        models = fit_look_intervals(chosen, looks)
+        book = with_look_intervals(shipped_interval_models(), models)
+        write_interval_models(out / "interval_models.json", book)
     write_look_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
     table = Table("ends of validation scenes", str(result.val_count), title=str(result.network))
     table.add_row("covered or not: area under the curve", f"{result.covered_auc:.3f}")
     table.add_row("within the outer quantiles", f"{100 * result.quantiles_hold:.1f} %")
     table.add_row("stem and blossom end", f"{100 * result.stem_right:.1f} %")
+    table.add_row("fruit behind the intervals", str(len(chosen)))
     Console(highlight=False).print(table)
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.capture.pictures import read_color
-from cucumbervision.errors import TrainingError
-from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.perception.end_look import (
     END_PX,
     ERROR_SCALE,
@@ -21,11 +17,8 @@ from cucumbervision.perception.end_look import (
     QUANTILES,
     STATES,
     EndLook,
-    end_crop,
     looked_at,
 )
-from cucumbervision_lab.datasets.labels import ticked
-from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
@@ -33,24 +26,13 @@ from cucumbervision_lab.training.classifier import (
     export_network,
     first_layers,
 )
-from cucumbervision_lab.training.measured_ends import (
-    is_held_out,
-    labelled_fruit,
-    read_measured,
-    write_measured,
-)
+from cucumbervision_lab.training.end_crops import EndCrops
 from cucumbervision_lab.training.publish import ModelCard
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision_lab.datasets.labels import DataSet
-    from cucumbervision_lab.training.measured_ends import MeasuredFruit
-
-MISSING = 0.05
-"""Share of a fruit's length from which an end counts as covered, or as running on."""
+    pass
 
 OUTPUTS = len(STATES) + len(QUANTILES) + 1
-_MOVED_SD = 0.7  # radii that a further copy of each end of training is moved along the axis
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
@@ -60,185 +42,6 @@ _LIMITS = (
     "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
 )
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels
-
-
-@dataclass(frozen=True, eq=False)
-class EndCrops:
-    """Crops around the ends of measured fruit.
-
-    Parameters
-    ----------
-    planes : ndarray of uint8, shape (N, 64, 64, 6)
-        As `EndCrop.planes`.
-    shapes : ndarray of float32, shape (N, 2)
-        As `EndCrop.shape`.
-    missing : ndarray of float32, shape (N,)
-        Share of the true length that is missing there; negative where too much was measured; NaN
-        where it is not known.
-    covered : ndarray of float32, shape (N,)
-        Whether the end is covered or cut, where only that is known; NaN elsewhere.
-    stem : ndarray of float32, shape (N,)
-        Whether it is the stem end; NaN where that is not known.
-    fruit : ndarray of int64, shape (N,)
-        Number of the fruit among those that were given.
-    moved : ndarray of bool, shape (N,)
-        Whether it is a copy that was moved along the axis.
-    held_out : ndarray of bool, shape (N,)
-        Whether its scene is not trained on.
-    """
-
-    planes: NDArray[np.uint8]
-    shapes: NDArray[np.float32]
-    missing: NDArray[np.float32]
-    covered: NDArray[np.float32]
-    stem: NDArray[np.float32]
-    fruit: NDArray[np.int64]
-    moved: NDArray[np.bool_]
-    held_out: NDArray[np.bool_]
-
-    @property
-    def state(self) -> NDArray[np.int64]:
-        """Index into `STATES`; -1 where it is not known."""
-        by_length = np.where(self.missing > MISSING, 1, np.where(self.missing < -MISSING, 2, 0))
-        by_eye = np.where(np.isnan(self.covered), -1, np.where(self.covered > 0.5, 1, 0))
-        return np.where(np.isnan(self.missing), by_eye, by_length).astype(np.int64)
-
-    @classmethod
-    def joined(cls, parts: Sequence[EndCrops]) -> EndCrops:
-        """Return the crops of several sets as one; fruit are numbered on."""
-        first = np.cumsum([0, *(int(part.fruit.max(initial=-1)) + 1 for part in parts)])
-        fruit = [part.fruit + k for part, k in zip(parts, first, strict=False)]
-        columns = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in cls.__dataclass_fields__
-        }
-        return cls(**(columns | {"fruit": np.concatenate(fruit)}))
-
-    def only(self, chosen: NDArray[Any]) -> EndCrops:
-        """Return some of the crops."""
-        return EndCrops(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
-
-
-def moved_axis(axis_m: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
-    """Return an axis with its first end moved along it, outward where positive.
-
-    Examples
-    --------
-    >>> axis = np.stack([np.linspace(0, 0.1, 11), np.zeros(11), np.ones(11)], axis=1)
-    >>> [round(float(moved_axis(axis, by)[0, 0]), 3) for by in (0.02, -0.02)]
-    [-0.02, 0.02]
-    """
-    run = arc_positions(axis_m)
-    if by_m < 0:
-        return points_along(axis_m, np.linspace(min(-by_m / run[-1], 0.9), 1, len(axis_m)))
-    out = axis_m[0] - axis_m[1]
-    tip = axis_m[0] + by_m * out / max(float(np.linalg.norm(out)), 1e-9)
-    return np.vstack([tip, axis_m[1:]])
-
-
-def collect_end_crops(
-    fruit: Sequence[MeasuredFruit],
-    data: DataSet,
-    seed: int = 0,
-    progress: Callable[[int], None] | None = None,
-) -> EndCrops:
-    """Cut out both ends of fruit, and of those of training each once more, moved along the axis.
-
-    Parameters
-    ----------
-    fruit : sequence of MeasuredFruit
-        Of `read_measured`, those of a picture one after the other.
-    data : DataSet
-        Their set.
-    seed : int
-        Random seed of the moves.
-    progress : callable, optional
-        Called with 1 after each picture.
-
-    Raises
-    ------
-    TrainingError
-        If there are no fruit.
-    CaptureError
-        If a picture cannot be read.
-    """
-    pictures = {picture.file: picture for picture in data.pictures}
-    rng, rows = np.random.default_rng(seed), []
-    numbered = list(enumerate(fruit))
-    of_pictures = [list(some) for _, some in groupby(numbered, lambda one: one[1].picture)]
-    for some in ticked(of_pictures, progress):
-        picture = pictures[some[0][1].picture]
-        capture = capture_of(picture, data, read_color(data.path(picture)))
-        if capture is not None:
-            for number, measured in some:
-                rows += _crops_of(number, measured, capture, rng)
-    if not rows:
-        raise TrainingError(
-            "no measured fruit", source=data.folder, remedy="give a drawn set with depth"
-        )
-    planes, shapes, missing, stem, numbers, moved, held = zip(*rows, strict=True)
-    count = len(rows)
-    return EndCrops(
-        np.stack(planes),
-        np.array(shapes, np.float32),
-        np.array(missing, np.float32),
-        np.full(count, np.nan, np.float32),
-        np.array(stem, np.float32),
-        np.array(numbers),
-        np.array(moved),
-        np.array(held),
-    )
-
-
-def collect_set(
-    data: DataSet, keep: Path, seed: int = 0, progress: Callable[[int], None] | None = None
-) -> EndCrops:
-    """Measure the fruit of a drawn set, and cut out their ends.
-
-    Those to train on are cut once more from the labels of all pictures.
-
-    Parameters
-    ----------
-    data : DataSet
-        A set by `cucumbervision synth` with depth.
-    keep : Path
-        The file of what is measured (`write_measured`).
-    seed : int
-        Random seed of the labels' errors and of the moves.
-    progress : callable, optional
-        Called with 1 after each picture that was measured.
-
-    Raises
-    ------
-    TrainingError, CaptureError
-        As `collect_end_crops`.
-    """
-    write_measured(data, keep, progress=progress)
-    rng = np.random.default_rng(seed)
-    learnt = [one for one in data.pictures if not is_held_out(one.scene or one.file)]
-    fruit = [one for picture in learnt for one in labelled_fruit(picture, rng)]
-    return collect_end_crops([*fruit, *read_measured([keep])], data, seed)
-
-
-def _crops_of(
-    number: int, fruit: MeasuredFruit, capture: Capture, rng: np.random.Generator
-) -> list[tuple[Any, ...]]:
-    axis, mask = np.array(fruit.axis_m), fruit.mask.decode()
-    held, rows = is_held_out(fruit.scene), []
-    for line, end in ((axis, fruit.ends[0]), (axis[::-1], fruit.ends[1])):
-        moves = (0.0,) if held else (0.0, float(rng.normal(0, _MOVED_SD)) * fruit.diameter_m / 2)
-        for by_m in moves:
-            crop = end_crop(
-                capture.color,
-                capture.depth_m,
-                mask,
-                capture.intrinsics,
-                moved_axis(line, by_m) if by_m else line,
-                fruit.diameter_m,
-            )
-            missing = (end.missing_m - by_m) / fruit.true_m[0]
-            rows.append((crop.planes, crop.shape, missing, end.is_stem, number, by_m != 0, held))
-    return rows
 
 
 def make_network(init: Path | str) -> Any:

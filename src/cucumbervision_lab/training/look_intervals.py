@@ -15,10 +15,13 @@ from cucumbervision.measurement.intervals import (
     IntervalModels,
     look_features,
 )
-from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
+from cucumbervision.perception.end_look import EndCrop
+from cucumbervision_lab.benchmark.interval_fit import RAW_EDGES, TUBE_FEATURES, fit_interval_model
 
 if TYPE_CHECKING:
+    from cucumbervision.measurement.end_looks import LookAtEnds
     from cucumbervision.perception.end_look import EndLook
+    from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.measured_ends import MeasuredFruit
 
 LOOK_FEATURES = (
@@ -26,13 +29,42 @@ LOOK_FEATURES = (
     *("covered", "running_on", "log_missing", "log_above", "log_below"),
 )
 
-LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("covered", (0.1, 0.5)),)
-"""Fruit are grouped by how likely it is that an end goes on out of sight."""
+LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (*RAW_EDGES, ("covered", (0.1, 0.5)))
+"""Fruit are grouped by whether depth or keypoints say that they go on out of sight, and by how
+likely the look says so."""
 
 SMALLEST_GROUP = 400
 """Fruit of a group that has quantiles of its own."""
 
+LEAST_FRUIT = 60
+"""Fruit without which no intervals are learnt."""
+
+_AT_ONCE = 256  # crops
 _KEYS = ("M6", "M6 thread", "M6 chord")
+
+
+def looked_fruit(
+    fruit: Sequence[MeasuredFruit], crops: EndCrops, look: LookAtEnds
+) -> tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]]:
+    """Return the held-out fruit on networks' masks, and what a network says of their ends.
+
+    Parameters
+    ----------
+    fruit : sequence of MeasuredFruit
+        As the crops number them.
+    crops : EndCrops
+        Both ends of each fruit, one after the other.
+    look : callable
+        What looks, as `EndLooker.look`.
+    """
+    own = np.array([not one.given for one in fruit])[crops.fruit]
+    held = crops.only(crops.held_out & ~crops.moved & own)
+    looks: list[EndLook] = []
+    for start in range(0, len(held.planes), _AT_ONCE):
+        part = zip(held.planes[start:][:_AT_ONCE], held.shapes[start:][:_AT_ONCE], strict=True)
+        looks += look([EndCrop(planes, (float(a), float(b))) for planes, (a, b) in part])
+    chosen = [fruit[k] for k in held.fruit[::2]]
+    return chosen, list(zip(looks[::2], looks[1::2], strict=True))
 
 
 def fit_look_intervals(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from scipy.spatial import cKDTree
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.geometry.curve import arc_positions, points_along
@@ -23,8 +24,9 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.keypoint_axis import axis_line
 from cucumbervision.perception.mask_codes import Rle
-from cucumbervision.perception.masks import mask_pixels
+from cucumbervision.perception.masks import distances_inside, mask_pixels
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.datasets.labels import ticked
@@ -41,6 +43,8 @@ _LEAST_SEEN = 12  # pixels of the visible mask
 _FINE = 201  # points of a true axis that mask pixels are assigned to
 _EDGE_SHARE = 0.002  # of the mask's pixels, beyond either end: specks
 _LEAST_SPAN = 0.05  # of the axis
+_PASTED_AT_M = 0.5  # any distance: nothing of a photo is measured in metres
+_LEAST_ASPECT = 3.0  # length over radius of a pasted fruit
 _END_SD, _GIRTH_SD = 0.25, 0.06  # errors: of an end, in radii; of the girth, relative
 
 
@@ -53,14 +57,14 @@ class EndTruth:
     missing_m : float
         How far the true end lies beyond the measured one along the true axis, metres; negative
         where the measured one lies beyond the fruit.
-    is_stem : bool
-        Whether it is the stem end.
+    is_stem : bool, optional
+        Whether it is the stem end; None where that is not known.
     in_sight : bool
         Whether the true end is visible in the picture.
     """
 
     missing_m: float
-    is_stem: bool
+    is_stem: bool | None
     in_sight: bool
 
 
@@ -161,42 +165,81 @@ def _place_along(
 
 
 def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[MeasuredFruit]:
-    """Return the fruit of a drawn picture as far as their labels' masks show them, unmeasured.
+    """Return the fruit of a picture as far as their labels' masks show them, unmeasured.
 
     Cut from the labels, which costs a hundredth of measuring; ends and girth err at random about as
-    M6's do.
+    M6's do. A real fruit that was pasted into a photo has no depth: its axis is that of its whole
+    outline, half a metre away, and its stem end is not known.
 
     Parameters
     ----------
     picture : LabelledPicture
-        With camera, and the fruit's true axes.
+        With the fruit's true axes, or with their whole outlines.
     rng : Generator
         Of the errors.
     """
-    camera, found = picture.camera, []
+    camera, found = camera_of(picture), []
     for label in picture.labels:
         mask = label.mask
-        if camera is None or label.ignore or mask is None or "axis_m" not in label.extras:
+        if label.ignore or mask is None or np.count_nonzero(mask) < _LEAST_SEEN:
             continue
-        if np.count_nonzero(mask) < _LEAST_SEEN:
+        body = _drawn_body(label) or _pasted_body(label, camera)
+        if body is None:
             continue
-        true = np.array(label.extras["axis_m"])
-        line = points_along(true, np.linspace(0, 1, _FINE))
+        line = points_along(body.axis_m, np.linspace(0, 1, _FINE))
         seen = cKDTree(camera.project(line)).query(mask_pixels(mask))[1]
         shares = np.quantile(seen, (_EDGE_SHARE, 1 - _EDGE_SHARE)) / (_FINE - 1)
         if shares[1] - shares[0] < _LEAST_SPAN:
             continue
-        axis = points_along(true, np.linspace(shares[0], shares[1], AXIS_POINTS))
-        radius = float(max(label.extras["radius_m"]))
+        axis = points_along(body.axis_m, np.linspace(shares[0], shares[1], AXIS_POINTS))
         for tip, inner in ((0, 1), (-1, -2)):
             out = axis[tip] - axis[inner]
-            axis[tip] = axis[tip] + out / np.linalg.norm(out) * rng.normal(0, _END_SD) * radius
-        found.append(
-            _measured_fruit(
-                picture, label, mask, axis, 2 * radius * np.exp(rng.normal(0, _GIRTH_SD))
-            )
-        )
+            off_m = rng.normal(0, _END_SD) * body.radius_m
+            axis[tip] = axis[tip] + out / np.linalg.norm(out) * off_m
+        diameter_m = 2 * body.radius_m * np.exp(rng.normal(0, _GIRTH_SD))
+        found.append(_measured_fruit(picture, label, mask, axis, diameter_m, body))
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A fruit's true axis from blossom to stem end, its radius and lengths, metres."""
+
+    axis_m: NDArray[np.float64]
+    radius_m: float
+    lengths_m: tuple[float, float, float]
+    stem_known: bool
+
+
+def _drawn_body(label: Label) -> _Body | None:
+    extras = label.extras
+    if "axis_m" not in extras:
+        return None
+    lengths = extras["centreline_m"], extras["thread_m"], extras["chord_m"]
+    return _Body(np.array(extras["axis_m"]), float(max(extras["radius_m"])), lengths, True)
+
+
+def _pasted_body(label: Label, camera: Intrinsics) -> _Body | None:
+    outline = label.amodal
+    line = None if outline is None or label.cut_off else axis_line(outline)
+    if outline is None or line is None:
+        return None
+    x, y = camera.rays(line[:, 0], line[:, 1])
+    axis = _PASTED_AT_M * np.stack([x, y, np.ones(len(x))], axis=1)
+    radius_m = float(distances_inside(outline).max()) * _PASTED_AT_M / camera.fx_px
+    length_m = float(arc_positions(axis)[-1])
+    if length_m < _LEAST_ASPECT * radius_m:
+        return None
+    return _Body(axis, radius_m, (length_m, length_m, length_m), False)
+
+
+def camera_of(picture: LabelledPicture) -> Intrinsics:
+    """Return a picture's camera; of a photo, one whose focal length is its longer side."""
+    if picture.camera is not None:
+        return picture.camera
+    width, height = picture.width, picture.height
+    focal = float(max(width, height))
+    return Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def measure_drawn(
@@ -267,7 +310,11 @@ def _record(
         **mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
     }
     traits, tube = m6.fit.traits, m6.tube
-    measured = _measured_fruit(picture, label, fruit.mask, traits.axis_m, traits.diameter_max_m)
+    body = _drawn_body(label)
+    if body is None:
+        return None
+    axis, diameter = traits.axis_m, traits.diameter_max_m
+    measured = _measured_fruit(picture, label, fruit.mask, axis, diameter, body)
     return replace(
         measured,
         given=given,
@@ -283,11 +330,15 @@ def _measured_fruit(
     mask: NDArray[np.bool_],
     axis_m: NDArray[np.float64],
     diameter_m: float,
+    body: _Body,
 ) -> MeasuredFruit:
-    extras, points = label.extras, label.keypoints
+    points = label.keypoints
     sight = (False, False) if points is None else (points[0, 2] == 2, points[-1, 2] == 2)
     even = points_along(axis_m, np.linspace(0, 1, AXIS_POINTS)).round(5)
     length_m = float(arc_positions(axis_m)[-1])
+    ends = end_truths(axis_m, body.axis_m, (bool(sight[0]), bool(sight[1])))
+    if not body.stem_known:
+        ends = replace(ends[0], is_stem=None), replace(ends[1], is_stem=None)
     return MeasuredFruit(
         picture.file,
         picture.scene or picture.file,
@@ -296,8 +347,8 @@ def _measured_fruit(
         axis_m=tuple(tuple(point) for point in even.tolist()),
         diameter_m=float(diameter_m),
         lengths_m=(length_m, length_m, length_m),
-        true_m=(extras["centreline_m"], extras["thread_m"], extras["chord_m"]),
-        ends=end_truths(axis_m, np.array(extras["axis_m"]), (bool(sight[0]), bool(sight[1]))),
+        true_m=body.lengths_m,
+        ends=ends,
         hidden_share=float(label.hidden_share or 0.0),
         cut=label.cut_off,
     )

@@ -75,6 +75,38 @@ def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
 
 @needs_extra
 @pytest.mark.train
+def test_the_look_at_ends_is_learnt_from_pasted_fruit_and_shown(tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    rng, pictures = np.random.default_rng(1), []
+    (tmp_path / "set" / "images").mkdir(parents=True)
+    for number in range(16):
+        color = rng.integers(0, 255, (96, 160, 3), np.uint8)
+        write_png(tmp_path / "set" / "images" / f"{number}.png", color)
+        whole = np.zeros((96, 160), bool)
+        whole[40:56, 20:130] = True
+        seen = whole.copy()
+        seen[:, 90:] &= number % 2 == 0  # a third of every other fruit is hidden
+        label = Label.of_mask(seen, amodal=whole)
+        name = f"images/{number}.png"
+        pictures.append(LabelledPicture(name, 160, 96, (label,), f"s{number}", "train"))
+    write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
+    words = ["look", str(tmp_path / "set"), "--init", "yolo26n-seg.yaml", "--epochs", "1"]
+    words += ["--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "stem and blossom end" in result.output
+    card = read_card(tmp_path / "out" / "cucumber-look.json")
+    assert card.task == "look"
+    held = card.metrics["ends of other scenes judged by"]
+    learnt = card.metrics["crops learnt from"]
+    assert 0 < held < 32
+    assert learnt == 2 * (32 - held)  # each end of training once more, moved
+    # Pasted fruit have no depth: none is measured, and no interval learnt.
+    assert not (tmp_path / "out" / "interval_models.json").exists()
+
+
+@needs_extra
+@pytest.mark.train
 def test_the_second_look_is_learnt_from_labelled_sets_and_shown(tmp_path: Path) -> None:
     color = next(iter(open_source(example_captures()))).load().color
     height, width = color.shape[:2]

@@ -18,8 +18,8 @@ from cucumbervision.perception.end_look import (  # noqa: E402
     EndLooker,
 )
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
+from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.training.end_look import (  # noqa: E402
-    EndCrops,
     LookOptions,
     _loss,
     area_under_curve,
@@ -102,14 +102,14 @@ def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
     drawn, keep = crops(48), tmp_path / "training.pt"
     options = LookOptions(3, threads=1, batch=16, keep=keep)
 
-    class Interrupt(Exception):
+    class InterruptError(Exception):
         pass
 
     def stop(epoch: int, _: float) -> None:
         if epoch == 2:
-            raise Interrupt
+            raise InterruptError
 
-    with pytest.raises(Interrupt):
+    with pytest.raises(InterruptError):
         fit_look(drawn, "yolo26n-seg.yaml", replace(options, progress=stop))
     epochs: list[int] = []
     fit_look(
@@ -124,15 +124,6 @@ def test_held_out_scenes_and_moved_copies_are_not_judged_by_what_was_learnt() ->
     judged = judge_look(make_network("yolo26n-seg.yaml").eval(), moved, Path("look.onnx"))
     assert judged.val_count == int((moved.held_out & ~moved.moved).sum())
     assert judged.train_count == int((~moved.held_out).sum())
-
-
-def test_states_are_by_what_is_missing_or_by_eye() -> None:
-    drawn = crops(4)
-    missing = np.array([0.06, -0.06, 0.04, np.nan], np.float32)
-    covered = np.array([np.nan, np.nan, np.nan, 1.0], np.float32)
-    assert replace(drawn, missing=missing, covered=covered).state.tolist() == [1, 2, 0, 1]
-    unknown = np.full(4, np.nan, np.float32)
-    assert replace(drawn, missing=unknown, covered=unknown).state.tolist() == [-1] * 4
 
 
 def test_the_loss_is_least_where_quantiles_are_true_and_knows_no_label_that_is_none() -> None:
@@ -167,12 +158,6 @@ def test_augmenting_keeps_planes_in_their_range_and_the_end_in_its_place() -> No
     assert set(seen[:, 4].unique().tolist()) == {0.0, 1.0}
     lost = seen[:, 4] == 0
     assert bool((seen[:, 3][lost] == 128 / 255).all())
-
-
-def test_sets_are_joined_with_fruit_numbered_on() -> None:
-    joined = EndCrops.joined([crops(6), crops(4)])
-    assert joined.fruit.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
-    assert len(joined.planes) == 10
 
 
 def test_area_under_curve_counts_ties_half() -> None:

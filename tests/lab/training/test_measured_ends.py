@@ -89,6 +89,22 @@ def test_labels_give_ends_where_the_mask_ends(drawn: DataSet) -> None:
     assert one.mask == Rle.of(mask)
 
 
+def test_of_pasted_fruit_the_whole_outline_tells_what_is_missing() -> None:
+    whole = np.zeros((120, 240), bool)
+    whole[50:70, 20:220] = True
+    seen = whole.copy()
+    seen[:, 170:] = False
+    label = Label.of_mask(seen, amodal=whole)
+    cut = Label.of_mask(seen, amodal=whole, cut_off=True)
+    picture = LabelledPicture("a.png", 240, 120, (label, cut), scene="a")
+    (one,) = labelled_fruit(picture, np.random.default_rng(2))
+    assert [end.is_stem for end in one.ends] == [None, None]
+    missing = sorted(one.relative_missing)
+    # 50 of 200 px; ends err by a quarter of the radius of 10 px.
+    assert missing == pytest.approx([0.0, 0.25], abs=0.06)
+    assert one.diameter_m == pytest.approx(20 / 240 * 0.5, rel=0.25)
+
+
 @pytest.mark.train
 def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     drawn: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

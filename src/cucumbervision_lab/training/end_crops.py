@@ -1,0 +1,233 @@
+"""Crops around the ends of drawn fruit, to train and to judge the network that looks at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.pictures import read_color
+from cucumbervision.errors import TrainingError
+from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.perception.end_look import end_crop
+from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.detection.pictures import capture_of
+from cucumbervision_lab.training.measured_ends import (
+    camera_of,
+    is_held_out,
+    labelled_fruit,
+    read_measured,
+    write_measured,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+    from cucumbervision_lab.training.measured_ends import MeasuredFruit
+
+MISSING = 0.05
+"""Share of a fruit's length from which an end counts as covered, or as running on."""
+
+_MOVED_SD = 0.7  # radii that a further copy of each end of training is moved along the axis
+
+
+@dataclass(frozen=True, eq=False)
+class EndCrops:
+    """Crops around the ends of measured fruit.
+
+    Parameters
+    ----------
+    planes : ndarray of uint8, shape (N, 64, 64, 6)
+        As `EndCrop.planes`.
+    shapes : ndarray of float32, shape (N, 2)
+        As `EndCrop.shape`.
+    missing : ndarray of float32, shape (N,)
+        Share of the true length that is missing there; negative where too much was measured; NaN
+        where it is not known.
+    covered : ndarray of float32, shape (N,)
+        Whether the end is covered or cut, where only that is known; NaN elsewhere.
+    stem : ndarray of float32, shape (N,)
+        Whether it is the stem end; NaN where that is not known.
+    fruit : ndarray of int64, shape (N,)
+        Number of the fruit among those that were given.
+    moved : ndarray of bool, shape (N,)
+        Whether it is a copy that was moved along the axis.
+    held_out : ndarray of bool, shape (N,)
+        Whether its scene is not trained on.
+    """
+
+    planes: NDArray[np.uint8]
+    shapes: NDArray[np.float32]
+    missing: NDArray[np.float32]
+    covered: NDArray[np.float32]
+    stem: NDArray[np.float32]
+    fruit: NDArray[np.int64]
+    moved: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
+
+    @property
+    def state(self) -> NDArray[np.int64]:
+        """Index into `STATES`; -1 where it is not known."""
+        by_length = np.where(self.missing > MISSING, 1, np.where(self.missing < -MISSING, 2, 0))
+        by_eye = np.where(np.isnan(self.covered), -1, np.where(self.covered > 0.5, 1, 0))
+        return np.where(np.isnan(self.missing), by_eye, by_length).astype(np.int64)
+
+    @classmethod
+    def joined(cls, parts: Sequence[EndCrops]) -> EndCrops:
+        """Return the crops of several sets as one; fruit are numbered on."""
+        first = np.cumsum([0, *(int(part.fruit.max(initial=-1)) + 1 for part in parts)])
+        fruit = [part.fruit + k for part, k in zip(parts, first, strict=False)]
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in cls.__dataclass_fields__
+        }
+        return cls(**(columns | {"fruit": np.concatenate(fruit)}))
+
+    def only(self, chosen: NDArray[Any]) -> EndCrops:
+        """Return some of the crops."""
+        return EndCrops(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+def moved_axis(axis_m: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
+    """Return an axis with its first end moved along it, outward where positive.
+
+    Examples
+    --------
+    >>> axis = np.stack([np.linspace(0, 0.1, 11), np.zeros(11), np.ones(11)], axis=1)
+    >>> [round(float(moved_axis(axis, by)[0, 0]), 3) for by in (0.02, -0.02)]
+    [-0.02, 0.02]
+    """
+    run = arc_positions(axis_m)
+    if by_m < 0:
+        return points_along(axis_m, np.linspace(min(-by_m / run[-1], 0.9), 1, len(axis_m)))
+    out = axis_m[0] - axis_m[1]
+    tip = axis_m[0] + by_m * out / max(float(np.linalg.norm(out)), 1e-9)
+    return np.vstack([tip, axis_m[1:]])
+
+
+def collect_end_crops(
+    fruit: Sequence[MeasuredFruit],
+    data: DataSet,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> EndCrops:
+    """Cut out both ends of fruit, and of those of training each once more, moved along the axis.
+
+    Parameters
+    ----------
+    fruit : sequence of MeasuredFruit
+        Of `read_measured`, those of a picture one after the other.
+    data : DataSet
+        Their set.
+    seed : int
+        Random seed of the moves.
+    progress : callable, optional
+        Called with 1 after each picture.
+
+    Raises
+    ------
+    TrainingError
+        If there are no fruit.
+    CaptureError
+        If a picture cannot be read.
+    """
+    pictures = {picture.file: picture for picture in data.pictures}
+    rng, rows = np.random.default_rng(seed), []
+    numbered = list(enumerate(fruit))
+    of_pictures = [list(some) for _, some in groupby(numbered, lambda one: one[1].picture)]
+    for some in ticked(of_pictures, progress):
+        picture = pictures[some[0][1].picture]
+        color = read_color(data.path(picture))
+        capture = capture_of(picture, data, color) or _without_depth(picture, color)
+        for number, measured in some:
+            rows += _crops_of(number, measured, capture, rng)
+    if not rows:
+        raise TrainingError(
+            "no measured fruit", source=data.folder, remedy="give a drawn set with depth"
+        )
+    planes, shapes, missing, stem, numbers, moved, held = zip(*rows, strict=True)
+    count = len(rows)
+    return EndCrops(
+        np.stack(planes),
+        np.array(shapes, np.float32),
+        np.array(missing, np.float32),
+        np.full(count, np.nan, np.float32),
+        np.array(stem, np.float32),
+        np.array(numbers),
+        np.array(moved),
+        np.array(held),
+    )
+
+
+def _without_depth(picture: LabelledPicture, color: NDArray[np.uint8]) -> Capture:
+    return Capture(color, np.zeros(color.shape[:2], np.float32), camera_of(picture), picture.file)
+
+
+def collect_set(
+    data: DataSet, keep: Path, seed: int = 0, progress: Callable[[int], None] | None = None
+) -> tuple[list[MeasuredFruit], EndCrops]:
+    """Measure the fruit of a drawn set, and cut out their ends.
+
+    Those to train on, and those without depth, are cut from the labels too.
+
+    Parameters
+    ----------
+    data : DataSet
+        A set by `cucumbervision synth` with depth; or without, of real fruit pasted into photos,
+        which are not measured.
+    keep : Path
+        The file of what is measured (`write_measured`).
+    seed : int
+        Random seed of the labels' errors and of the moves.
+    progress : callable, optional
+        Called with 1 after each picture that was measured.
+
+    Returns
+    -------
+    fruit : list of MeasuredFruit
+        The fruit, as the crops number them.
+    crops : EndCrops
+        Their ends.
+
+    Raises
+    ------
+    TrainingError, CaptureError
+        As `collect_end_crops`.
+    """
+    write_measured(data, keep, progress=progress)
+    rng = np.random.default_rng(seed)
+    by_label = [
+        one
+        for one in data.pictures
+        if one.depth_file is None or not is_held_out(one.scene or one.file)
+    ]
+    fruit = [one for picture in by_label for one in labelled_fruit(picture, rng)]
+    fruit += read_measured([keep])
+    return fruit, collect_end_crops(fruit, data, seed)
+
+
+def _crops_of(
+    number: int, fruit: MeasuredFruit, capture: Capture, rng: np.random.Generator
+) -> list[tuple[Any, ...]]:
+    axis, mask = np.array(fruit.axis_m), fruit.mask.decode()
+    held, rows = is_held_out(fruit.scene), []
+    for line, end in ((axis, fruit.ends[0]), (axis[::-1], fruit.ends[1])):
+        moves = (0.0,) if held else (0.0, float(rng.normal(0, _MOVED_SD)) * fruit.diameter_m / 2)
+        for by_m in moves:
+            crop = end_crop(
+                capture.color,
+                capture.depth_m,
+                mask,
+                capture.intrinsics,
+                moved_axis(line, by_m) if by_m else line,
+                fruit.diameter_m,
+            )
+            missing = (end.missing_m - by_m) / fruit.true_m[0]
+            stem = np.nan if end.is_stem is None else float(end.is_stem)
+            rows.append((crop.planes, crop.shape, missing, stem, number, by_m != 0, held))
+    return rows

@@ -66,7 +66,7 @@ def test_the_packages_own_registry_is_sound() -> None:
         # A network is somebody's, whose file is named, or our own, with a card.
         assert (
             (model.source is None)
-            == (model.task in ("segment", "pose", "ends", "crops"))
+            == (model.task in ("segment", "pose", "ends", "crops", "look"))
             == bool(model.card)
         )
         if model.source is not None:

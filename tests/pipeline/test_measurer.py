@@ -47,6 +47,7 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.pipeline.stages import Stage
 
 
 def entry(
@@ -302,3 +303,37 @@ def test_the_edge_that_is_up_says_which_end_is_the_stems(edge: str, upright: boo
     (found,) = Measurer(options).measure(lies).fruit
     assert found.pose is not None
     assert found.pose.stem_confidence == pytest.approx(0.5, abs=0.1)
+
+
+def test_ends_are_looked_at_where_that_is_asked_for_and_networks_drew_the_masks() -> None:
+    capture = next(iter(open_source(example_captures()))).load()
+    options = MeasureOptions(instances="models", methods=(Method.M6,))
+    before = Measurer(options).measure(capture)
+    after = Measurer(replace(options, end_look=True)).measure(capture)
+    assert "cucumber-look" not in {model["name"] for model in before.models}
+    assert "cucumber-look" in {model["name"] for model in after.models}
+    assert len(before.fruit) == len(after.fruit) > 0
+    for old, new in zip(before.fruit, after.fruit, strict=True):
+        assert old.fit is not None
+        assert new.fit is not None
+        assert old.fit.looks is None
+        assert new.fit.looks is not None
+        assert old.length is not None
+        assert new.length is not None
+        assert new.length.value_m == old.length.value_m
+        assert new.length.low_m is not None
+        assert new.length.high_m is not None
+        assert new.length.low_m <= new.length.value_m <= new.length.high_m
+    measurer = Measurer(replace(options, instances="dataset", end_look=True))
+    given = measurer.measure(capture)
+    assert measurer.models == []
+    assert all(one.fit is not None and one.fit.looks is None for one in given.fruit)
+
+
+def test_what_rows_depend_on_knows_the_look() -> None:
+    options = MeasureOptions(instances="models")
+    hashes = [
+        Measurer(replace(options, end_look=look)).hashes.of([Stage.DETECTED, Stage.KEPT])
+        for look in (False, True)
+    ]
+    assert hashes[0] != hashes[1]

@@ -61,6 +61,8 @@ def with_end_looks(
         The package's own if not given.
     """
     tubes = {k: tube for k, one in enumerate(fruit) if (tube := _tube(one)) is not None}
+    if not tubes:
+        return list(fruit)
     crops = [crop for k, tube in tubes.items() for crop in _crops(capture, fruit[k], tube)]
     looks = look(crops)
     pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.perception.end_look import EndCrop, EndLook
     from cucumbervision.perception.instances import Instance
 
 
@@ -334,21 +335,25 @@ class NetworkLoader:
         """The classifier of stem ends, which the loaded pose network holds; None without one."""
         return None if self._with_ends is None else self._with_ends.ends
 
-    @property
-    def end_looker(self) -> EndLooker | None:
-        """The registry's network that looks at ends, loaded on first use; None without one.
+    def look_at_ends(self, crops: Sequence[EndCrop]) -> list[EndLook]:
+        """Return what ends look like by the registry's network, which is loaded on first use.
 
         Raises
         ------
         ModelError, ModelHashError
-            If its file is missing, damaged, or another kind of network.
+            If there is none, or its file is missing, damaged, or another kind of network.
         """
-        own = self.registry.default("look")
-        if self._looker is None and own is not None:
+        if self._looker is None:
+            own = self.registry.default("look")
+            if own is None:
+                raise ModelError(
+                    "this version comes without a network that looks at ends",
+                    remedy="measure without end_look",
+                )
             path = self.verify(own.name)["network"]
             self._looker = EndLooker(path, self._runtime)
             self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], self._looker)
-        return self._looker
+        return self._looker.look(crops)
 
     def verify(self, name: str) -> dict[str, Path]:
         """Return the files of a registered network by role; each is hashed once.

@@ -400,13 +400,10 @@ class Measurer:
 
         They are calibrated, and those of sizes that cannot be get no length.
         """
-        options, looker = self.options, None
+        options = self.options
         if options.end_look and self._finder is not None:
-            looker = self._finder.networks.end_looker
-        if looker is not None:
-            measured = with_end_looks(
-                capture, measured, looker.look, options.length, scale_known=self._scale_known
-            )
+            look, known = self._finder.networks.look_at_ends, self._scale_known
+            measured = with_end_looks(capture, measured, look, options.length, scale_known=known)
         if self.site is not None:
             measured = [calibrated_fruit(one, self.site, options.length) for one in measured]
         doubts = [Flag(doubt) for doubt in capture.doubts]

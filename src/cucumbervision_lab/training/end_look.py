@@ -38,7 +38,9 @@ _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
 _NO_DEPTH, _HOLES = 0.2, 0.3  # shares of the crops of a batch that lose their depth, or parts of it
 _LIMITS = (
-    "Trained on drawn fruit only, at the ends of M6 and of labels.",
+    "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
+    "plant before a depth camera.",
+    "Its quantiles and probabilities are too sure; the intervals that are learnt from them less.",
     "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
 )
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels

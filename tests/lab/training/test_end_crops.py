@@ -52,7 +52,7 @@ def test_ends_of_training_come_once_more_moved_along_the_axis(drawn: DataSet) ->
     for end in (0, 1):
         expected = [one.relative_missing[end] for one in fruit]
         assert plain.missing[end::2] == pytest.approx(expected, abs=1e-6)
-        assert plain.stem[end::2].tolist() == [float(one.ends[end].is_stem) for one in fruit]
+        assert plain.stem[end::2].tolist() == [float(bool(one.ends[end].is_stem)) for one in fruit]
     # Moved inward the fruit goes on under the end: the mask fills the middle of the crop.
     moved = np.flatnonzero(found.moved)
     inward = moved[(found.missing[moved] - found.missing[moved - 1]) > 0.1]

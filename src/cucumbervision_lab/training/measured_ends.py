@@ -383,6 +383,9 @@ def write_measured(
         Called with 1 after each picture.
     """
     done = {picture for picture, _ in _lines([keep])} if keep.exists() else set()
+    if keep.exists():
+        text = keep.read_text(encoding="utf-8")
+        keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
     pictures = [one for one in data.pictures[part::parts] if one.file not in done]
     held = [is_held_out(one.scene or one.file) for one in pictures]
     turn = [sum(h == own for h in held[:k]) * (1 if own else 4) for k, own in enumerate(held)]
@@ -410,7 +413,6 @@ def read_measured(files: Iterable[Path]) -> list[MeasuredFruit]:
 def _lines(files: Iterable[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
     for file in files:
         with wrap_reader_errors(file, DataSetError, "measure the set again"):
-            for line in file.read_text(encoding="utf-8").splitlines():
-                if line.endswith("}"):
-                    content = json.loads(line)
-                    yield content["picture"], content
+            for line in file.read_text(encoding="utf-8").split("\n")[:-1]:
+                content = json.loads(line)
+                yield content["picture"], content

@@ -115,3 +115,17 @@ def test_a_store_that_is_not_there_is_not_made(tmp_path: Path, command: str) -> 
     with pytest.raises(CucumberVisionError, match="is not there; check the path"):
         run(*command.split(), "--store", str(store))
     assert not any(tmp_path.iterdir())
+
+
+def test_names_are_printed_letter_by_letter(tmp_path: Path) -> None:
+    name = "[/x] [red]a[/red] :tada:"
+    store = ["--store", str(tmp_path / "house.db")]
+    run("new", name, "--house", name, *store)
+    run("add", str(example_captures() / "simulated-row-a"), "--row", name, *store)
+
+    def letters(said: str) -> str:  # cells are folded
+        return "".join(c for c in said if not c.isspace() and c not in "│┃")
+
+    assert letters(run("list", *store)).count(letters(name)) >= 1
+    for command in ("merge", "show"):
+        assert letters("[/x]") in letters(run(command, *store))

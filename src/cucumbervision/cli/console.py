@@ -12,7 +12,6 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -54,7 +53,18 @@ def screen(width: int = _WIDTH) -> Console:
 
     A file or pipe has no width, and the default of 80 columns would cut the tables.
     """
-    return Console(highlight=False, width=None if Console().is_terminal else width)
+    return plain_console(width=None if Console().is_terminal else width)
+
+
+def plain_console(**how: Any) -> Console:
+    """Return a console that prints names letter by letter: no marks, no icons, no highlights.
+
+    Examples
+    --------
+    >>> plain_console().print("[/x] [red]a[/red] :tada:")
+    [/x] [red]a[/red] :tada:
+    """
+    return Console(highlight=False, markup=False, emoji=False, **how)
 
 
 def columns_table(title: str | None, left: Sequence[str], *right: str) -> Table:
@@ -72,7 +82,7 @@ def print_table(console: Console, figures: table.Table) -> None:
         printed.add_column(column.head, justify="right" if numeric else "left")
     for row in figures.text_rows():
         printed.add_row(*row)
-    console.print(printed)
+    console.print(printed, markup=False, emoji=False)
     if figures.comment:
         console.print(figures.comment, soft_wrap=True, markup=False, style="dim")
 
@@ -112,7 +122,7 @@ def measure_and_show(
 
     Progress, notes and failures go to the standard error, results to the standard output.
     """
-    errors = Console(stderr=True, quiet=quiet, highlight=False)
+    errors = plain_console(stderr=True, quiet=quiet)
     total = count_captures(inputs, options.reading, batch.opener) if errors.is_terminal else None
     with progress_bar(errors) as bar, stopping_gently() as stop:
         task = bar.add_task("measuring", total=total)
@@ -120,7 +130,7 @@ def measure_and_show(
         result = measure_inputs(inputs, out, options, lambda _: bar.advance(task), batch)
     for note in result.notes:  # whole in measurements.json
         short = shorten(note, _LONGEST_NOTE, placeholder=" …")
-        errors.print(short, markup=False, soft_wrap=True)
+        errors.print(short, soft_wrap=True)
     if not quiet:
         console = screen()
         console.print(
@@ -140,17 +150,17 @@ def detect_and_show(
 
     Progress and failures go to the standard error, the summary to the standard output.
     """
-    errors = Console(stderr=True, quiet=quiet, highlight=False)
+    errors = plain_console(stderr=True, quiet=quiet)
     with progress_bar(errors) as bar:
         task = bar.add_task("detecting", total=None)
         result = detect_inputs(
             inputs, out, options, lambda done, total: bar.update(task, completed=done, total=total)
         )
     if not quiet:
-        console = Console(highlight=False)
+        console = plain_console()
         console.print(summary_table(result))
         written = "results.json, images.json and overlays/"
-        console.print(f"{written} are in {out}/", soft_wrap=True, markup=False)
+        console.print(f"{written} are in {out}/", soft_wrap=True)
     show_failures(result.failures, out)
     return result.exit_code
 
@@ -243,11 +253,11 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
     """Print failures to the standard error, one a line; `out` holds them as a table, too."""
     if not failures:
         return
-    console = Console(stderr=True, highlight=False)
+    console = plain_console(stderr=True)
     also = f", also in {out}/failures.csv" if out and (out / "failures.csv").exists() else ""
-    console.print(f"{len(failures)} failed{also}:", markup=False, soft_wrap=True)
+    console.print(f"{len(failures)} failed{also}:", soft_wrap=True)
     for failure in failures:
-        console.print(f"  {failure.message}", soft_wrap=True, markup=False)
+        console.print(f"  {failure.message}", soft_wrap=True)
 
 
 def summary_table(result: DetectResult) -> Table:
@@ -262,5 +272,5 @@ def summary_table(result: DetectResult) -> Table:
     if result.skipped:
         table.add_row("no pictures, skipped", str(result.skipped))
     networks = ", ".join(f"{m['name']} on {m['runtime']}" for m in result.models)
-    table.add_row("networks", escape(networks))
+    table.add_row("networks", networks)
     return table

@@ -19,9 +19,9 @@ Name = Annotated[str, typer.Argument(help="A name that `models list` shows.")]
 @app.command("list")
 def list_models() -> None:
     """List every network: task, licence, size, origin, and whether it is on this machine."""
-    from rich.console import Console
     from rich.table import Table
 
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.perception.registry import load_registry
 
     registry = load_registry()
@@ -32,7 +32,7 @@ def list_models() -> None:
         if model in registry.own and model == registry.default(model.task):
             state = "in use"
         table.add_row(model.name, model.task, model.licence, size, model.origin, state)
-    Console().print(table)
+    plain_console().print(table)
 
 
 @app.command()
@@ -42,15 +42,14 @@ def verify(
     ] = None,
 ) -> None:
     """Hash the files and compare with the registry."""
-    from rich.console import Console
-
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.perception.registry import load_registry
 
     registry = load_registry()
     here = [one.name for one in registry.models if registry.state(one.name) != "not pulled"]
     for one in [name] if name else here:
         for path in registry.resolve(one).values():
-            Console(highlight=False).print(f"ok {one}: {path}", soft_wrap=True)
+            plain_console().print(f"ok {one}: {path}", soft_wrap=True)
 
 
 @app.command()
@@ -71,8 +70,7 @@ def use(
 
     A running dashboard must be restarted.
     """
-    from rich.console import Console
-
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.errors import ModelError
     from cucumbervision.perception.registry import use_network, use_shipped
 
@@ -84,7 +82,7 @@ def use(
     else:
         model = use_network(given, anyway=anyway)
         said = f"{model.name} ({model.task})"
-    Console(highlight=False).print(f"In use now: {said}", soft_wrap=True, markup=False)
+    plain_console().print(f"In use now: {said}", soft_wrap=True)
 
 
 @app.command()
@@ -93,9 +91,8 @@ def export(
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
 ) -> None:
     """Copy a network's verified ONNX files."""
-    from rich.console import Console
-
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.perception.registry import load_registry
 
     for path in load_registry().export(name, out):
-        Console(highlight=False).print(str(path), soft_wrap=True)
+        plain_console().print(str(path), soft_wrap=True)

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.perception.masks import box_of_mask

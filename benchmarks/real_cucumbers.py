@@ -41,8 +41,9 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import Flag, Method
+from cucumbervision.measurement.result import Method
 from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer

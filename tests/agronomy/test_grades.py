@@ -12,13 +12,8 @@ from cucumbervision.agronomy.grades import (
     share_below,
 )
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import (
-    LOWER_BOUND,
-    Flag,
-    Length,
-    LengthDefinition,
-    LengthKind,
-)
+from cucumbervision.measurement.flags import LOWER_BOUND, Flag
+from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 LONG = load_profile("long-cucumber")
 ALL = ("too short", "II", "I", "too long")

@@ -17,7 +17,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer, is_doubtful
 from cucumbervision.dashboard.round_tables import doubtful
 from cucumbervision.errors import InstancesError
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask

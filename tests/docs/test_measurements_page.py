@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.measurement.result import Choice, Flag, LengthKind, Method, Reason
+from cucumbervision.measurement.flags import FLAGS, Flag
+from cucumbervision.measurement.result import Choice, LengthKind, Method, Reason
 from cucumbervision.pipeline.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
@@ -19,6 +20,13 @@ PAGE = (ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")
 def test_columns_stand_in_their_order() -> None:
     rows = re.findall(r"^\| `(\w+)` \| (\w*) \| (.+?) \|$", PAGE, re.M)
     assert rows[-len(FIELDS) :] == [(c.name, c.unit, c.says) for c in FIELDS]
+
+
+def test_flags_are_those_of_the_table() -> None:
+    assert {*FLAGS} == {*Flag}
+    part = PAGE.split("## Flags")[1].split("## Columns")[0]
+    rows = re.findall(r"^\| `([\w-]+)` \| (.+?) \|$", part, re.M)
+    assert rows == [(str(flag), line.meaning) for flag, line in FLAGS.items()]
 
 
 @pytest.mark.parametrize(

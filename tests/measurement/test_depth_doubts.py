@@ -15,7 +15,7 @@ from tests.capsules import CAMERA, Capsule, capsule_capture, lying
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.measurement.depth_doubts import depth_doubts
-from cucumbervision.measurement.result import NO_DEPTH, Flag, is_lower_bound
+from cucumbervision.measurement.flags import NO_DEPTH, Flag, is_lower_bound
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.results import measure
 

@@ -9,6 +9,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.end_looks import DOUBTFUL, end_flag, with_end_looks
+from cucumbervision.measurement.flags import Flag, flag_remarks
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
@@ -19,13 +20,7 @@ from cucumbervision.measurement.intervals import (
     look_features,
     tube_features,
 )
-from cucumbervision.measurement.result import (
-    Flag,
-    FruitMeasurement,
-    Method,
-    TubeFit,
-    flag_remarks,
-)
+from cucumbervision.measurement.result import FruitMeasurement, Method, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.end_look import EndCrop, EndLook
 from cucumbervision.perception.instances import Instance, MaskSource

@@ -9,6 +9,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import (
     REAL_SD,
     Band,
@@ -19,7 +20,6 @@ from cucumbervision.measurement.intervals import (
     shipped_interval_models,
 )
 from cucumbervision.measurement.result import (
-    Flag,
     IntervalBasis,
     Length,
     LengthDefinition,

@@ -16,8 +16,9 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.geometry.tube import TubeShape, guess_shape
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.m6 import TubeView, fits_well, measure_m6, view_tube
-from cucumbervision.measurement.result import Flag, LengthKind, Measurement, Reason, TubeFit
+from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, bent_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense

@@ -14,8 +14,9 @@ from pydantic import TypeAdapter
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FruitPose, Part
-from cucumbervision.measurement.result import Flag, FruitMeasurement, Method
+from cucumbervision.measurement.result import FruitMeasurement, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask

@@ -9,9 +9,9 @@ from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
-    Flag,
     FruitMeasurement,
     Length,
     LengthKind,

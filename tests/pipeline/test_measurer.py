@@ -24,9 +24,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError, DiskFullError
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
-    Flag,
     FruitMeasurement,
     IntervalBasis,
     Length,

@@ -16,7 +16,8 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, DepthError, InstancesError, IntrinsicsError
-from cucumbervision.measurement.result import Flag, FruitMeasurement, LengthDefinition
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import FruitMeasurement, LengthDefinition
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.results import measure
 

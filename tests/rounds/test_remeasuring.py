@@ -14,7 +14,8 @@ from cucumbervision.capture.frames import Doubt
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import Flag, LengthDefinition, Method
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures

@@ -19,13 +19,8 @@ from cucumbervision.agronomy.classes import (
     class_of,
     possible_classes,
 )
-from cucumbervision.measurement.result import (
-    LOWER_BOUND,
-    Flag,
-    Length,
-    LengthDefinition,
-    LengthKind,
-)
+from cucumbervision.measurement.flags import Flag, is_lower_bound
+from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -124,7 +119,7 @@ class GradingTraits:
     @property
     def at_least(self) -> bool:
         """Whether the fruit goes on out of sight, so that its length is a lower bound."""
-        return not LOWER_BOUND.isdisjoint(self.flags.split())
+        return is_lower_bound(self.flags.split())
 
     @classmethod
     def from_row(cls, row: Mapping[str, object]) -> GradingTraits:

@@ -25,7 +25,8 @@ from rich.table import Table
 
 from cucumbervision.agronomy.grades import GradingTraits, grade
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import LOWER_BOUND, LengthDefinition, flag_remarks
+from cucumbervision.measurement.flags import flag_remarks, is_lower_bound
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.detect import detect_inputs
 from cucumbervision.pipeline.inputs import count_captures
@@ -221,7 +222,7 @@ def _remarks(row: Mapping[str, Any], profile: CropProfile) -> str:
 
 
 def _length(row: Mapping[str, Any]) -> str:
-    bound = row["length_cm"] is not None and not LOWER_BOUND.isdisjoint(row["flags"].split())
+    bound = row["length_cm"] is not None and is_lower_bound(row["flags"].split())
     return f"≥ {_number(row['length_cm'])}" if bound else _number(row["length_cm"])
 
 

@@ -325,7 +325,7 @@ def show(
 
 def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
     from cucumbervision.agronomy.grades import grade
-    from cucumbervision.measurement.result import flag_remarks
+    from cucumbervision.measurement.flags import flag_remarks
 
     view, record = line.view, line.view.record
     length = record.length

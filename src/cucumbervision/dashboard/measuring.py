@@ -14,7 +14,7 @@ from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask, mask_iou

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
 from cucumbervision.agronomy.picking import hours_words
-from cucumbervision.measurement.result import flag_remarks
+from cucumbervision.measurement.flags import flag_remarks
 from cucumbervision.names import readable
 
 if TYPE_CHECKING:

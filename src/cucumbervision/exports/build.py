@@ -19,7 +19,8 @@ from cucumbervision.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
-from cucumbervision.measurement.result import Method, flag_remarks
+from cucumbervision.measurement.flags import flag_remarks
+from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
 from cucumbervision.rounds.forecasting import day_0_s, forecast_today
 from cucumbervision.rounds.from_store import read_round

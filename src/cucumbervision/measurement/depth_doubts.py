@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.flags import Flag
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

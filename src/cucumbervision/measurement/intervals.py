@@ -13,10 +13,9 @@ from scipy.special import ndtri
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, wrap_reader_errors
+from cucumbervision.measurement.flags import LOWER_BOUND, Flag
 from cucumbervision.measurement.hidden_end import DRAWN_KINDS
 from cucumbervision.measurement.result import (
-    LOWER_BOUND,
-    Flag,
     IntervalBasis,
     Length,
     LengthDefinition,

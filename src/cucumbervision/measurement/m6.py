@@ -21,20 +21,14 @@ from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.hidden_end import (
     DRAWN_KINDS,
     BeyondEnd,
     beyond_ends,
     with_hidden_end,
 )
-from cucumbervision.measurement.result import (
-    Flag,
-    LengthKind,
-    Measurement,
-    Method,
-    Reason,
-    TubeFit,
-)
+from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
 from cucumbervision.perception.masks import distances_inside, mask_window
 

@@ -22,8 +22,8 @@ from scipy.special import expit
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.geometry.tube_fit import END_SHARE
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import SCALE_SD
-from cucumbervision.measurement.result import Flag
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from cucumbervision.measurement.flags import Flag, is_lower_bound
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from typing import Self
 
     import numpy as np
@@ -98,116 +100,6 @@ class Choice(StrEnum):
     IMPLAUSIBLE_DIAMETER = "implausible-diameter"
     WAITING = "not-selected"
     SEVERAL_VIEWS = "several-views"
-
-
-class Flag(StrEnum):
-    """What else to know of a measurement; stable codes for tables."""
-
-    CUT_BY_FRAME = "cut-by-frame"
-    BOX_CLIPPED = "box-clipped"
-    END_HIDDEN = "end-hidden"
-    ENDS_DISAGREE = "ends-disagree"
-    ENDS_UNSURE = "ends-unsure"
-    UPPER_END = "upper-end-doubtful"
-    LOWER_END = "lower-end-doubtful"
-    LEFT_END = "left-end-doubtful"
-    RIGHT_END = "right-end-doubtful"
-    END_ON = "end-on"
-    PART_HIDDEN = "part-hidden"
-    POOR_FIT = "poor-fit"
-    UNCERTAIN = "uncertain"
-    INTERVAL_TOO_WIDE = "interval-too-wide"
-    DETECTOR_MASK = "detector-mask"
-    SAM_MASK_EMPTY = "sam-mask-empty"
-    SAM_MASK_SMALL = "sam-mask-small"
-    SAM_MASK_OFF_BOX = "sam-mask-off-box"
-    SAM_MASK_OFF_DETECTOR = "sam-mask-off-detector"
-    NOT_COVERED = "calibration-not-covered"
-    OTHER_MASK = "calibration-other-mask"
-    OUTSIDE_RANGE = "outside-calibrated-range"
-    DEPTH_UNIT = "depth-unit"
-    DEPTH_TOO_NEAR = "depth-too-near"
-    DEPTH_HOLLOW = "depth-hollow"
-    DEPTH_GAP = "depth-gap"
-    DEPTH_UNALIGNED = "depth-unaligned"
-    PRINCIPAL_POINT = "principal-point"
-    DEPTH_RESAMPLED = "depth-resampled"
-    DOUBTFUL = "doubtful"
-
-
-DOUBTFUL_END = {
-    "upper": Flag.UPPER_END,
-    "lower": Flag.LOWER_END,
-    "left": Flag.LEFT_END,
-    "right": Flag.RIGHT_END,
-}
-"""Flags of an end that may go on out of sight, by where it is in the picture."""
-
-LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
-"""Flags of a fruit that goes on out of sight: it is at least as long as was measured."""
-
-NO_DEPTH = frozenset({Flag.DEPTH_TOO_NEAR, Flag.DEPTH_HOLLOW, Flag.DEPTH_GAP, Flag.DEPTH_UNALIGNED})
-"""Flags of a fruit whose depth cannot be its distance: its length is no lower bound either."""
-
-
-def is_lower_bound(flags: Iterable[str]) -> bool:
-    """Return whether flags say that a fruit goes on out of sight, so that it is at least as long.
-
-    Examples
-    --------
-    >>> is_lower_bound(["end-hidden"]), is_lower_bound(["end-hidden", "depth-hollow"])
-    (True, False)
-    """
-    given = {*flags}
-    return not LOWER_BOUND.isdisjoint(given) and NO_DEPTH.isdisjoint(given)
-
-
-_FLAG_WORDS = {
-    Flag.CUT_BY_FRAME: "cut by the picture's edge",
-    Flag.BOX_CLIPPED: "cut by the picture's edge",
-    Flag.END_HIDDEN: "an end is hidden",
-    Flag.ENDS_DISAGREE: "its ends were found at two places",
-    **{
-        flag: f"the {place} end may go on behind what covers it"
-        for place, flag in DOUBTFUL_END.items()
-    },
-    Flag.END_ON: "seen end on",
-    Flag.PART_HIDDEN: "partly hidden",
-    Flag.POOR_FIT: "its shape is not that of one fruit",
-    Flag.UNCERTAIN: "the length is uncertain",
-    Flag.INTERVAL_TOO_WIDE: "the length is uncertain",
-    Flag.NOT_COVERED: "the site's calibration does not cover it",
-    Flag.OTHER_MASK: "the site's calibration was made with other outlines",
-    Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
-    Flag.DEPTH_UNIT: "too large: check the depth's unit",
-    Flag.DEPTH_TOO_NEAR: "nearer than a camera reads: check the depth's unit",
-    Flag.DEPTH_HOLLOW: "hollow by its depth: check what the depth picture holds",
-    Flag.DEPTH_GAP: "an outline of several things with a gap between them",
-    Flag.DEPTH_UNALIGNED: "outline and depth do not lie together: check that depth is aligned",
-    Flag.PRINCIPAL_POINT: "check the camera's intrinsics",
-    Flag.DEPTH_RESAMPLED: "depth is coarser than colour",
-    Flag.DOUBTFUL: "added by hand, and may be no fruit",
-}
-
-
-def flag_remarks(flags: str, at_least: str = "") -> str:
-    """Return a measurement's flags as short sentences, without those that no length depends on.
-
-    Parameters
-    ----------
-    flags : str
-        As the store has them, separated by blanks.
-    at_least : str
-        The length as a lower bound, in words, where it is one.
-
-    Examples
-    --------
-    >>> flag_remarks("ends-unsure end-hidden", "at least 24.0 cm")
-    'an end is hidden: at least 24.0 cm'
-    """
-    known = {str(flag): words for flag, words in _FLAG_WORDS.items()}
-    words = "; ".join(dict.fromkeys(known[one] for one in flags.split() if one in known))
-    return f"{words or 'partly hidden'}: {at_least}" if at_least else words
 
 
 INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % intervals

@@ -12,6 +12,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.depth_doubts import depth_doubts
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
@@ -24,7 +25,6 @@ from cucumbervision.measurement.pose import (
 )
 from cucumbervision.measurement.result import (
     Choice,
-    Flag,
     FruitMeasurement,
     Length,
     LengthDefinition,

@@ -9,13 +9,12 @@ import numpy as np
 
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
+from cucumbervision.measurement.flags import LOWER_BOUND, Flag
 from cucumbervision.measurement.hidden_end import BeyondEnd, beyond_ends
 from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, view_tube
 from cucumbervision.measurement.pose import fruit_pose, stem_first
 from cucumbervision.measurement.result import (
-    LOWER_BOUND,
     Choice,
-    Flag,
     FruitMeasurement,
     LengthDefinition,
     Measurement,

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.measurement.result import Choice, Flag, FruitMeasurement, Method, Reason
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import Choice, FruitMeasurement, Method, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -21,10 +21,10 @@ from cucumbervision.errors import (
 )
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.end_looks import with_end_looks
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import (
     Choice,
-    Flag,
     FruitMeasurement,
     IntervalBasis,
     Length,

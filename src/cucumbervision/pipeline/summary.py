@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.result import LOWER_BOUND, Choice, Flag, Method
+from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound
+from cucumbervision.measurement.result import Choice, Method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -19,57 +20,6 @@ if TYPE_CHECKING:
 # Of a depth step, mm, beside 1 mm: D405 cameras, TUM's, L515 cameras, micrometres, cm, metres.
 _STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
 _USUAL_CM = (5.0, 50.0)
-
-
-# What a flag makes doubtful in a batch, and what to do.
-_DATA_DOUBTS = {
-    Flag.DEPTH_TOO_NEAR: (
-        "nearer than 12 cm, where no camera reads",
-        "check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
-    ),
-    Flag.DEPTH_HOLLOW: (
-        "the depth of their middle lies behind that of their flanks",
-        "check that the depth picture holds distances, and not their inverse or relative depth",
-    ),
-    Flag.DEPTH_GAP: (
-        "their outline has pieces with a gap between them that lies behind",
-        "give each fruit an outline of its own",
-    ),
-    Flag.DEPTH_UNALIGNED: (
-        "outline and depth do not lie together",
-        "check that depth is aligned to colour, and masks are of this picture",
-    ),
-    Flag.PRINCIPAL_POINT: (
-        "the intrinsics' principal point lies off the middle of the picture",
-        "check that they are of this size of picture",
-    ),
-    Flag.DEPTH_RESAMPLED: (
-        "depth has fewer pixels than colour and was enlarged",
-        "record depth aligned to colour at its size",
-    ),
-}
-
-
-def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
-    """Return what the data of a batch makes doubtful, a line a flag, with the remedy.
-
-    Parameters
-    ----------
-    flags : mapping of str to int
-        How many fruit have each flag.
-    fruit : int
-        How many there are.
-
-    Examples
-    --------
-    >>> data_doubts({"principal-point": 3, "ends-unsure": 2}, 4)[0]
-    "3 of 4 fruit: the intrinsics' principal point lies off the middle of the picture; check ..."
-    """
-    return [
-        f"{flags[flag]} of {fruit} fruit: {words}; {remedy}"
-        for flag, (words, remedy) in _DATA_DOUBTS.items()
-        if flags.get(flag)
-    ]
 
 
 def _by_class(counts: Mapping[str, int]) -> str:
@@ -145,8 +95,8 @@ class Summary:
             self.fruit += 1
             flags = str(row.get("flags") or "").split()
             if row["length_cm"] is not None:
-                whole = LOWER_BOUND.isdisjoint(flags)
-                lengths_cm = self.lengths_cm if whole else self.lower_bounds_cm
+                is_bound = is_lower_bound(flags)
+                lengths_cm = self.lower_bounds_cm if is_bound else self.lengths_cm
                 lengths_cm.append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
             refused = row.get("reason")

@@ -16,8 +16,9 @@ import numpy as np
 
 from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
+from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.matching import ALONG
-from cucumbervision.measurement.result import Flag, LengthDefinition
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit

@@ -18,7 +18,7 @@ from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.flags import SHOWS_LESS
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import si_values
@@ -48,13 +48,6 @@ if TYPE_CHECKING:
 
 _PATH_POINTS = 48  # enough to draw a fruit by
 
-# A view with one of these shows its fruit less well than one without.
-_QUALITY_FLAGS = frozenset(
-    {
-        *(Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN, Flag.END_ON, Flag.PART_HIDDEN),
-        *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
-    }
-)
 AS_READ = (
     *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
     "gravity",
@@ -228,7 +221,7 @@ def view_score(fruit: FruitMeasurement) -> float:
         return 0.0
     hidden = 0.0 if fruit.fit is None else fruit.fit.hidden_share
     score = fruit.instance.confidence * (fruit.fill or 0.0) * (1.0 - hidden)
-    halved = len(_QUALITY_FLAGS & set(fruit.flags)) + (fruit.fit is None)
+    halved = len(SHOWS_LESS & set(fruit.flags)) + (fruit.fit is None)
     return round(score * 0.5**halved, 6)
 
 

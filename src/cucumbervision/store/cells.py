@@ -11,12 +11,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreError, wrap_reader_errors
-from cucumbervision.measurement.result import (
-    IntervalBasis,
-    Length,
-    LengthDefinition,
-    LengthKind,
-)
+from cucumbervision.measurement.result import IntervalBasis, Length, LengthDefinition, LengthKind
 from cucumbervision.store.engine import named
 from cucumbervision.store.records import DetectionRecord, ImageRef, Point, checked_key
 from cucumbervision.store.schema import (

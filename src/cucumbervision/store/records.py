@@ -11,7 +11,8 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import Choice, Length, is_lower_bound
+from cucumbervision.measurement.flags import is_lower_bound
+from cucumbervision.measurement.result import Choice, Length
 
 Point: TypeAlias = tuple[float, ...]
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from cucumbervision.capture.motion import moved_px
+from cucumbervision.measurement.flags import is_lower_bound
 from cucumbervision.measurement.pose import FruitPose
-from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
+from cucumbervision.measurement.result import Choice, Method
 from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -349,7 +350,7 @@ class FruitStream:
         self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, view: FrameView
     ) -> TrackedFruit:
         known, length = self._known[number], fruit.length
-        partial = not LOWER_BOUND.isdisjoint(fruit.flags)
+        partial = is_lower_bound(fruit.flags)
         if length is not None and known.length.contradicts(length, partial=partial):
             number = self._tracker.split(number)
             known = self._known[number] = _Known()

@@ -1,0 +1,297 @@
+"""What else to know of a measurement: one table of all flags, from which words and rules come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+class Flag(StrEnum):
+    """Codes of flags; stable, for tables."""
+
+    CUT_BY_FRAME = "cut-by-frame"
+    BOX_CLIPPED = "box-clipped"
+    END_HIDDEN = "end-hidden"
+    ENDS_DISAGREE = "ends-disagree"
+    ENDS_UNSURE = "ends-unsure"
+    UPPER_END = "upper-end-doubtful"
+    LOWER_END = "lower-end-doubtful"
+    LEFT_END = "left-end-doubtful"
+    RIGHT_END = "right-end-doubtful"
+    END_ON = "end-on"
+    PART_HIDDEN = "part-hidden"
+    POOR_FIT = "poor-fit"
+    UNCERTAIN = "uncertain"
+    INTERVAL_TOO_WIDE = "interval-too-wide"
+    DETECTOR_MASK = "detector-mask"
+    SAM_MASK_EMPTY = "sam-mask-empty"
+    SAM_MASK_SMALL = "sam-mask-small"
+    SAM_MASK_OFF_BOX = "sam-mask-off-box"
+    SAM_MASK_OFF_DETECTOR = "sam-mask-off-detector"
+    NOT_COVERED = "calibration-not-covered"
+    OTHER_MASK = "calibration-other-mask"
+    OUTSIDE_RANGE = "outside-calibrated-range"
+    DEPTH_UNIT = "depth-unit"
+    DEPTH_TOO_NEAR = "depth-too-near"
+    DEPTH_HOLLOW = "depth-hollow"
+    DEPTH_GAP = "depth-gap"
+    DEPTH_UNALIGNED = "depth-unaligned"
+    PRINCIPAL_POINT = "principal-point"
+    DEPTH_RESAMPLED = "depth-resampled"
+    DOUBTFUL = "doubtful"
+
+
+DOUBTFUL_END = {
+    "upper": Flag.UPPER_END,
+    "lower": Flag.LOWER_END,
+    "left": Flag.LEFT_END,
+    "right": Flag.RIGHT_END,
+}
+"""Flags of an end that may go on out of sight, by where it is in the picture."""
+
+
+class Effect(StrEnum):
+    """What a flag does to the length."""
+
+    NONE = "none"
+    LOWER_BOUND = "lower bound"
+    """The fruit goes on out of sight: it is at least as long as was measured."""
+    NO_DEPTH = "no depth"
+    """Its depth cannot be its distance: the length is no lower bound either."""
+
+
+@dataclass(frozen=True)
+class FlagMeaning:
+    """One line of the table of flags.
+
+    Parameters
+    ----------
+    meaning : str
+        What the documentation says of it.
+    remark : str
+        What a remark beside a fruit says; empty for what no length depends on.
+    effect : Effect
+        What it does to the length.
+    shows_less : bool
+        Whether a view with it shows its fruit less well than one without.
+    data_fault, remedy : str
+        What the run says once where fruit have it: what the data make doubtful, and what to do.
+        Empty where the data are not at fault.
+    """
+
+    meaning: str
+    remark: str = ""
+    effect: Effect = Effect.NONE
+    shows_less: bool = False
+    data_fault: str = ""
+    remedy: str = ""
+
+
+FLAGS: Mapping[Flag, FlagMeaning] = {
+    Flag.CUT_BY_FRAME: FlagMeaning(
+        "the fruit reaches the picture's edge: it is longer than measured",
+        remark="cut by the picture's edge",
+        effect=Effect.LOWER_BOUND,
+        shows_less=True,
+    ),
+    Flag.BOX_CLIPPED: FlagMeaning(
+        "the box reached beyond the picture and was clipped",
+        remark="cut by the picture's edge",
+        effect=Effect.LOWER_BOUND,
+        shows_less=True,
+    ),
+    Flag.END_HIDDEN: FlagMeaning(
+        "an end is not visible: the length is a lower bound",
+        remark="an end is hidden",
+        effect=Effect.LOWER_BOUND,
+        shows_less=True,
+    ),
+    Flag.ENDS_DISAGREE: FlagMeaning(
+        "mask and keypoints disagree about an end by over 10 % of the length",
+        remark="its ends were found at two places",
+    ),
+    Flag.ENDS_UNSURE: FlagMeaning(
+        "which end is the stem's is less than 90 % certain; lengths are the same either way, so "
+        "tables and files only hold the code, and remarks do not mention it",
+    ),
+    **{
+        flag: FlagMeaning(
+            f"with `end_look`: the {place} end may go on behind what covers it",
+            remark=f"the {place} end may go on behind what covers it",
+        )
+        for place, flag in DOUBTFUL_END.items()
+    },
+    Flag.END_ON: FlagMeaning(
+        "an end points along the view, so little of it is visible, or it may lie behind the "
+        "fruit's own thick middle",
+        remark="seen end on",
+        shows_less=True,
+    ),
+    Flag.PART_HIDDEN: FlagMeaning(
+        "something nearer hides a part, which was bridged", remark="partly hidden", shows_less=True
+    ),
+    Flag.POOR_FIT: FlagMeaning(
+        "the tube fits the mask or the outline badly, as where one outline holds two fruit",
+        remark="its shape is not that of one fruit",
+        shows_less=True,
+    ),
+    Flag.UNCERTAIN: FlagMeaning(
+        "the fit's standard deviation is above 5 % of the length",
+        remark="the length is uncertain",
+        shows_less=True,
+    ),
+    Flag.INTERVAL_TOO_WIDE: FlagMeaning(
+        "the interval would span more than a factor of four: none is given",
+        remark="the length is uncertain",
+        shows_less=True,
+    ),
+    Flag.DETECTOR_MASK: FlagMeaning(
+        "the detector's mask was measured because there was no better one", shows_less=True
+    ),
+    Flag.SAM_MASK_EMPTY: FlagMeaning("the mask that was drawn was rejected: it is empty"),
+    Flag.SAM_MASK_SMALL: FlagMeaning("the mask that was drawn was rejected: under 100 px"),
+    Flag.SAM_MASK_OFF_BOX: FlagMeaning("the mask that was drawn was rejected: it is off the box"),
+    Flag.SAM_MASK_OFF_DETECTOR: FlagMeaning(
+        "the mask that was drawn was rejected: it is unlike the detector's"
+    ),
+    Flag.NOT_COVERED: FlagMeaning(
+        "the site's calibration does not cover this method: not corrected",
+        remark="the site's calibration does not cover it",
+    ),
+    Flag.OTHER_MASK: FlagMeaning(
+        "the site's calibration was made with another kind of mask: not corrected",
+        remark="the site's calibration was made with other outlines",
+    ),
+    Flag.OUTSIDE_RANGE: FlagMeaning(
+        "longer or shorter than the fruit used for the calibration",
+        remark="longer or shorter than the site's calibration",
+    ),
+    Flag.DEPTH_UNIT: FlagMeaning(
+        "too long or too thick for the crop, or half of the picture's fruit are: check "
+        "`--depth-unit` and `--profile`",
+        remark="too large: check the depth's unit",
+    ),
+    Flag.DEPTH_TOO_NEAR: FlagMeaning(
+        "nearer than 12 cm, where no camera reads: check the depth's unit. The length is no lower "
+        "bound",
+        remark="nearer than a camera reads: check the depth's unit",
+        effect=Effect.NO_DEPTH,
+        data_fault="nearer than 12 cm, where no camera reads",
+        remedy="check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
+    ),
+    Flag.DEPTH_HOLLOW: FlagMeaning(
+        "its middle lies behind its flanks, and what surrounds it before it: the picture holds no "
+        "distances, but their inverse or relative depth",
+        remark="hollow by its depth: check what the depth picture holds",
+        effect=Effect.NO_DEPTH,
+        data_fault="the depth of their middle lies behind that of their flanks",
+        remedy="check that the depth picture holds distances, and not their inverse or relative "
+        "depth",
+    ),
+    Flag.DEPTH_GAP: FlagMeaning(
+        "its outline has pieces or a waist, and what lies between them is clearly behind: give "
+        "each fruit an outline of its own",
+        remark="an outline of several things with a gap between them",
+        effect=Effect.NO_DEPTH,
+        data_fault="their outline has pieces with a gap between them that lies behind",
+        remedy="give each fruit an outline of its own",
+    ),
+    Flag.DEPTH_UNALIGNED: FlagMeaning(
+        "moved, its outline fits what is near in depth far better, or nothing stands out there: "
+        "check that depth is aligned to colour",
+        remark="outline and depth do not lie together: check that depth is aligned",
+        effect=Effect.NO_DEPTH,
+        data_fault="outline and depth do not lie together",
+        remedy="check that depth is aligned to colour, and masks are of this picture",
+    ),
+    Flag.PRINCIPAL_POINT: FlagMeaning(
+        "the intrinsics' principal point lies off the middle of the picture: are they of this "
+        "size, or was the picture cut out of a larger one?",
+        remark="check the camera's intrinsics",
+        data_fault="the intrinsics' principal point lies off the middle of the picture",
+        remedy="check that they are of this size of picture",
+    ),
+    Flag.DEPTH_RESAMPLED: FlagMeaning(
+        "depth has fewer pixels than colour: ends are known less well",
+        remark="depth is coarser than colour",
+        data_fault="depth has fewer pixels than colour and was enlarged",
+        remedy="record depth aligned to colour at its size",
+    ),
+    Flag.DOUBTFUL: FlagMeaning(
+        "added by hand, but does not look like a fruit: not on the pick list until accepted",
+        remark="added by hand, and may be no fruit",
+    ),
+}
+"""All flags, in the order of the documentation."""
+
+
+def _with_effect(effect: Effect) -> frozenset[Flag]:
+    return frozenset(flag for flag, line in FLAGS.items() if line.effect is effect)
+
+
+LOWER_BOUND = _with_effect(Effect.LOWER_BOUND)
+"""Flags of a fruit that goes on out of sight."""
+
+NO_DEPTH = _with_effect(Effect.NO_DEPTH)
+"""Flags of a fruit whose depth cannot be its distance."""
+
+SHOWS_LESS = frozenset(flag for flag, line in FLAGS.items() if line.shows_less)
+"""Flags of a view that shows its fruit less well than one without."""
+
+
+def is_lower_bound(flags: Iterable[str]) -> bool:
+    """Return whether flags say that a fruit goes on out of sight, so that it is at least as long.
+
+    Examples
+    --------
+    >>> is_lower_bound(["end-hidden"]), is_lower_bound(["end-hidden", "depth-hollow"])
+    (True, False)
+    """
+    codes = {*flags}
+    return not LOWER_BOUND.isdisjoint(codes) and NO_DEPTH.isdisjoint(codes)
+
+
+def flag_remarks(flags: str, at_least: str = "") -> str:
+    """Return a measurement's flags as short sentences, without those that no length depends on.
+
+    Parameters
+    ----------
+    flags : str
+        As the store has them, separated by blanks.
+    at_least : str
+        The length as a lower bound, in words, where it is one.
+
+    Examples
+    --------
+    >>> flag_remarks("ends-unsure end-hidden", "at least 24.0 cm")
+    'an end is hidden: at least 24.0 cm'
+    """
+    remarks = {str(flag): line.remark for flag, line in FLAGS.items() if line.remark}
+    words = "; ".join(dict.fromkeys(remarks[code] for code in flags.split() if code in remarks))
+    return f"{words or 'partly hidden'}: {at_least}" if at_least else words
+
+
+def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
+    """Return what the data of a batch makes doubtful, a line a flag, with the remedy.
+
+    Parameters
+    ----------
+    flags : mapping of str to int
+        How many fruit have each flag.
+    fruit : int
+        How many there are.
+
+    Examples
+    --------
+    >>> data_doubts({"principal-point": 3, "ends-unsure": 2}, 4)[0]
+    "3 of 4 fruit: the intrinsics' principal point lies off the middle of the picture; check ..."
+    """
+    return [
+        f"{flags[flag]} of {fruit} fruit: {line.data_fault}; {line.remedy}"
+        for flag, line in FLAGS.items()
+        if line.data_fault and flags.get(flag)
+    ]

@@ -1,6 +1,6 @@
 """Cucumbers on the plant before a real D435: recall, precision and lengths.
 
-    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--input-size 640]
+    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--input-size 640] [--end-look]
 
 FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
@@ -81,10 +81,12 @@ def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[
 
 
 def length_text(fruit: FruitMeasurement | None) -> str:
-    """Return a fruit's confidence, length and flags."""
+    """Return a fruit's confidence, length with its interval, and flags."""
     if fruit is None:
         return "missed"
     length = "no length" if fruit.length is None else f"{100 * fruit.length.value_m:.1f} cm"
+    if fruit.length is not None and fruit.length.low_m and fruit.length.high_m:
+        length += f" [{100 * fruit.length.low_m:.1f}, {100 * fruit.length.high_m:.1f}]"
     return " ".join([f"{fruit.instance.confidence:.2f}: {length}", *fruit.flags])
 
 
@@ -146,6 +148,27 @@ def summary(judged: list[Judged]) -> list[str]:
     if len(repeats) > 1:
         spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
         lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
+    return lines + interval_lines(judged)
+
+
+def interval_lines(judged: list[Judged]) -> list[str]:
+    """Return how wide the intervals of the fruit are, in percent of the length."""
+    found = [(true, fruit.length) for one in judged for true, fruit in one.fruit if fruit]
+    lines = []
+    for name, chosen in (
+        ("all fruit", found),
+        ("both ends in sight", [pair for pair in found if pair[0]["end_hidden"] is False]),
+    ):
+        widths = [
+            100 * (length.high_m - length.low_m) / length.value_m
+            for _, length in chosen
+            if length is not None and length.low_m and length.high_m
+        ]
+        if widths:
+            lines.append(
+                f"intervals, {name}: {len(widths)} of {len(chosen)} given, median width "
+                f"{np.median(widths):.0f} %, widest {max(widths):.0f} %"
+            )
     return lines
 
 
@@ -155,10 +178,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--confidence", type=float, default=DEFAULT_CONFIDENCE)
     parser.add_argument("--input-size", default="", help="as `measure --input-size`")
+    parser.add_argument(
+        "--end-look", action=argparse.BooleanOptionalAction, default=MeasureOptions().end_look
+    )
     given = parser.parse_args()
     options = MeasureOptions(
         instances="models",
         confidence=given.confidence,
+        end_look=given.end_look,
         input_sizes=parse_input_sizes(given.input_size),
     )
     measurer = Measurer(options)

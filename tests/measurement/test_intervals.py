@@ -72,6 +72,16 @@ def length_of(
     return fruit.length
 
 
+def test_what_is_expected_to_be_missing_moves_the_interval() -> None:
+    model = IntervalModel(
+        "M6", 0.9, (), (np.log(0.1),), {"": Band(-0.02, 1.0, 2.0, 500)}, missing="log_missing"
+    )
+    low, high = model.interval(0.2, {"log_missing": 0.3})
+    # log(true / measured) is expected at 0.3 + 0.02, and lies from 0.2 below to 0.1 above.
+    assert (low, high) == pytest.approx((0.2 * np.exp(0.12), 0.2 * np.exp(0.42)))
+    assert model.interval(0.2, {}) == pytest.approx((0.2 * np.exp(-0.18), 0.2 * np.exp(0.12)))
+
+
 @pytest.mark.parametrize(
     ("definition", "percent"),
     [(LengthDefinition.CENTRELINE, 1.0), (LengthDefinition.THREAD, 2.0)],

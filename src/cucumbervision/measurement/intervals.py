@@ -79,6 +79,9 @@ class IntervalModel:
     edges : tuple of (str, tuple of float)
         Features by which fruit are grouped, and where one group ends (Mondrian conformal
         prediction; Vovk et al. 2005): within each group the interval covers by itself.
+    missing : str
+        Feature that holds how much longer the fruit is expected to be, as a logarithm; empty where
+        nothing tells.
     """
 
     method: str
@@ -87,6 +90,7 @@ class IntervalModel:
     weights: tuple[float, ...]
     bands: dict[str, Band]
     edges: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    missing: str = ""
 
     def sigma(self, values: Mapping[str, float]) -> float:
         """Return the relative sigma for one measurement's features; missing ones count as 0."""
@@ -126,11 +130,9 @@ class IntervalModel:
         more = _normal_quantile(self.level) * more_sd
         low = float(np.hypot(band.low_quantile * sigma, more))
         high = float(np.hypot(band.high_quantile * sigma, more))
-        # error = log(measured / true) lies in [bias - low, bias + high].
-        return (
-            length_m * float(np.exp(-band.bias - high)),
-            length_m * float(np.exp(-band.bias + low)),
-        )
+        # error = log(measured / true) lies in [bias - missing - low, bias - missing + high].
+        longer = values.get(self.missing, 0.0) - band.bias
+        return length_m * float(np.exp(longer - high)), length_m * float(np.exp(longer + low))
 
 
 def feature_groups(

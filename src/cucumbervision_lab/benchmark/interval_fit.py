@@ -104,6 +104,7 @@ def fit_interval_model(
     seed: int = 0,
     *,
     smallest_group: int = _SMALLEST_GROUP,
+    missing: str = "",
 ) -> IntervalModel:
     """Fit sigma, and quantiles of the normalised errors of held-out fruit.
 
@@ -130,6 +131,9 @@ def fit_interval_model(
         Readings that a group needs for quantiles of its own; a smaller one uses those of the
         group around it.
 
+    missing : str
+        Feature that holds how much longer than measured a fruit is expected to be, as a logarithm.
+
     Returns
     -------
     IntervalModel
@@ -141,6 +145,8 @@ def fit_interval_model(
         If there are too few fruit for the level.
     """
     error, names = np.asarray(errors, float), tuple(features)
+    if missing:
+        error = error + np.asarray(features[missing], float)
     columns = np.stack(
         [np.ones_like(error), *(np.asarray(features[n], float) for n in names)], axis=1
     )
@@ -159,7 +165,7 @@ def fit_interval_model(
         if not group or chosen.sum() >= smallest_group
     }
     weights = tuple(map(float, _log_linear(_size(error), columns)))
-    return IntervalModel(method, level, names, weights, bands, edges)
+    return IntervalModel(method, level, names, weights, bands, edges, missing)
 
 
 def _size(error: NDArray[np.float64]) -> NDArray[np.float64]:

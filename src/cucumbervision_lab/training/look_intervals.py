@@ -102,7 +102,14 @@ def fit_look_intervals(
         errors = np.log([one.lengths_m[k] / one.true_m[k] for one, _ in pairs])
         name = key + PERCEIVED + LOOKED
         models[name] = fit_interval_model(
-            name, errors, features, names, level, LOOK_EDGES, smallest_group=SMALLEST_GROUP
+            name,
+            errors,
+            features,
+            names,
+            level,
+            LOOK_EDGES,
+            smallest_group=SMALLEST_GROUP,
+            missing="log_missing",
         )
     return models
 

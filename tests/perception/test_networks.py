@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
+from cucumbervision.perception.end_look import END_PX, PLANES, EndCrop
 from cucumbervision.perception.ends import STRIP_PX
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.instances import Instance
@@ -100,6 +101,20 @@ def test_without_an_ends_network_nobody_knows_the_ends(tmp_path: Path) -> None:
     (found,) = loader.pose(pose).detect(PICTURE)
     assert found.end_confidence == 0.5
     assert [m["name"] for m in loader.models] == ["own.onnx"]
+
+
+def test_ends_are_looked_at_by_the_registrys_network_loaded_with_the_first_crops(
+    tmp_path: Path,
+) -> None:
+    assert NetworkLoader(registry_of(tmp_path)).look_at_ends is None
+    loader = NetworkLoader(runtime="onnxruntime")
+    look = loader.look_at_ends
+    assert look is not None
+    assert loader.models == []
+    crop = EndCrop(np.full((END_PX, END_PX, PLANES), 90, np.uint8), (2.0, 3.0))
+    first, again = look([crop]), look([crop])
+    assert first == again
+    assert [model["name"] for model in loader.models] == ["cucumber-look"]
 
 
 def test_a_registry_without_detector(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -335,24 +336,21 @@ class NetworkLoader:
         """The classifier of stem ends, which the loaded pose network holds; None without one."""
         return None if self._with_ends is None else self._with_ends.ends
 
-    def look_at_ends(self, crops: Sequence[EndCrop]) -> list[EndLook]:
-        """Return what ends look like by the registry's network, which is loaded on first use.
+    @property
+    def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
+        """What the registry's network says of crops of ends; None without one.
 
-        Raises
-        ------
-        ModelError, ModelHashError
-            If there is none, or its file is missing, damaged, or another kind of network.
+        The network is loaded with the first crops, which raises ModelError or ModelHashError if its
+        file is missing, damaged, or another kind of network.
         """
+        own = self.registry.default("look")
+        return None if own is None else partial(self._look, own.name)
+
+    def _look(self, name: str, crops: Sequence[EndCrop]) -> list[EndLook]:
         if self._looker is None:
-            own = self.registry.default("look")
-            if own is None:
-                raise ModelError(
-                    "this version comes without a network that looks at ends",
-                    remedy="measure without end_look",
-                )
-            path = self.verify(own.name)["network"]
+            path = self.verify(name)["network"]
             self._looker = EndLooker(path, self._runtime)
-            self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], self._looker)
+            self._note(name, "look", self.registry.hashes(name)[path.name], self._looker)
         return self._looker.look(crops)
 
     def verify(self, name: str) -> dict[str, Path]:

@@ -400,9 +400,9 @@ class Measurer:
 
         They are calibrated, and those of sizes that cannot be get no length.
         """
-        options = self.options
-        if options.end_look and self._finder is not None:
-            look, known = self._finder.networks.look_at_ends, self._scale_known
+        options, known = self.options, self._scale_known
+        look = None if self._finder is None else self._finder.networks.look_at_ends
+        if options.end_look and look is not None:
             measured = with_end_looks(capture, measured, look, options.length, scale_known=known)
         if self.site is not None:
             measured = [calibrated_fruit(one, self.site, options.length) for one in measured]

@@ -6,6 +6,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -19,6 +20,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
+from cucumbervision.dashboard.camera_process import CameraFolder, stream
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -47,6 +49,17 @@ def add_one(
     item = RoundCapture.to_add(store, round_key, capture, measurer, key=key, keep=True)
     [(_, added)] = add_all(store, [item], measurer, in_turn)
     return added
+
+
+class ThreadRecorder:
+    """The camera's process as a thread, for tests that put something in the camera's place."""
+
+    def __init__(self, folder: Path) -> None:
+        self._thread = threading.Thread(target=stream, args=[CameraFolder(folder)], daemon=True)
+        self._thread.start()
+
+    def poll(self) -> int | None:
+        return None if self._thread.is_alive() else 0
 
 
 @pytest.fixture(scope="session")

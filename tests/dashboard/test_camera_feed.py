@@ -1,21 +1,27 @@
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.dashboard.conftest import ThreadRecorder
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.raw_frames import FrameRing
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
-from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
-from cucumbervision.errors import CameraError, CaptureError
+from cucumbervision.dashboard.camera_feed import FAR_S, CameraFeed, Preview
+from cucumbervision.dashboard.replay_feed import Feed
+from cucumbervision.errors import CameraError
 
 
-def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Preview:
+def wait_for(feed: Feed, state: str, other_than: int = -1) -> Preview:
     until = time.monotonic() + 300
     while time.monotonic() < until:
         preview = feed.preview()
@@ -25,32 +31,8 @@ def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Pre
     raise AssertionError(f"never '{state}', but {feed.preview()}")
 
 
-def test_a_replay_shows_what_it_takes_and_begins_again_at_its_end() -> None:
-    replay = Replay(example_captures())
-    names = []
-    for _ in range(4):
-        shown = wait_for(replay, "replay")
-        assert shown.capture is not None
-        assert shown.quality is not None
-        taken = replay.take(5, Stop("7", "left", 1.5, 3))
-        assert taken.name == shown.capture.name
-        assert taken.stop == Stop("7", "left", 1.5, 3)
-        names.append(taken.name)
-    assert names == ["simulated-bench", "simulated-row-a", "simulated-row-b", "simulated-bench"]
-
-
-def test_a_replay_with_nothing_readable_says_so(tmp_path: Path) -> None:
-    broken = tmp_path / "one"
-    broken.mkdir()
-    (broken / "capture.json").write_text("{")
-    replay = Replay(tmp_path)
-    assert "capture.json" in wait_for(replay, "absent").message
-    with pytest.raises(CaptureError, match=r"capture\.json"):
-        replay.take(1, Stop())
-
-
-def test_frames_of_the_camera_become_one_capture(recording: Path) -> None:
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0))
+def test_frames_of_the_camera_become_one_capture(recording: Path, tmp_path: Path) -> None:
+    feed = CameraFeed(tmp_path, CameraConfig(playback=recording, warm_up=0))
     taken = feed.take(5, Stop("2", "right", 0.8, 1))
     feed.close()
     # The block is 450 mm away and 1 mm farther each frame; the third frame is the sharpest.
@@ -63,7 +45,7 @@ def test_frames_of_the_camera_become_one_capture(recording: Path) -> None:
 
 @pytest.mark.parametrize(("step_px", "verdict"), [(0, "good"), (15, "moving")])
 def test_a_camera_that_moves_is_told_while_it_moves(
-    monkeypatch: pytest.MonkeyPatch, step_px: int, verdict: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, step_px: int, verdict: str
 ) -> None:
     blots = np.random.default_rng(1).integers(0, 255, (12, 16, 3), np.uint8)
     scene = blots.repeat(15, axis=0).repeat(20, axis=1)
@@ -85,8 +67,8 @@ def test_a_camera_that_moves_is_told_while_it_moves(
             color = np.roll(scene, self.shown * step_px, axis=1)
             return Capture(color, np.full((180, 320), 0.5, np.float32), lens, "live")
 
-    monkeypatch.setattr("cucumbervision.dashboard.camera_feed.RealSenseCamera", Walking)
-    feed = CameraFeed(CameraConfig(warm_up=0))
+    monkeypatch.setattr("cucumbervision.dashboard.camera_process.RealSenseCamera", Walking)
+    feed = CameraFeed(tmp_path, CameraConfig(warm_up=0), start=ThreadRecorder)
     first = wait_for(feed, "live")
     later = wait_for(feed, "live", other_than=first.number)
     feed.close()
@@ -96,20 +78,22 @@ def test_a_camera_that_moves_is_told_while_it_moves(
     assert later.capture.moved_px == 0  # a single frame is of one moment
 
 
-def test_the_camera_is_released_when_nobody_looks(recording: Path) -> None:
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), unwatched_s=0.0)
-    feed.preview()
+def test_the_camera_is_released_when_nobody_looks(recording: Path, tmp_path: Path) -> None:
+    feed = CameraFeed(tmp_path, CameraConfig(playback=recording, warm_up=0), unwatched_s=0.5)
+    wait_for(feed, "playing")
     until = time.monotonic() + 300
     while feed.open and time.monotonic() < until:
         time.sleep(0.02)
     assert not feed.open
 
 
-def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -> None:
+def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again(
+    tmp_path: Path,
+) -> None:
     rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     if len(rs.context().query_devices()):
         pytest.skip("a camera is connected")
-    feed = CameraFeed(CameraConfig(warm_up=0, timeout_s=0.5))
+    feed = CameraFeed(tmp_path, CameraConfig(warm_up=0, timeout_s=0.5))
     absent = wait_for(feed, "absent")
     assert "camera" in absent.message
     with pytest.raises(CameraError):
@@ -121,7 +105,7 @@ def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -
 
 
 def test_new_settings_open_the_camera_again(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[CameraConfig] = []
 
@@ -130,8 +114,9 @@ def test_new_settings_open_the_camera_again(
             opened.append(config)
             super().__init__(config)
 
-    monkeypatch.setattr("cucumbervision.dashboard.camera_feed.RealSenseCamera", NotedCamera)
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), paced=True)
+    monkeypatch.setattr("cucumbervision.dashboard.camera_process.RealSenseCamera", NotedCamera)
+    config = CameraConfig(playback=recording, warm_up=0)
+    feed = CameraFeed(tmp_path, config, paced=True, start=ThreadRecorder)
     wait_for(feed, "playing")
     feed.configure(CameraSettings("high-accuracy", exposure_us=8000))
     until = time.monotonic() + 300
@@ -141,3 +126,56 @@ def test_new_settings_open_the_camera_again(
     feed.close()
     assert opened[0].settings != CameraSettings("high-accuracy", exposure_us=8000)
     assert opened[-1].settings == CameraSettings("high-accuracy", exposure_us=8000)
+
+
+def refuse_start(folder: Path) -> ThreadRecorder:
+    raise AssertionError(f"another process was started in {folder}")
+
+
+def test_the_camera_goes_on_while_its_server_is_killed_and_started_again(
+    recording: Path, tmp_path: Path
+) -> None:
+    script = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from cucumbervision.capture.realsense import CameraConfig\n"
+        "from cucumbervision.dashboard.camera_feed import CameraFeed\n"
+        "config = CameraConfig(playback=Path(sys.argv[2]), warm_up=0, fps=15)\n"
+        "feed = CameraFeed(Path(sys.argv[1]), config, paced=True)\n"
+        "while feed.preview().state != 'playing':\n"
+        "    time.sleep(0.02)\n"
+        "print('playing', flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path), str(recording)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "playing\n"
+        os.kill(server.pid, signal.SIGKILL)
+    killed_s = time.time()
+    while not any(one.at_s > killed_s + 0.5 for one in FrameRing(tmp_path).frames()):
+        time.sleep(0.05)  # until the test's own limit
+    config = CameraConfig(playback=recording, warm_up=0, fps=15)
+    feed = CameraFeed(tmp_path, config, paced=True, start=refuse_start)
+    # Pressed while there was no server at all.
+    burst = feed.grab(5, killed_s + 0.2)
+    assert burst.capture().burst_size >= 1
+    assert burst.nearest_s < FAR_S
+    assert feed.preview().state == "playing"
+    feed.close()
+    assert not feed.open
+
+
+def test_a_camera_program_that_crashes_each_time_is_not_started_for_ever(tmp_path: Path) -> None:
+    started: list[Path] = []
+
+    class Crashed:
+        def __init__(self, folder: Path) -> None:
+            started.append(folder)
+
+        def poll(self) -> int:
+            return -11
+
+    feed = CameraFeed(tmp_path, CameraConfig(warm_up=0), start=Crashed)
+    assert "ended 3 times (-11)" in wait_for(feed, "absent").message
+    assert len(started) == 3

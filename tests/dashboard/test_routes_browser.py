@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,8 @@ import pytest
 pytest.importorskip("streamlit")
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
+from cucumbervision.capture.raw_frames import FrameRing
+from cucumbervision.dashboard.camera_process import CameraFolder
 from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import Round, key_of
 from cucumbervision.store.repository import open_store
@@ -97,6 +100,7 @@ def walk(
     walk = Walk(tmp_path, make_recording(tmp_path / "walk.db3", 300), start_server)
     yield walk
     walk.kill()
+    CameraFolder(walk.store.with_suffix(".frames") / "replay").end()
 
 
 def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[..., Any]) -> None:
@@ -184,19 +188,59 @@ def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., An
         page.locator("#where").get_by_text("Stop 6").wait_for()
 
 
-def test_presses_that_a_restart_lost_are_refused_and_said(
+def test_presses_while_the_server_was_killed_are_all_saved(
     walk: Walk, new_page: Callable[..., Any]
 ) -> None:
     page = opened(new_page(), walk)
     page.locator("button.take").click()
     wait_for_stops(page, walk, 1)
     walk.kill()
-    for _ in range(3):
+    for _ in range(4):
         page.locator("button.take").click()
         page.wait_for_timeout(700)
+    page.get_by_text("4 presses are kept on this device").wait_for()
     walk.start_again()
-    page.get_by_text("no picture of that moment").nth(2).wait_for()
+    wait_for_stops(page, walk, 5)
     shot(page, "restart")
-    assert len(walk.kept()) == 1
+    assert page.locator("#presses .refused").count() == 0
+
+
+def test_presses_whose_pictures_are_gone_are_said_with_their_place_and_the_walk_goes_back(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.locator("#position").fill("0.60")
+    page.locator("#step").fill("0.30")
+    page.locator("#step").blur()
+    page.context.set_offline(True)
+    for _ in range(3):
+        page.locator("button.take").click()
+        page.wait_for_timeout(300)
+    assert page.locator("#position").input_value() == "1.50"
+    page.wait_for_timeout(2500)
+    # As it is when the connection comes back after the ring's time.
+    for frame in FrameRing(walk.store.with_suffix(".frames") / "replay").frames()[:-3]:
+        frame.path.unlink(missing_ok=True)
+    page.context.set_offline(False)
+    page.get_by_text("3 lost: row 1, left, 0.60 to 1.20 m").wait_for()
+    shot(page, "lost")
+    assert page.locator("#position").input_value() == "0.60"
+    assert walk.kept() == set()
+    page.locator("#presses .refused button").click()
+    assert page.locator("#presses .refused").count() == 0
     page.locator("button.take").click()
-    wait_for_stops(page, walk, 2)
+    wait_for_stops(page, walk, 1)
+
+
+def test_a_line_that_is_half_open_is_said(walk: Walk, new_page: Callable[..., Any]) -> None:
+    page = opened(new_page(), walk)
+    assert page.locator("#lost").is_hidden()
+    os.kill(walk.server.pid, signal.SIGSTOP)  # its connections stay open, and bring nothing
+    try:
+        page.get_by_text("Connection to the camera computer lost").wait_for()
+        page.locator("button.take").click()
+        page.get_by_text("1 press is kept on this device").wait_for()
+    finally:
+        os.kill(walk.server.pid, signal.SIGCONT)
+    page.locator("#lost").wait_for(state="hidden")
+    wait_for_stops(page, walk, 1)

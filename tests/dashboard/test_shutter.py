@@ -8,13 +8,15 @@ import pytest
 from tests.dashboard.conftest import add_one
 
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.raw_frames import FrameRing
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.camera_feed import FAR_S, REACH_S, CameraBurst, CameraFeed, Replay
+from cucumbervision.dashboard.camera_feed import FAR_S, REACH_S, CameraBurst, CameraFeed
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
+from cucumbervision.dashboard.replay_feed import Replay
 from cucumbervision.dashboard.shutter import Press, Shutter
-from cucumbervision.errors import InstancesError
+from cucumbervision.errors import InstancesError, StoreError
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import DEMONSTRATION
@@ -30,10 +32,19 @@ def waiting(tmp_path: Path) -> WaitingCaptures:
     return WaitingCaptures(tmp_path / "kept")
 
 
+def emptied(folder: Path) -> FrameRing:
+    """The ring of a folder, without frames."""
+    for one in FrameRing(folder).frames():
+        one.path.unlink()
+    return FrameRing(folder)
+
+
 def test_a_burst_lies_about_its_press_though_the_press_is_told_late(
-    recording: Path, store: Store, waiting: WaitingCaptures
+    recording: Path, store: Store, waiting: WaitingCaptures, tmp_path: Path
 ) -> None:
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    feed = CameraFeed(
+        tmp_path / "frames", CameraConfig(playback=recording, warm_up=0, fps=15), paced=True
+    )
     while feed.preview().state != "playing":
         time.sleep(0.01)  # until the test's own limit
     shutter = Shutter(store, waiting, lambda: None)
@@ -105,9 +116,11 @@ def test_presses_that_are_told_late_together_keep_their_order(
 
 
 def test_presses_of_a_gap_each_get_the_picture_of_their_moment(
-    recording: Path, store: Store, waiting: WaitingCaptures
+    recording: Path, store: Store, waiting: WaitingCaptures, tmp_path: Path
 ) -> None:
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    feed = CameraFeed(
+        tmp_path / "frames", CameraConfig(playback=recording, warm_up=0, fps=15), paced=True
+    )
     while feed.preview().state != "playing":
         time.sleep(0.01)
     time.sleep(0.5)
@@ -128,13 +141,14 @@ def test_presses_of_a_gap_each_get_the_picture_of_their_moment(
 
 
 def test_a_late_press_gets_the_frame_before_it_where_that_one_is_nearer(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(CameraFeed, "_begin_watched", lambda feed: None)
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0))
+    feed = CameraFeed(tmp_path / "frames", CameraConfig(playback=recording, warm_up=0))
     capture, now = Replay(example_captures()).take(1, Stop()), time.time()
+    ring = FrameRing(tmp_path / "frames")
     for ago_s in (4.0, 3.5, 3.0, 2.5):
-        feed._hold(capture, now - ago_s)
+        ring.write(capture, now - ago_s)
     for after_s, nearest_s in ((0.2, 0.2), (0.3, 0.2), (0.05, 0.05)):
         grabbed = feed.grab(1, now - 3.5 + after_s)
         assert len(grabbed.frames) == 1
@@ -143,38 +157,43 @@ def test_a_late_press_gets_the_frame_before_it_where_that_one_is_nearer(
 
 
 def test_a_press_between_frames_waits_for_the_next_and_takes_the_nearer(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(CameraFeed, "_begin_watched", lambda feed: None)
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15))
+    feed = CameraFeed(tmp_path / "frames", CameraConfig(playback=recording, warm_up=0, fps=15))
     capture, now = Replay(example_captures()).take(1, Stop()), time.time()
     for next_s, nearest_s in ((0.03, 0.03), (0.37, 0.04)):  # as it should come; from a slow camera
-        feed._held.clear()
-        feed._hold(capture, now - 0.04)
+        ring = emptied(tmp_path / "frames")
+        ring.write(capture, now - 0.04)
         grabbed = feed.grab(1, now)
         full = [grabbed.is_full]
-        feed._hold(capture, now + next_s)
+        ring.write(capture, now + next_s)
+        grabbed.look()
         assert [*full, grabbed.is_full] == [False, True]
-        assert [abs(one.at_s - now) for one in grabbed.frames] == pytest.approx([nearest_s])
+        assert [abs(one.at_s - now) for one in grabbed.frames] == pytest.approx(
+            [nearest_s], abs=1e-5
+        )
     # The five nearest, however they lie about the press.
-    feed._held.clear()
+    ring = emptied(tmp_path / "frames")
     for after_s in (-0.14, -0.08, -0.03, -0.01, 0.05, 0.12):
-        feed._hold(capture, now + after_s)
+        ring.write(capture, now + after_s)
     times = [one.at_s - now for one in feed.grab(5, now).frames]
-    assert times == pytest.approx([-0.08, -0.03, -0.01, 0.05, 0.12])
+    assert times == pytest.approx([-0.08, -0.03, -0.01, 0.05, 0.12], abs=1e-5)
     feed.close()
 
 
 def test_a_press_whose_picture_is_gone_is_refused_and_told(
-    recording: Path, store: Store, waiting: WaitingCaptures
+    recording: Path, store: Store, waiting: WaitingCaptures, tmp_path: Path
 ) -> None:
     stop, now = Stop("1", "left", 0.0), time.time()
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    feed = CameraFeed(
+        tmp_path / "frames", CameraConfig(playback=recording, warm_up=0, fps=15), paced=True
+    )
     for feed_of in (feed, Replay(example_captures())):
         shutter = Shutter(store, waiting, lambda: None)
         for number in "ab":
-            refused = shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
-            assert shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5)) is refused
+            refused = shutter.press(feed_of, 1, WALK, stop, Press(number, now - 100))
+            assert shutter.press(feed_of, 1, WALK, stop, Press(number, now - 100)) is refused
         shutter.close()
         errors = [one.error for one in shutter.pressed(WALK)]
         assert len(errors) == 2
@@ -250,3 +269,50 @@ def test_what_waits_is_not_tried_while_nothing_can_be_measured(
     with pytest.raises(InstancesError):
         measure_waiting(waiting, measurer, store, lost, lambda _: "", Job(1, "measuring"))
     assert [one.tries for one in waiting.captures()] == [0]
+
+
+def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(
+    recording: Path, store: Store, tmp_path: Path
+) -> None:
+    (tmp_path / "kept").write_text("no folder")
+    waiting = WaitingCaptures(tmp_path / "kept")
+    config = CameraConfig(playback=recording, warm_up=0, fps=15)
+    feed = CameraFeed(tmp_path / "frames", config, paced=True)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)
+    shutter, stop = Shutter(store, waiting, lambda: None), Stop("1", "left", 0.0)
+    press = Press("a", time.time())
+    refused = shutter.press(feed, 5, WALK, stop, press)
+    assert refused is not None
+    assert isinstance(refused.kept.exception(60), StoreError)
+    assert not refused.is_lost
+    (tmp_path / "kept").unlink()
+    saved = shutter.press(feed, 5, WALK, stop, press)
+    assert saved is not None
+    saved.kept.result(60)
+    feed.close()
+    shutter.close()
+    assert [one.pressed_s for one in waiting.captures()] == [press.at_s]
+
+
+def test_what_waits_for_long_is_coded_and_stays_the_same(
+    recording: Path, store: Store, waiting: WaitingCaptures, tmp_path: Path
+) -> None:
+    config = CameraConfig(playback=recording, warm_up=0, fps=15)
+    feed = CameraFeed(tmp_path / "frames", config, paced=True)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)
+    shutter = Shutter(store, waiting, lambda: None)
+    for number in range(6):
+        pressed = shutter.press(feed, 1, WALK, Stop("1"), Press(str(number), time.time()))
+        assert pressed is not None
+        pressed.kept.result(60)
+    feed.close()
+    while not any(list(one.folder.glob("*.png")) for one in waiting.captures()):
+        time.sleep(0.01)  # until the test's own limit
+    shutter.close()
+    coded = [bool(list(one.folder.glob("*.png"))) for one in waiting.captures()]
+    assert coded[:4] == [False] * 4  # they are measured soon
+    for one, is_coded in zip(waiting.captures(), coded, strict=True):
+        assert bool(list(one.folder.glob("*.frame"))) is not is_coded
+        assert one.load().depth_m.max() == pytest.approx(0.6, abs=1e-6)

@@ -1,41 +1,51 @@
-"""The camera's newest frame for any number of viewers, the quality of its depth, and a replay.
+"""The camera's newest frame for any number of viewers, the quality of its depth, and bursts.
 
-A thread opens the camera when somebody views it and releases it when nobody has for a while.
+A process of its own (`camera_process.py`) opens the camera when somebody views it, and releases it
+when nobody has for a while; its frames are read from the ring on disk that it writes.
 """
 
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol
 
 from cucumbervision.capture.frames import Stop, fuse_burst
 from cucumbervision.capture.motion import moved_px
 from cucumbervision.capture.quality import DepthQuality, depth_quality
-from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
-from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
-from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
+from cucumbervision.capture.realsense import CameraConfig
+from cucumbervision.dashboard.camera_process import CameraFolder
+from cucumbervision.errors import CameraError, CaptureError, StoreError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.raw_frames import RingFrame
     from cucumbervision.capture.realsense_device import CameraSettings
+    from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
 REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
 FAR_S = 1.0  # a picture that lies farther from a press is another one
-_HELD_S = 10.0  # how late a press may reach us: frames of so long are held
-_DENSE_S, _SPARSE_S = 1.5, 0.25  # all of them so long, then one in so many: each takes 6 MB
-_UNWATCHED_S = 15.0  # viewers ask several times a second, but where their connection has a gap
+HELD_S = 90.0  # how late a press may reach us, and how long a camera nobody looks at goes on
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
+_LOOK_S, _WATCH_S = 0.02, 0.5  # how often is looked for a frame; is said that somebody looks
+_END_S = 10.0  # how long the camera's process is waited for
+_MOST_CRASHES = 3  # of the camera's process in a row, which would be started for ever
 
 
-def picture_gone() -> CameraError:
+class PictureGoneError(CameraError):
+    """There is no picture of the moment of a press any more."""
+
+
+def picture_gone() -> PictureGoneError:
     """Return the error of a press whose picture is not there."""
-    return CameraError("there is no picture of that moment any more", remedy="press again")
+    return PictureGoneError("there is no picture of that moment any more", remedy="press again")
 
 
 @dataclass(frozen=True)
@@ -63,50 +73,89 @@ class Preview:
     message: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """A frame, and when it was taken, seconds since 1970."""
+class Recorder(Protocol):
+    """What writes a camera's frames: a process of its own."""
 
-    at_s: float
-    capture: Capture
+    def poll(self) -> int | None:
+        """Return its exit code; None while it runs."""
+        ...
+
+
+def start_process(folder: Path) -> Recorder:
+    """Start the camera's process, which outlives this one."""
+    command = [sys.executable, "-m", "cucumbervision.dashboard.camera_process", str(folder)]
+    # A session of its own: what ends the server at a terminal does not end it.
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    # Its end is noted whenever it comes, though nobody looks any more.
+    threading.Thread(target=process.wait, name="camera", daemon=True).start()
+    return process
 
 
 class CameraBurst:
     """The frames nearest to a moment, of which the last may still be on their way."""
 
-    def __init__(
-        self, feed: CameraFeed, wanted: int, pressed_s: float, reach_s: float, held: list[_Held]
-    ) -> None:
+    simulated = False
+
+    def __init__(self, feed: CameraFeed, wanted: int, pressed_s: float, reach_s: float) -> None:
         self._feed, self._reach_s = feed, reach_s
         self.wanted, self.pressed_s = wanted, pressed_s
-        self.frames: list[_Held] = []
+        self.frames: list[RingFrame] = []
         self.is_full = False
-        for one in held:
-            self.offer(one)
+        self.look()
 
-    def offer(self, held: _Held) -> None:
-        """Take the next frame if it is among the nearest; the first that is not ends the burst."""
-        if self.is_full:
-            return
-        frames = sorted([*self.frames, held], key=self._away_s)
-        within = [one for one in frames if self._away_s(one) <= self._reach_s] or frames[:1]
-        self.frames = sorted(within[: self.wanted], key=lambda one: one.at_s)
-        # Those that follow lie farther after the press than this one.
-        enough_s = self.farthest_s if len(self.frames) == self.wanted else self._reach_s
-        self.is_full = held.at_s - self.pressed_s >= enough_s
+    def look(self) -> bool:
+        """Take the nearest of the frames that are there; return whether no later one is nearer."""
+        frames = [one for one in self._feed.frames() if one.at_s >= self._earliest_s]
+        if frames and not self.is_full:
+            by_distance = sorted(frames, key=self._away_s)
+            within = [one for one in by_distance if self._away_s(one) <= self._reach_s]
+            nearest = (within or by_distance[:1])[: self.wanted]
+            self.frames = sorted(nearest, key=lambda one: one.at_s)
+            enough_s = self.farthest_s if len(nearest) == self.wanted else self._reach_s
+            self.is_full = frames[-1].at_s - self.pressed_s >= enough_s
+        return self.is_full
 
-    def _away_s(self, held: _Held) -> float:
-        return abs(held.at_s - self.pressed_s)
+    @property
+    def _earliest_s(self) -> float:
+        """A burst of what comes next has no frame from before."""
+        return self.pressed_s if math.isinf(self._reach_s) else -math.inf
+
+    def _away_s(self, frame: RingFrame) -> float:
+        return abs(frame.at_s - self.pressed_s)
 
     @property
     def nearest_s(self) -> float:
         """How far in time the nearest frame lies from the press, seconds."""
-        return min(map(self._away_s, self.frames))
+        return min(map(self._away_s, self.frames), default=math.inf)
 
     @property
     def farthest_s(self) -> float:
         """How far in time the farthest frame lies from the press, seconds."""
-        return max(map(self._away_s, self.frames))
+        return max(map(self._away_s, self.frames), default=math.inf)
+
+    def keep(self, waiting: WaitingCaptures, key: str, round_key: str, stop: Stop) -> Waiting:
+        """Wait for the last frames, and keep them all as they are.
+
+        Raises
+        ------
+        CameraError
+            If the picture of the moment is gone, or the camera sends nothing in time.
+        StoreError
+            If they cannot be kept.
+        """
+        for _ in range(2):  # the ring may have let some go in between: then with what it still has
+            self._feed.wait_for(self)
+            if self.nearest_s > FAR_S:
+                break
+            paths = [one.path for one in self.frames]
+            about = (stop, key, round_key, self.pressed_s, self._feed.source)
+            try:
+                return waiting.put_frames(paths, *about)
+            except StoreError as error:
+                if not isinstance(error.__cause__, FileNotFoundError):
+                    raise
+            self.frames, self.is_full = [], False
+        raise picture_gone()
 
     def capture(self) -> Capture:
         """Wait for the last frames, and return the capture that all make together.
@@ -117,41 +166,19 @@ class CameraBurst:
             If the camera is not there, or sends nothing in time.
         """
         self._feed.wait_for(self)
-        frames = [one.capture for one in self.frames]
+        frames = [one.load() for one in self.frames]
         fused = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
-        return replace(
-            frames[fused.burst_frame],
-            **vars(fused),
-            name=f"capture_{frames[0].frame:06d}",
-            frame=frames[0].frame,
-        )
-
-
-class ReplayBurst:
-    """What a replay shows when the button is pressed."""
-
-    nearest_s = 0.0  # a replay stands still
-
-    def __init__(self, replay: Replay, shown: Capture | None) -> None:
-        self._replay = replay
-        self._shown = shown
-
-    def capture(self) -> Capture:
-        """Return the capture.
-
-        Raises
-        ------
-        CaptureError
-            If nothing of the replay can be read.
-        """
-        return self._shown or self._replay.take(1, Stop())
+        name = f"capture_{frames[0].frame:06d}"
+        return replace(frames[fused.burst_frame], **vars(fused), name=name, frame=frames[0].frame)
 
 
 class CameraFeed:
-    """A camera in a thread of its own.
+    """A camera in a process of its own.
 
     Parameters
     ----------
+    folder : Path
+        Of its frames, and of what is said to its process.
     config : CameraConfig, optional
         What to stream, or what recording to play in the camera's place; bursts are made here, so
         its `burst` does not count.
@@ -159,50 +186,72 @@ class CameraFeed:
         The camera is released when nobody has looked for so long.
     paced : bool
         Play a recording at `config.fps`, as a camera would send it, not as fast as it is read.
+    start : callable
+        Starts what writes the frames into the folder.
     """
 
     def __init__(
         self,
+        folder: Path,
         config: CameraConfig | None = None,
-        unwatched_s: float = _UNWATCHED_S,
         *,
+        unwatched_s: float = HELD_S,
         paced: bool = False,
+        start: Callable[[Path], Recorder] = start_process,
     ) -> None:
         self._config = replace(config or CameraConfig(fps=PREVIEW_FPS), burst=1)
-        self._paced = paced
-        self._state = "live" if self._config.playback is None else "playing"
-        self._unwatched_s = unwatched_s
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
-        self._newest: Preview = Preview("opening")
-        self._watched_s = 0.0
-        self._stopping = False
-        self._filling: list[CameraBurst] = []
-        self._held: list[_Held] = []
+        self._unwatched_s, self._paced, self._start = unwatched_s, paced, start
+        self._talk = CameraFolder(folder)
+        self._lock = threading.Lock()
+        self._recorder: Recorder | None = None
+        self._crashes, self._tried = 0, False
+        self._watched_s = -math.inf
+        self._newest, self._newest_at_s = Preview("opening"), -math.inf
 
     @property
     def open(self) -> bool:
-        """Whether the thread holds the camera."""
-        return self._thread is not None and self._thread.is_alive()
+        """Whether a process holds the camera."""
+        return self._talk.is_held()
+
+    @property
+    def source(self) -> str:
+        """What its captures are taken from."""
+        serial = self._config.serial
+        return str(self._config.playback or (f"camera {serial}" if serial else "camera"))
+
+    def frames(self) -> list[RingFrame]:
+        """Return the frames that are held, the oldest first."""
+        return self._talk.ring.frames()
 
     def preview(self) -> Preview:
         """Return the newest frame; begins to stream if it did not."""
-        with self._changed:
+        with self._lock:
             self._begin_watched()
+            state, message = self._talk.state()
+            frames = self.frames()[-2:] if state in ("live", "playing") else []
+            if not frames:
+                if (state, message) != (self._newest.state, self._newest.message):
+                    number = self._newest.number + 1
+                    self._newest = Preview(state, number=number, message=message)
+            elif frames[-1].at_s != self._newest_at_s:
+                self._newest_at_s = frames[-1].at_s
+                self._newest = self._shown(state, frames) or self._newest
             return self._newest
 
     def retry(self) -> None:
         """Search for the camera again."""
-        with self._changed:
+        with self._lock:
             if not self.open:
-                self._newest = Preview("opening", number=self._newest.number)
+                self._tried, self._crashes = False, 0
 
     def configure(self, settings: CameraSettings) -> None:
         """Stream with these settings: a camera that is open is opened again."""
-        with self._changed:
-            if settings != self._config.settings:
-                self._config = replace(self._config, settings=settings)
-                self.retry()
+        with self._lock:
+            if settings == self._config.settings:
+                return
+            self._config = replace(self._config, settings=settings)
+            self._ask()
+        self.retry()
 
     def grab(self, burst: int, pressed_s: float) -> CameraBurst:
         """Begin a burst of the frames nearest to a moment: the earlier are there, the others come.
@@ -215,22 +264,20 @@ class CameraFeed:
         burst : int
             Frames at most.
         pressed_s : float
-            The moment, seconds since 1970: up to `_HELD_S` ago.
+            The moment, seconds since 1970: up to `HELD_S` ago.
 
         Raises
         ------
-        CameraError
+        PictureGoneError
             If no picture of that moment is held, nor can come any more.
         """
-        with self._changed:
+        with self._lock:
             self._begin_watched()
-            ago_s = [abs(pressed_s - one.at_s) for one in self._held]
-            if min([*ago_s, time.time() - pressed_s]) > FAR_S:
-                raise picture_gone()
-            reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
-            grabbed = CameraBurst(self, burst, pressed_s, reach_s, self._held)
-            self._filling += [] if grabbed.is_full else [grabbed]
-            return grabbed
+        reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
+        grabbed = CameraBurst(self, burst, pressed_s, reach_s)
+        if min(grabbed.nearest_s, time.time() - pressed_s) > FAR_S:
+            raise picture_gone()
+        return grabbed
 
     def take(self, burst: int, stop: Stop) -> Capture:
         """Return a capture fused from the next frames.
@@ -240,12 +287,7 @@ class CameraFeed:
         CameraError
             If the camera is not there, or sends nothing in time.
         """
-        with self._changed:
-            self._held.clear()
-            grabbed = CameraBurst(self, burst, 0.0, math.inf, [])
-            self._begin_watched()
-            self._filling.append(grabbed)
-        return replace(grabbed.capture(), stop=stop)
+        return replace(CameraBurst(self, burst, time.time(), math.inf).capture(), stop=stop)
 
     def wait_for(self, grabbed: CameraBurst) -> None:
         """Wait until a burst has all its frames.
@@ -256,189 +298,67 @@ class CameraFeed:
             If the camera is not there, or sends nothing in time.
         """
         until = time.monotonic() + self._config.timeout_s + grabbed.wanted
-        with self._changed:
-            while not grabbed.is_full:
-                self._watched_s = time.monotonic()
-                if self._newest.state == "absent" or time.monotonic() > until:
-                    self._filling = [one for one in self._filling if one is not grabbed]
-                    message = self._newest.message or "the camera sends nothing"
-                    raise CameraError(message, remedy="check its cable and try again")
-                self._changed.wait(0.2)
+        while not grabbed.is_full:
+            with self._lock:
+                self._begin_watched()
+            if grabbed.look():
+                return
+            state, message = self._talk.state()
+            if state == "absent" or time.monotonic() > until:
+                if grabbed.nearest_s <= FAR_S:  # what there is will do
+                    return
+                fault = message if state == "absent" else "the camera sends nothing"
+                raise CameraError(fault, remedy="check its cable and try again")
+            time.sleep(_LOOK_S)
 
     def close(self) -> None:
         """Release the camera."""
-        self._stopping = True
-        thread = self._thread
-        if thread is not None:
-            thread.join(self._config.timeout_s + 5)
+        self.end()
+        until = time.monotonic() + self._config.timeout_s + _END_S
+        while self._runs() and time.monotonic() < until:
+            time.sleep(_LOOK_S)
+
+    def end(self) -> None:
+        """Ask the process to release the camera, without waiting for it."""
+        self._talk.end()
+
+    def _runs(self) -> bool:
+        return self.open or (self._recorder is not None and self._recorder.poll() is None)
 
     def _begin_watched(self) -> None:
-        self._watched_s = time.monotonic()
-        if not self.open and self._newest.state != "absent":
-            self._begin()
+        """Say that somebody looks; start the process unless it runs, or found no camera."""
+        if self._tried and self._talk.state()[0] == "absent":
+            return
+        if time.monotonic() - self._watched_s > _WATCH_S:
+            self._talk.watch()
+            self._watched_s = time.monotonic()
+        if self._runs():
+            self._tried = True
+            return
+        code = None if self._recorder is None else self._recorder.poll()
+        if code:
+            self._crashes += 1
+        if self._crashes >= _MOST_CRASHES:
+            self._talk.tell("absent", f"the camera's program ended {self._crashes} times ({code})")
+            return
+        self._ask()
+        self._talk.watch()
+        self._talk.tell("opening")
+        self._recorder, self._tried = self._start(self._talk.path), True
 
-    def _begin(self) -> None:
-        self._stopping = False
-        self._newest = Preview("opening", number=self._newest.number)
-        self._thread = threading.Thread(target=self._stream, name="camera", daemon=True)
-        self._thread.start()
+    def _ask(self) -> None:
+        self._talk.ask(self._config, unwatched_s=self._unwatched_s, paced=self._paced)
 
-    def _stream(self) -> None:
+    def _shown(self, state: str, frames: list[RingFrame]) -> Preview | None:
+        """Return the last of two frames with how much it moved since the one before."""
         try:
-            while not self._stream_once():
-                pass  # a recording is over, or the settings are new: it begins again
-            self._held = []
-            self._show(Preview("opening", number=self._newest.number + 1))
-        except CucumberVisionError as error:
-            self._show(Preview("absent", number=self._newest.number + 1, message=str(error)))
-
-    def _stream_once(self) -> bool:
-        """Show frames; return True where nobody looks any more, False where it is to begin anew."""
-        shown, config = 0, self._config
-        with RealSenseCamera(config) as camera:
-            begun_s = time.monotonic()
-            while not self._stopping:
-                if self._config is not config:
-                    return False
-                if time.monotonic() - self._watched_s > self._unwatched_s:
-                    return True
-                try:
-                    capture = camera.capture_burst()
-                except CameraError:
-                    if config.playback is None or not shown:
-                        raise
-                    return False
-                now, number = time.time(), self._newest.number + 1
-                # A press must not wait for what is only looked at.
-                self._hold(capture, now)
-                before, seen = self._newest.capture, capture
-                if before is not None and before.color.shape == seen.color.shape:
-                    [moved] = moved_px(before.color, [seen.color])
-                    seen = replace(seen, moved_px=moved)
-                self._show(Preview(self._state, capture, depth_quality(seen), number))
-                shown += 1
-                if self._paced:
-                    time.sleep(max(0.0, begun_s + shown / config.fps - time.monotonic()))
-        return True
-
-    def _show(self, preview: Preview) -> None:
-        with self._changed:
-            self._newest = preview
-            self._changed.notify_all()
-
-    def _hold(self, capture: Capture, now: float) -> None:
-        """Keep a frame for presses that are still on their way, and give it to open bursts."""
-        own = capture.timestamp_s
-        # The camera's own time where its clock is this machine's, else the time of arrival.
-        live = own is not None and 0 <= now - own < _DENSE_S
-        held = _Held(own if live and own is not None else now, capture)
-        with self._changed:
-            self._held = _thinned([*self._held, held], now)
-            for grabbed in self._filling:
-                grabbed.offer(held)
-            self._filling = [one for one in self._filling if not one.is_full]
-            self._changed.notify_all()
-
-
-def _thinned(held: list[_Held], now: float) -> list[_Held]:
-    """Return the frames to be held on: all new ones, some of the older, none that are too old."""
-    kept: list[_Held] = []
-    for one in held:
-        is_new = now - one.at_s <= _DENSE_S
-        if is_new or not kept or one.at_s - kept[-1].at_s >= _SPARSE_S:
-            kept += [one] if now - one.at_s <= _HELD_S else []
-    return kept
-
-
-class Replay:
-    """Captures of a folder or a recording in the camera's place; starts over at its end.
-
-    Parameters
-    ----------
-    path : Path
-        As `capture.readers.open_source` takes it.
-    burst : int
-        Frames fused to one capture, for recordings.
-    """
-
-    def __init__(self, path: Path, burst: int = 5) -> None:
-        self._source = open_source(path, ReadOptions(burst=burst))
-        self._refs: Iterator[CaptureRef] = iter(())
-        self._lock = threading.Lock()
-        self._newest = Preview("opening")
-        self._begun_s = time.time()
-        self._loader: threading.Thread | None = None
-
-    def preview(self) -> Preview:
-        """Return the capture that is taken next; a thread reads it."""
-        with self._lock:
-            if self._newest.state == "opening" and (
-                self._loader is None or not self._loader.is_alive()
-            ):
-                self._start()
-            return self._newest
-
-    def take(self, burst: int, stop: Stop) -> Capture:  # noqa: ARG002, a replay's bursts are fused
-        """Return the capture that is shown, and load the next.
-
-        Raises
-        ------
-        CaptureError
-            If nothing of the replay can be read.
-        """
-        self.preview()
-        loader = self._loader
-        if loader is not None:
-            loader.join()
-        preview = self._newest
-        if preview.capture is None:
-            raise CaptureError(
-                preview.message or "nothing to replay", remedy="choose another replay"
-            )
-        with self._lock:
-            self._newest = Preview("opening", preview.capture, None, preview.number)
-            self._start()
-        return replace(preview.capture, stop=stop)
-
-    def grab(self, burst: int, pressed_s: float) -> ReplayBurst:  # noqa: ARG002, as a camera's
-        """Take what is shown now, and load the next.
-
-        Raises
-        ------
-        CameraError
-            If the moment lies before the replay began, or as long ago as a camera holds nothing.
-        """
-        if pressed_s < max(self._begun_s, time.time() - _HELD_S):
-            raise picture_gone()
-        with self._lock:
-            shown = self._newest.capture if self._newest.state == "replay" else None
-            if shown is not None:
-                self._newest = Preview("opening", shown, None, self._newest.number)
-                self._start()
-        return ReplayBurst(self, shown)
-
-    def _start(self) -> None:
-        self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
-        self._loader.start()
-
-    def _load(self) -> None:
-        number = self._newest.number + 1
-        fault = "holds no captures"
-        for _ in range(2):  # at the end from the beginning, once
-            for ref in self._refs:
-                try:
-                    capture = ref.load()
-                except CucumberVisionError as error:
-                    fault = str(error)
-                    continue
-                self._newest = Preview("replay", capture, depth_quality(capture), number)
-                return
-            self._refs = iter(self._source)
-        self._newest = Preview("absent", number=number, message=f"{self._source.path}: {fault}")
-
-
-Burst: TypeAlias = CameraBurst | ReplayBurst
-"""What a press of the button takes."""
-
-Feed: TypeAlias = CameraFeed | Replay
-"""A source of frames to show and of captures to measure."""
+            *before, capture = [one.load() for one in frames]
+        except CaptureError:  # one has just left the ring
+            return None
+        looked_at = capture
+        is_next = frames[-1].at_s - frames[0].at_s <= REACH_S
+        if before and is_next and before[0].color.shape == capture.color.shape:
+            [moved] = moved_px(before[0].color, [capture.color])
+            looked_at = replace(capture, moved_px=moved)
+        self._crashes = 0
+        return Preview(state, capture, depth_quality(looked_at), self._newest.number + 1)

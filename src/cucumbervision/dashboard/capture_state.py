@@ -145,22 +145,25 @@ def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
     }
 
 
-def outcome(pressed: Pressed | str | None) -> dict[str, Any]:
+def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     """Return what became of a press, once it is on the disk or known not to be.
 
     Parameters
     ----------
     pressed : Pressed, str or None
         As `Shutter.press` returned it; a text says why it was refused.
+    patience_s : float
+        How long that is waited for; then it waits on, and is to be asked for again.
     """
     if pressed is None:  # kept before this program was started
         return {"state": "saved", "words": "Saved"}
     if isinstance(pressed, str):
         return {"state": "refused", "words": pressed}
     try:
-        kept = pressed.kept.result()
-    except Exception:  # `error` has its words
-        return {"state": "refused", "words": pressed.error}
+        kept = pressed.kept.result(max(patience_s, 0.0))
+    except Exception:  # `error` has its words, none where it is not decided yet
+        state = "refused" if pressed.is_lost else "waiting"
+        return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
     words = f"{stop_name(kept.stop)}: saved"
     if pressed.moved is not None:
         words += f". Another stop is already at {pressed.stop.position_m:.2f} m"

@@ -105,7 +105,7 @@ class Worker:
     """
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="measuring", initializer=_give_way)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="measuring", initializer=give_way)
         self._jobs: OrderedDict[int, Job] = OrderedDict()
         self._lock = threading.Lock()
         self._next = 1
@@ -151,7 +151,7 @@ _GIVEN_UP_S = 0.001  # how long one thread may keep Python's lock from the other
 _LESS_URGENT = 10  # steps of 'nice'
 
 
-def _give_way() -> None:
+def give_way() -> None:
     """Let the camera's thread and the pages come first: a press cannot wait, measuring can."""
     sys.setswitchinterval(_GIVEN_UP_S)
     if sys.platform == "linux":  # where a thread has a priority of its own, and those it begins

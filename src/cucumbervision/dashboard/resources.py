@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import time
 from collections import Counter
@@ -20,11 +21,12 @@ from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.access import device_of
-from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
+from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.progress import Progress, progress_of
+from cucumbervision.dashboard.replay_feed import Feed, Replay
 from cucumbervision.dashboard.round_tables import GradedRound, grade_round
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -114,7 +116,15 @@ def measurer() -> SharedMeasurer:
 @st.cache_resource(show_spinner=False)
 def camera() -> CameraFeed:
     """Return the camera, opened when somebody views it."""
-    return CameraFeed(CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
+    return _feed_of("camera", CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
+
+
+def _feed_of(name: str, config: CameraConfig, *, paced: bool = False) -> CameraFeed:
+    folder = waiting_folder(where()).with_suffix(".frames") / name
+    feed = CameraFeed(folder, config, paced=paced)
+    # At once, where nobody kills this program: whatever comes next may need the camera.
+    atexit.register(feed.end)
+    return feed
 
 
 @st.cache_resource(show_spinner=False)
@@ -123,7 +133,7 @@ def _replay(burst: int) -> Feed:
     if chosen.suffix.lower() in RECORDING_SUFFIXES:
         # As a camera would send it, so that a walk can be tried.
         playing = CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS)
-        return CameraFeed(playing, paced=True)
+        return _feed_of("replay", playing, paced=True)
     return Replay(chosen, burst)
 
 

@@ -12,6 +12,7 @@ import json
 import shutil
 import struct
 import tempfile
+import time
 from contextlib import suppress
 from functools import lru_cache, wraps
 from pathlib import Path
@@ -35,7 +36,7 @@ from cucumbervision.dashboard.access import device_of
 from cucumbervision.dashboard.fruit_view import as_jpeg, depth_picture, scale_bar
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.uploads import Sending
-from cucumbervision.errors import CucumberVisionError, NameRefusedError, UploadError
+from cucumbervision.errors import CucumberVisionError, NameRefusedError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
@@ -56,11 +57,12 @@ PAGES = ("", "upload", "results", "map", "forecast", "accuracy", "settings", "ab
 
 _STATIC = Path(__file__).with_name("static")
 _NEWS_S = 0.3  # how often is looked for news
+_BEAT_S = 2.0
 _LOOK_S = 0.03  # how often is looked for a new picture
 _PREVIEW_PX = 640
 _STILL_PX, _STILL_LEVELS = (64, 36), 3  # a camera's noise is less, in blocks of so many
+_PRESS_S = 4.0  # how long an answer to presses is held back until they are saved
 _MOST_TOGETHER = 50  # presses in one request
-_MOST_PART = 16 * 2**20  # bytes of a file in one request
 
 Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
 Source = Literal["camera", "replay"]
@@ -139,7 +141,10 @@ def _answer(
 
     @wraps(work)
     async def route(request: Request) -> Response:
-        content = await request.body() if request.method == "POST" else b""
+        try:
+            content = await request.body() if request.method == "POST" else b""
+        except HTTPException as error:  # too large, or it does not come on: `AccessGuard` says so
+            return JSONResponse({"error": error.detail}, error.status_code, error.headers)
         try:
             found = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
@@ -176,9 +181,10 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
             continue
         feed = resources.feed(one.source)
         taken.append(resources.shutter().press(feed, burst, one.round, stop, press))
+    until_s = time.monotonic() + _PRESS_S
     return {
         "presses": [
-            {"number": one.number, **capture_state.outcome(pressed)}
+            {"number": one.number, **capture_state.outcome(pressed, until_s - time.monotonic())}
             for one, pressed in zip(sent, taken, strict=True)
         ]
     }
@@ -220,8 +226,6 @@ def _begin_upload(request: Request, content: bytes) -> Any:  # noqa: ARG001
 @_answer
 def _receive(request: Request, content: bytes) -> Any:
     part = UploadPart.model_validate({**request.path_params, **request.query_params})
-    if len(content) > _MOST_PART:
-        raise UploadError("the part is too large", remedy="reload the page")
     uploads = resources.uploads()
     try:
         there = uploads.append(part.upload, part.number, part.offset, content)
@@ -280,15 +284,19 @@ def _store_of(request: Request) -> Any:
 
 
 async def _news(socket: WebSocket) -> None:
-    """Send the news of a round as they come, for as long as a page looks."""
+    """Send the news of a round as they come, for as long as a page looks.
+
+    The same ones are sent again every `_BEAT_S`, by which a page knows that its line is not dead.
+    """
     known: dict[str, Any] = {}
 
     def look() -> str | None:
         found = resources.news(socket.query_params.get("round", ""))
         now_s = found.pop("now_s")
-        if known.get("last") == found:
+        is_due = abs(now_s - known.get("at_s", 0.0)) >= _BEAT_S
+        if known.get("last") == found and not is_due:
             return None
-        known["last"] = found
+        known.update(last=found, at_s=now_s)
         return json.dumps({**found, "now_s": now_s})
 
     await _send_changes(socket, look, _NEWS_S)

@@ -1,7 +1,8 @@
 """The button: a burst is grabbed at the press, kept on disk, and measured when there is time.
 
-Two threads, so that nothing holds a press up: one fuses bursts and keeps them, the worker of all
-pages measures what waits, in order. What waits is on disk, so that a kill loses nothing of it.
+Three threads, so that nothing holds a press up: one keeps the frames of bursts as they are, the
+worker of all pages measures what waits, in order, and one codes what waits for long. What waits is
+on disk, so that a kill loses nothing of it.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ import threading
 import time
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from cucumbervision.dashboard.camera_feed import FAR_S, picture_gone
-from cucumbervision.dashboard.jobs import fault_of
-from cucumbervision.errors import CameraError
+from cucumbervision.dashboard.camera_feed import PictureGoneError
+from cucumbervision.dashboard.jobs import fault_of, give_way
+from cucumbervision.errors import CameraError, CucumberVisionError
 from cucumbervision.rounds.adding import round_for_capture
 from cucumbervision.rounds.walking import last_step, unless_taken
 from cucumbervision.store.records import key_of
@@ -24,12 +26,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cucumbervision.capture.frames import Stop
-    from cucumbervision.dashboard.camera_feed import Burst, Feed
+    from cucumbervision.dashboard.replay_feed import Burst, Feed
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
 _REMEMBERED = 2000  # presses that a browser may send again
+_SOON = 4  # captures that are measured next are not coded before
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,11 @@ class Pressed:
         return fault_of(self.kept)
 
     @property
+    def is_lost(self) -> bool:
+        """Whether its picture is not there any more: sent again, it would be refused again."""
+        return self.kept.done() and isinstance(self.kept.exception(), PictureGoneError)
+
+    @property
     def moved(self) -> Stop | None:
         """Where it was put because another stop has the place where it was pressed, if so."""
         if not self.kept.done() or self.kept.exception() is not None:
@@ -96,6 +104,7 @@ class Shutter:
     def __init__(self, store: Store, waiting: WaitingCaptures, kept: Callable[[], object]) -> None:
         self._store, self._waiting, self._kept = store, waiting, kept
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
+        self._coder = ThreadPoolExecutor(1, thread_name_prefix="coding", initializer=give_way)
         self._lock = threading.Lock()
         self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
 
@@ -105,14 +114,16 @@ class Shutter:
         """Grab a burst for a press; return its outcome, None for one that was kept before.
 
         The same press sent again gets the same outcome: one stop. Where the feed no longer holds
-        the picture of its moment, the outcome is that error. Returns at once: the burst's last
-        frames and the disk are waited for elsewhere.
+        the picture of its moment, the outcome is that error; where another fault kept it from being
+        saved, such as a full disk, it is tried anew. Returns at once: the burst's last frames and
+        the disk are waited for elsewhere.
         """
         name = (round_key, press.number)
         at_s = min(press.at_s, time.time())
         with self._lock:
-            if name in self._pressed:
-                return self._pressed[name]
+            before = self._pressed.get(name)
+            if before is not None and (before.is_lost or not before.error):
+                return before
             if self._was_kept(key_of("press", *name)):  # before this program was started
                 return None
             kept: Future[Waiting] = Future()
@@ -140,17 +151,22 @@ class Shutter:
     def close(self) -> None:
         """Keep what was pressed, then end."""
         self._pool.shutdown(wait=True)
+        self._coder.shutdown(wait=True, cancel_futures=True)
 
     def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
-        capture = grabbed.capture()
-        if grabbed.nearest_s > FAR_S:
-            raise picture_gone()
-        home = round_for_capture(self._store, round_key, simulated=capture.simulated)
+        home = round_for_capture(self._store, round_key, simulated=grabbed.simulated)
         waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
         taken: list[Stop | StopView] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         key = key_of("press", round_key, press.number)
-        capture = replace(capture, stop=stop, timestamp_s=press.at_s)
-        kept = self._waiting.put(capture, key, home, press.at_s)
+        kept = grabbed.keep(self._waiting, key, home, stop)
         self._kept()
+        self._coder.submit(self._code, kept)
         return kept
+
+    def _code(self, kept: Waiting) -> None:
+        """Code a capture that is not measured at once: as it is, it takes five times the room."""
+        waiting = {one.key: one for one in self._waiting.captures()[_SOON:]}
+        if kept.key in waiting:
+            with suppress(CucumberVisionError):  # it stays as it is
+                self._waiting.code(waiting[kept.key])

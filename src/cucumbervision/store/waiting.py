@@ -1,8 +1,9 @@
 """The queue of captures to measure, written to disk atomically when they are taken.
 
-Each is a native capture folder with a file `waiting.json` that names its future stop and round. It
-is written under a temporary name, flushed to the disk and then renamed, so that a killed program
-leaves no partial capture.
+Each is a native capture folder, or a folder of raw frames of a burst, with a file `waiting.json`
+that names its future stop and round. It is written under a temporary name, flushed to the disk and
+then renamed, so that a killed program leaves no partial capture. Raw frames are linked, not copied:
+saving a press codes nothing. They are fused and coded when there is time.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cucumbervision.capture.files import sync_folder
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import Stop, fuse_burst
+from cucumbervision.capture.raw_frames import SUFFIX, read_frame
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.readers.native import write_native
-from cucumbervision.errors import StoreError, wrap_os_errors
+from cucumbervision.capture.readers.native import MANIFEST, write_native
+from cucumbervision.errors import CaptureError, StoreError, wrap_os_errors
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from cucumbervision.capture.frames import Capture
 
 MOST_TRIES = 3  # limits how often a capture can crash the program
@@ -67,8 +71,17 @@ class Waiting:
         CaptureError
             If it was damaged since.
         """
-        capture = next(iter(open_source(self.folder))).load()
-        return replace(capture, source=self.source)
+        for _ in range(2):  # it may be coded just then
+            paths = _raw_frames(self.folder)
+            if (self.folder / MANIFEST).exists() or not paths:
+                capture = next(iter(open_source(self.folder))).load()
+                return replace(capture, source=self.source or capture.source)
+            fused = _fused(paths)
+            if fused is not None:
+                return replace(
+                    fused, stop=self.stop, timestamp_s=self.pressed_s, source=self.source
+                )
+        raise CaptureError("its frames are damaged", source=self.folder, remedy="take it again")
 
 
 def waiting_folder(store: str) -> Path:
@@ -126,21 +139,83 @@ class WaitingCaptures:
         StoreError, CaptureError
             If it cannot be written; nothing is left behind.
         """
+        one = self._new(capture.stop, key, round_key, pressed_s, capture.source)
+        self._put(one, lambda half: write_native(capture, half))
+        return one
+
+    def put_frames(
+        self,
+        frames: Sequence[Path],
+        stop: Stop,
+        key: str,
+        round_key: str,
+        pressed_s: float,
+        source: str = "",
+    ) -> Waiting:
+        """Save the raw frames of a burst durably by linking them, whoever else removes theirs.
+
+        Raises
+        ------
+        StoreError
+            If one is gone, or they cannot be written; nothing is left behind.
+        """
+        one = self._new(stop, key, round_key, pressed_s, source)
+
+        def link(half: Path) -> None:
+            for frame in frames:
+                _link(frame, half / frame.name)
+
+        self._put(one, link)
+        return one
+
+    def code(self, one: Waiting) -> None:
+        """Fuse and code the raw frames of a capture, which then takes a fifth of the room.
+
+        It stays whole if this is killed: its manifest is written last, and the frames go after it.
+
+        Raises
+        ------
+        CucumberVisionError
+            If it cannot be read or written; it stays as it was.
+        """
+        paths = _raw_frames(one.folder)
+        if not paths or one.tries:  # it is coded, or is being measured
+            return
+        half = self.folder / f"{_TEMPORARY}coded-{one.folder.name}"
+        shutil.rmtree(half, ignore_errors=True)
+        try:
+            manifest = write_native(one.load(), half)
+            _sync(half)
+            with suppress(FileNotFoundError):  # it was measured meanwhile
+                for path in half.iterdir():
+                    if path != manifest:
+                        path.rename(one.folder / path.name)
+                sync_folder(one.folder)
+                manifest.rename(one.folder / MANIFEST)
+                sync_folder(one.folder)
+                for path in paths:
+                    path.unlink()
+        finally:
+            shutil.rmtree(half, ignore_errors=True)
+
+    def _new(self, stop: Stop, key: str, round_key: str, pressed_s: float, source: str) -> Waiting:
         name = f"{round(1e6 * pressed_s):016d}-{key}"
-        one = Waiting(key, round_key, capture.stop, pressed_s, self.folder / name, capture.source)
-        half = self.folder / f"{_TEMPORARY}{name}"
+        return Waiting(key, round_key, stop, pressed_s, self.folder / name, source)
+
+    def _put(self, one: Waiting, fill: Callable[[Path], object]) -> None:
+        half = self.folder / f"{_TEMPORARY}{one.folder.name}"
         about = {
-            "key": key,
-            "round": round_key,
-            "pressed_s": pressed_s,
-            "stop": asdict(capture.stop),
-            "source": capture.source,
+            "key": one.key,
+            "round": one.round_key,
+            "pressed_s": one.pressed_s,
+            "stop": asdict(one.stop),
+            "source": one.source,
         }
         remedy = "free some space on the disk, and check its rights"
         try:
             with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
                 half.mkdir(parents=True)
-                write_native(capture, half)
+                fill(half)
                 (half / _WHERE).write_text(json.dumps(about), encoding="utf-8")
                 _sync(half)
                 half.rename(one.folder)
@@ -148,7 +223,6 @@ class WaitingCaptures:
         except BaseException:
             shutil.rmtree(half, ignore_errors=True)
             raise
-        return one
 
     def captures(self) -> list[Waiting]:
         """Return the queued captures, the oldest first, without those that failed too often."""
@@ -190,6 +264,33 @@ class WaitingCaptures:
                 found.append(replace(one, tries=tries.stat().st_size if tries.exists() else 0))
         self._read = {one.folder / _WHERE: one for one in found}
         return found
+
+
+def _raw_frames(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{SUFFIX}"))
+
+
+def _fused(paths: Sequence[Path]) -> Capture | None:
+    """Return the capture that raw frames make together, called by the first; None without any.
+
+    A frame that a power failure cut off costs only itself.
+    """
+    frames: list[Capture] = []
+    for path in paths:
+        with suppress(CaptureError):
+            frames.append(read_frame(path))
+    if len(frames) < 2:
+        return frames[0] if frames else None
+    fused = fuse_burst([one.color for one in frames], [one.depth_m for one in frames])
+    first = frames[0]
+    return replace(frames[fused.burst_frame], **vars(fused), name=first.name, frame=first.frame)
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        target.hardlink_to(source)
+    except OSError:  # on another disk, or on one that knows no links
+        shutil.copyfile(source, target)
 
 
 def _read(path: Path) -> Waiting:

@@ -4,7 +4,7 @@ import drawPicture from "./picture.js";
 
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
-const AGAIN_MS = 1000, CLOCK_S = 0.5;
+const AGAIN_MS = 1000, SILENCE_MS = 7000, CLOCK_S = 0.5;  // news come every 2 s
 const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, work: "", undone: "", rows: {} };
 
 function show(node, words) {
@@ -137,10 +137,25 @@ function onward(place) {
 }
 
 // ---- The button.
-const presses = new Presses(drawPresses, (one) => {
-  own.mine = one.place && { key: one.stop, ...one.place };
-  if (one.stop) keepStops([...stops, { stop: one.stop, home: one.home, at_s: one.at_s }]);
-  if (one.place && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
+const presses = new Presses({
+  changed: drawPresses,
+  saved: (one) => {
+    own.mine = one.place && { key: one.stop, ...one.place };
+    if (one.stop) keepStops([...stops, { stop: one.stop, home: one.home, at_s: one.at_s }]);
+    if (one.place && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
+  },
+  // The walk goes back to the first place whose picture is gone.
+  lost: (some) => {
+    const first = some.reduce((a, b) => (a.at_s <= b.at_s ? a : b));
+    if (first.sent.round === own.round && own.place) usePlace({ ...own.place, row: first.sent.row, side: first.sent.side, position_m: first.sent.position_m });
+  },
+  answered: (connected) => {
+    if (own.connected === connected) return;
+    own.connected = connected;
+    drawWork();
+    if (connected) watchPreview();
+    else watchNews();
+  },
 });
 let sound = null;
 
@@ -189,20 +204,37 @@ document.onkeydown = (event) => {
   press();
 };
 
+// Presses that gave no stop, together where they are of one row and for one reason.
+function lostWords(some) {
+  const [{ sent, words }] = some, at_m = some.map((one) => one.sent.position_m);
+  const [low, high] = [Math.min(...at_m), Math.max(...at_m)].map((value) => value.toFixed(2));
+  const where = [sent.row && `row ${sent.row}`, sent.side, low === high ? `${low} m` : `${low} to ${high} m`].filter(Boolean).join(", ");
+  return `${some.length} lost: ${where}. ${words.charAt(0).toUpperCase()}${words.slice(1)}`;
+}
+
 function drawPresses() {
   const time = (one) => new Date(1000 * one.at_s).toLocaleTimeString([], { hour12: false });
-  const marks = { waiting: "…", saved: "✓", refused: "✗" };
-  $("presses").replaceChildren(...presses.list.slice(-8).reverse().map((one) => {
+  const marks = { waiting: "…", saved: "✓", refused: "✗" }, groups = new Map();
+  for (const one of presses.list.filter(({ state }) => state === "refused")) {
+    const name = JSON.stringify([one.sent.round, one.sent.row, one.sent.side, one.words]);
+    groups.set(name, [...(groups.get(name) || []), one]);
+  }
+  const lines = [...groups.values()].map((some) => [some[0], lostWords(some), some]);
+  for (const one of presses.list.filter(({ state }) => state !== "refused").slice(-8).reverse()) {
+    lines.push([one, one.state === "waiting" && !one.words ? "waiting" : one.words]);
+  }
+  $("presses").replaceChildren(...lines.map(([one, text, some]) => {
     const line = document.createElement("li"), words = document.createElement("span");
     line.className = one.state;
-    words.textContent = `${marks[one.state]} ${time(one)} ${one.state === "waiting" ? "waiting" : one.words}`;
+    words.textContent = `${marks[one.state]} ${time(one)} ${text}`;
     line.append(words);
-    if (one.state === "refused") {
+    if (some) {
       const done = document.createElement("button");
+      line.setAttribute("role", "alert");
       done.type = "button";
       done.textContent = "OK";
-      done.setAttribute("aria-label", `OK: the press of ${time(one)} gave no stop`);
-      done.onclick = () => presses.dismiss(one);
+      done.setAttribute("aria-label", `OK: ${text}`);
+      done.onclick = () => presses.dismiss(some);
       line.append(done);
     }
     return line;
@@ -219,20 +251,37 @@ function drawWork() {
 }
 
 // ---- News and pictures.
-function socket(path, binary, heard, state) {
-  let line = null, ended = false, timer = 0;
+// A line that is half open brings nothing and does not close: silence of `silence_ms` ends it, where that is not 0.
+function socket(path, binary, heard, state, silence_ms = 0) {
+  let line = null, ended = false, timer = 0, watch = 0;
   const open = () => {
-    line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`);
-    line.binaryType = "arraybuffer";
-    line.onopen = () => state?.(true);
-    line.onmessage = async (event) => {
-      await heard(binary ? event.data : JSON.parse(event.data));
-      if (line.readyState === WebSocket.OPEN) line.send("next");
+    const mine = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`);
+    line = mine;
+    const over = () => {
+      clearTimeout(watch);
+      if (line !== mine || ended) return;
+      line = null;
+      mine.close();
+      state?.(false);
+      timer = setTimeout(open, AGAIN_MS);
     };
-    line.onclose = () => { if (!ended) { state?.(false); timer = setTimeout(open, AGAIN_MS); } };
+    const alive = () => {
+      clearTimeout(watch);
+      if (silence_ms) watch = setTimeout(over, silence_ms);
+    };
+    alive();
+    mine.binaryType = "arraybuffer";
+    mine.onopen = () => { if (line === mine) { alive(); state?.(true); } };
+    mine.onmessage = async (event) => {
+      if (line !== mine) return;
+      alive();
+      await heard(binary ? event.data : JSON.parse(event.data));
+      if (mine.readyState === WebSocket.OPEN) mine.send("next");
+    };
+    mine.onclose = over;
   };
   open();
-  return () => { ended = true; clearTimeout(timer); line.close(); };
+  return () => { ended = true; clearTimeout(timer); clearTimeout(watch); line?.close(); };
 }
 
 let endNews = null, endPreview = null;
@@ -244,10 +293,12 @@ function watchNews() {
     drawWork();
     if (changed) readWalk();
   }, (connected) => {
+    const back = connected && !own.connected;
     own.connected = connected;
     drawWork();
-    if (connected) { readWalk(); presses.send(); }
-  });
+    if (connected) { readWalk(); presses.resend(); }
+    if (back) watchPreview();
+  }, SILENCE_MS);
 }
 
 const urls = {};

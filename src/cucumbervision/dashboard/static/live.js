@@ -1,5 +1,5 @@
 // The server's news on every page: the work and its time left, a lost connection. A page whose round changed is drawn anew.
-const AGAIN_MS = 1000, SETTLE_MS = 400, LOST_MS = 1500;
+const AGAIN_MS = 1000, SETTLE_MS = 400, LOST_MS = 1500, SILENCE_MS = 7000; // news come every 2 s
 const own = { line: null, round: null, version: "", asked: "", news: null, lost: false, root: null, trigger: null, begun: new Map() };
 
 function left(work) {
@@ -41,9 +41,16 @@ function listen() {
   own.line?.close();
   const line = own.line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/news?round=${own.round}`);
   let late = 0;
+  // A line that is half open brings nothing and does not close.
+  const alive = () => {
+    clearTimeout(own.watch);
+    own.watch = setTimeout(() => { if (own.line === line) { own.lost = true; draw(); listen(); } }, SILENCE_MS);
+  };
+  alive();
   line.onopen = () => { own.lost = false; draw(); };
   line.onmessage = (event) => {
     if (own.line !== line) return;
+    alive();
     own.news = JSON.parse(event.data);
     line.send("next");
     heard();

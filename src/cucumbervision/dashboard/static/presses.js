@@ -1,6 +1,6 @@
 // Presses, kept in the browser until the server has acknowledged each: a reload or a lost connection loses none.
 const SHELF = "cucumbervision", PRESSES = "presses";
-const TOGETHER = 50, PATIENCE_MS = 20000, AGAIN_MS = 1000, SHOWN = 6;
+const TOGETHER = 50, PATIENCE_MS = 10000, AGAIN_MS = 1000, SHOWN = 6;
 
 function opened() {
   return new Promise((resolve, reject) => {
@@ -11,24 +11,30 @@ function opened() {
   });
 }
 
-export async function post(path, content, patience_ms = PATIENCE_MS) {
-  const answer = await fetch(path, {
-    method: "POST", body: JSON.stringify(content), headers: { "content-type": "application/json" }, signal: AbortSignal.timeout(patience_ms),
-  });
-  if (answer.ok) return answer.json();
-  const { error } = await answer.json().catch(() => ({}));
-  throw Object.assign(new Error(error || "Not admitted: open 'Today' to log in."), { status: answer.status });
+export async function post(path, content, patience_ms = PATIENCE_MS, turn = new AbortController()) {
+  const late = setTimeout(() => turn.abort(), patience_ms);
+  try {
+    const answer = await fetch(path, {
+      method: "POST", body: JSON.stringify(content), headers: { "content-type": "application/json" }, signal: turn.signal,
+    });
+    if (answer.ok) return await answer.json();
+    const { error } = await answer.json().catch(() => ({}));
+    throw Object.assign(new Error(error || "Not admitted: open 'Today' to log in."), { status: answer.status });
+  } finally {
+    clearTimeout(late);
+  }
 }
 
 export class Presses {
-  // `changed` is called after every change; `saved` with the answer to a press that is a stop now.
-  constructor(changed, saved) {
-    this.changed = changed;
-    this.saved = saved;
+  // `changed` is called after every change; `saved` with a press that is a stop now; `lost` with those whose picture
+  // is gone; `answered` with whether the server answers.
+  constructor({ changed, saved, lost, answered }) {
+    Object.assign(this, { changed, saved, lost, answered });
     this.list = [];
     this.made = [...crypto.getRandomValues(new Uint32Array(3))].map((part) => part.toString(36)).join("");
     this.count = 0;
-    this.sending = false;
+    this.turn = null;
+    this.again = 0;
     this.shelf = null;
   }
 
@@ -64,31 +70,57 @@ export class Presses {
     this.send();
   }
 
-  dismiss(one) {
-    this.list = this.list.filter((other) => other !== one);
-    this.forget(one);
+  dismiss(some) {
+    this.list = this.list.filter((one) => !some.includes(one));
+    some.forEach((one) => this.forget(one));
     this.changed();
   }
 
+  // What was sent before a connection came back hangs until its patience ends: it is sent anew at once.
+  resend() {
+    this.turn?.abort();
+    this.send();
+  }
+
   async send() {
-    if (this.sending) return;
-    this.sending = true;
+    if (this.turn && !this.turn.signal.aborted) return;
+    const turn = new AbortController();
+    this.turn = turn;
+    clearTimeout(this.again);
+    const asked = this.waiting;
     try {
-      for (let batch; (batch = this.waiting.slice(0, TOGETHER)).length;) {
-        const answer = await post("/api/press", { presses: batch.map((one) => ({ number: one.number, ...one.sent })) });
-        answer.presses.forEach((outcome, at) => this.settle(batch[at], outcome));
-        this.changed();
-      }
+      for (let from = 0; from < asked.length; from += TOGETHER) await this.ask(asked.slice(from, from + TOGETHER), turn);
     } catch (fault) {
-      if (fault.status === 400) for (const one of this.waiting) this.settle(one, { state: "refused", words: fault.message });
-      this.changed();
-      if (this.waiting.length) setTimeout(() => this.send(), AGAIN_MS);
-    } finally {
-      this.sending = false;
+      if (this.turn === turn && !fault.status) this.answered(false);
     }
+    if (this.turn !== turn) return;
+    this.turn = null;
+    this.changed();
+    const waiting = this.waiting, isNew = waiting.some((one) => !asked.includes(one));
+    if (waiting.length) this.again = setTimeout(() => this.send(), isNew && !turn.signal.aborted ? 0 : AGAIN_MS);
+  }
+
+  async ask(batch, turn) {
+    let answer;
+    try {
+      answer = await post("/api/press", { presses: batch.map((one) => ({ number: one.number, ...one.sent })) }, PATIENCE_MS, turn);
+    } catch (fault) {
+      if (fault.status !== 400) throw fault;
+      // One that is damaged costs no other.
+      if (batch.length > 1) for (const one of batch) await this.ask([one], turn);
+      else this.settle(batch[0], { state: "refused", words: fault.message });
+      return;
+    }
+    if (this.turn !== turn) return;  // it is sent anew
+    this.answered(true);
+    answer.presses.forEach((outcome, at) => this.settle(batch[at], outcome));
+    const lost = batch.filter((one) => one.lost);
+    if (lost.length) this.lost(lost);
+    this.changed();
   }
 
   settle(one, outcome) {
+    if (one.state !== "waiting") return;
     Object.assign(one, outcome);
     if (one.state === "saved") {
       this.forget(one);

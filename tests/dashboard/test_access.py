@@ -19,6 +19,7 @@ from cucumbervision.dashboard.access import (
     AccessGuard,
     Login,
     OpenIdConnect,
+    cookie_of,
     decide_login,
     device_of,
     note_viewer,
@@ -132,6 +133,8 @@ def test_the_link_sets_a_cookie_that_admits() -> None:
     answer = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
     assert (sent[0]["status"], answer["location"]) == (303, "/capture?row=3")
     assert "HttpOnly" in answer["set-cookie"]
+    assert TOKEN not in answer["set-cookie"]  # other ports of the host are sent it, too
+    assert "Secure" not in answer["set-cookie"]
     cookie = answer["set-cookie"].split(";")[0]
     assert ask(guard, "/capture", host="house:8501", cookie=f"other=1; {cookie}")[0]
     assert ask(guard, "/_stcore/stream", kind="websocket", cookie=cookie)[0]
@@ -143,6 +146,56 @@ def test_behind_https_the_cookie_is_sent_by_no_other_way(proto: str) -> None:
     _, sent = ask((Login.TOKEN, TOKEN), "/", query=f"token={TOKEN}", host="house", **told)
     cookie = dict(sent[0]["headers"])[b"set-cookie"].decode()
     assert ("Secure" in cookie) == proto.startswith("https")
+
+
+LOGINS = [(Login.NONE, ""), (Login.OIDC, ""), (Login.TOKEN, TOKEN)]
+BROKEN = [
+    "[",
+    "[::1",
+    "::1]",
+    "[::1]x",
+    "a b",
+    "a/b",
+    "eve@house",
+    "house:x",
+    "house:70000",
+    "a:b:1",
+]
+
+
+@pytest.mark.parametrize("login", LOGINS)
+@pytest.mark.parametrize("value", BROKEN)
+def test_a_malformed_host_or_origin_is_refused_by_name_before_any_login(
+    login: tuple[Login, str], value: str
+) -> None:
+    for headers in ({"host": value}, {"host": "localhost", "origin": f"http://{value}"}):
+        for path in ("/", "/api/press", "/_stcore/stream", "/capture"):
+            reached, sent = ask(login, path, **headers)
+            assert not reached
+            assert sent[0]["status"] == 400
+            assert sent[1]["body"].startswith(b"RequestError: the header ")
+            reached, sent = ask(login, path, kind="websocket", **headers)
+            assert not reached
+            assert sent == [{"type": "websocket.close", "code": 1008}]
+
+
+@pytest.mark.parametrize("login", LOGINS)
+@pytest.mark.parametrize("path", ["/", "/api/walk", "/_stcore/stream", "/capture/capture.js"])
+def test_every_route_and_socket_refuses_pages_of_another_port(
+    login: tuple[Login, str], path: str
+) -> None:
+    note_viewer("anna", lambda: True)
+    cookie = f"{COOKIE}={cookie_of(TOKEN)}; {TICKET}=anna"
+    here = {"host": "localhost:8501", "cookie": cookie}
+    for kind in ("http", "websocket"):
+        assert ask(login, path, kind=kind, **here)[0]
+        assert ask(login, path, kind=kind, origin="http://LOCALHOST:8501", **here)[0]
+        assert not ask(login, path, kind=kind, origin="http://localhost:9000", **here)[0]
+        assert not ask(login, path, kind=kind, **here, **{"sec-fetch-site": "same-site"})[0]
+    link = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+    assert ask(login, path, **here, **link, **{"sec-fetch-dest": "document"})[0]
+    assert not ask(login, path, **here, **link, **{"sec-fetch-dest": "iframe"})[0]
+    note_viewer("anna", None)
 
 
 @pytest.mark.parametrize("path", ["/", "/_stcore/health", "/_stcore/upload_file/eve/1"])
@@ -173,7 +226,7 @@ def test_with_a_provider_the_other_routes_need_the_session_of_a_viewer() -> None
 
 
 def test_a_page_of_another_site_sends_nothing_and_frames_nothing() -> None:
-    guard, cookie = (Login.TOKEN, TOKEN), f"{COOKIE}={TOKEN}"
+    guard, cookie = (Login.TOKEN, TOKEN), f"{COOKIE}={cookie_of(TOKEN)}"
     here = {"host": "house:8501", "cookie": cookie}
     for kind in ("http", "websocket"):
         assert ask(guard, "/api/press", kind=kind, origin="http://house:8501", **here)[0]
@@ -183,9 +236,9 @@ def test_a_page_of_another_site_sends_nothing_and_frames_nothing() -> None:
     assert (b"x-content-type-options", b"nosniff") in sent[0]["headers"]
 
 
-@pytest.mark.parametrize("login", [(Login.NONE, ""), (Login.OIDC, ""), (Login.TOKEN, TOKEN)])
+@pytest.mark.parametrize("login", LOGINS)
 def test_routes_of_streamlit_s_that_no_page_needs_are_closed(login: tuple[Login, str]) -> None:
-    cookie = f"{COOKIE}={TOKEN}"
+    cookie = f"{COOKIE}={cookie_of(TOKEN)}"
     for path in ("metrics", "agent/openapi.json", "upload_file/eve/1"):
         for base in ("", "/house"):
             asked = ask(login, f"{base}/_stcore/{path}", host="localhost", cookie=cookie)

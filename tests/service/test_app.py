@@ -172,6 +172,10 @@ def test_a_body_that_is_too_large_is_refused(measurer: Measurer, told: bool) -> 
         kind = {"Content-Type": "multipart/form-data; boundary=x"}
         reply = client.post("/measure", headers=kind, content=content)
     assert reply.status_code == 413
+    assert reply.json() == {
+        "error": "HTTPError",
+        "message": "the body is larger than the 2 MB that are taken",
+    }
 
 
 def test_who_comes_when_too_many_wait_is_told_when_to_come_again(
@@ -186,7 +190,7 @@ def test_who_comes_when_too_many_wait_is_told_when_to_come_again(
 
     monkeypatch.setattr(Work, "__init__", keep)
     with TestClient(create_app(measurer, ServiceSettings(waiting=0)), HERE) as client:
-        with taken[0].turn():
+        with taken[0].place():
             reply = client.post("/measure", files=[("files", ("a.png", b""))])
         assert (reply.status_code, reply.headers["retry-after"]) == (503, "1")
         assert client.post("/measure", files=[("files", ("a.png", b""))]).status_code == 200

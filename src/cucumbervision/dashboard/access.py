@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlencode
 
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
 from cucumbervision.errors import AccessError
+from cucumbervision.service.requests import RequestError, bounded, check_source
 from cucumbervision.service.server import is_loopback
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ _HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
 }
+# Bytes of a body: of a part of a file, of the list of an upload's files, of all else.
+_MOST_PART, _MOST_LIST, _MOST_ASKED = 16 * 2**20, 4 * 2**20, 256 * 2**10
+_BODY_S, _SILENCE_S = 600.0, 30.0
 _MOST_VIEWERS = 10_000  # sessions that are remembered
 _OIDC_SHARED = ("redirect_uri", "cookie_secret")
 _OIDC_PROVIDER = ("client_id", "client_secret", "server_metadata_url")
@@ -217,12 +221,17 @@ def note_viewer(session: str, is_admitted: Callable[[], bool] | None, name: str 
 class AccessGuard:
     """ASGI middleware that refuses strangers before Streamlit sees their request.
 
-    - Without a login only requests to a loopback name, from pages of such a name, are admitted: a
-      page of another site, or a name that was rebound to this machine, operates nothing.
-    - With a token, a request needs it in its cookie; the link `?token=…` sets the cookie.
+    Every route and web socket is asked the same, in this order:
+
+    - `Host` and `Origin` must be well formed, and the request must not come from a page of another
+      place, another port of the same host included (`check_source`), whatever the login.
+    - Without a login only requests to a loopback name are admitted: a name that was rebound to this
+      machine operates nothing.
+    - With a token, its cookie; the link `?token=…` sets it. The cookie is not the token itself:
+      browsers send cookies to every port of a host.
     - With OpenID Connect, Streamlit's pages ask for the login; what is sent outside their
-      connection (uploads, presses, pictures) needs the session of one who is logged in.
-    - A request from a page of another site is refused, whatever the login.
+      connection (uploads, presses, pictures, news) needs the session of one who is logged in.
+    - A body is limited while it is read.
 
     Parameters
     ----------
@@ -246,37 +255,38 @@ class AccessGuard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        request = HTTPConnection(scope)
+        request, method = HTTPConnection(scope), scope.get("method", "GET")
+        try:
+            check_source(request.headers, method=method, local=self._login is Login.NONE)
+        except (RequestError, AccessError) as error:
+            status = 400 if isinstance(error, RequestError) else 403
+            await _refuse(scope, receive, send, f"{error.code}: {error}", status)
+            return
         query = dict(request.query_params)
         is_link = scope.get("method") == "GET" and self._is_token(query.pop("token", ""))
         if self._login is Login.TOKEN and is_link:
             # The token goes into a cookie, and out of the address.
             place = f"/{scope['path'].lstrip('/')}" + (f"?{urlencode(query)}" if query else "")
             answer: Response = RedirectResponse(place, 303, _HEADERS)
-            safe = is_encrypted(request)
-            answer.set_cookie(COOKIE, self._token, secure=safe, httponly=True, samesite="lax")
+            cookie, safe = cookie_of(self._token), is_encrypted(request)
+            answer.set_cookie(COOKIE, cookie, secure=safe, httponly=True, samesite="lax")
             await answer(scope, receive, send)
-        elif self._admits(request):
-            await self._app(scope, receive, _with_headers(send, request))
+        elif not self._admits(request):
+            await _refuse(scope, receive, send, self._refusal)
         elif scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})
+            await self._app(scope, receive, send)
         else:
-            answer = PlainTextResponse(self._refusal, 403, {**_HEADERS, "connection": "close"})
-            await answer(scope, receive, send)
+            most_bytes = _most_bytes(scope["path"])
+            limits = {"body_s": _BODY_S, "silence_s": _SILENCE_S}
+            limited = bounded(receive, request.headers, most_bytes, **limits)
+            await self._app(scope, limited, _with_headers(send, request))
 
     def _admits(self, request: HTTPConnection) -> bool:
-        path, host = request.scope["path"], request.headers.get("host", "")
-        origin = request.headers.get("origin")
-        if any(unused in path for unused in _UNUSED):
-            return False
-        if path.startswith(_OWN) and origin is not None and urlsplit(origin).netloc != host:
+        if any(unused in request.scope["path"] for unused in _UNUSED):
             return False
         if self._login is Login.TOKEN:
-            return self._is_token(request.cookies.get(COOKIE, ""))
-        if self._login is Login.OIDC:
-            return self._is_logged_in(request)
-        names = [host, *([] if origin is None else [urlsplit(origin).netloc])]
-        return all(is_loopback(urlsplit(f"//{name}").hostname or "?") for name in names)
+            return self._is_token(request.cookies.get(COOKIE, ""), cookie_of(self._token))
+        return self._login is Login.NONE or self._is_logged_in(request)
 
     def _is_logged_in(self, request: HTTPConnection) -> bool:
         if not request.scope["path"].startswith(_OWN):
@@ -285,8 +295,9 @@ class AccessGuard:
         is_admitted, request.scope["viewer"] = _viewers.get(session, (None, ""))
         return is_admitted is not None and is_admitted()
 
-    def _is_token(self, given: str) -> bool:
-        return bool(self._token) and hmac.compare_digest(given.encode(), self._token.encode())
+    def _is_token(self, sent: str, expected: str = "") -> bool:
+        right = (expected or self._token).encode()
+        return bool(self._token) and hmac.compare_digest(sent.encode(), right)
 
     @property
     def _refusal(self) -> str:
@@ -295,6 +306,40 @@ class AccessGuard:
         if self._login is Login.OIDC:
             return "Log in first."
         return "This dashboard is open on its own machine only, at http://localhost."
+
+
+def cookie_of(token: str) -> str:
+    """Return the cookie that admits as a token does, from which the token cannot be told.
+
+    Examples
+    --------
+    >>> len(cookie_of("0123456789abcdef"))
+    64
+    """
+    return hmac.new(token.encode(), b"cookie of the dashboard", "sha256").hexdigest()
+
+
+def _most_bytes(path: str) -> int:
+    """Return how large the body of a request may be."""
+    if path.startswith("/api/uploads/"):
+        return _MOST_PART
+    return _MOST_LIST if path == "/api/uploads" else _MOST_ASKED
+
+
+async def _refuse(
+    scope: MutableMapping[str, Any],
+    receive: Callable[..., Any],
+    send: Callable[..., Any],
+    words: str,
+    status: int = 403,
+) -> None:
+    """Refuse a request, or a web socket before it is open."""
+    extensions = scope.get("extensions") or {}
+    if scope["type"] == "websocket" and "websocket.http.response" not in extensions:
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    answer = PlainTextResponse(words, status, {**_HEADERS, "connection": "close"})
+    await answer(scope, receive, send)
 
 
 def _with_headers(send: Callable[..., Any], request: HTTPConnection) -> Callable[..., Any]:

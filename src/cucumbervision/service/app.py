@@ -17,7 +17,6 @@ from prometheus_client import (
     generate_latest,
 )
 from starlette.exceptions import HTTPException
-from starlette.middleware.body_limit import RequestBodyLimitMiddleware
 
 from cucumbervision._version import __version__
 from cucumbervision.about import software
@@ -42,10 +41,8 @@ from cucumbervision.service.work import (
     Work,
 )
 
-_BODY_SLACK = 1_000_000  # part headers of a body with many files
-
 _REFUSED = {
-    400: "The body cannot be parsed.",
+    400: "The body cannot be parsed, or a header is malformed.",
     401: "No token, or a wrong one.",
     403: "A page of another site sent it, or it names another host.",
     408: "The body does not come on.",
@@ -127,12 +124,7 @@ def create_app(
     )
     app.include_router(_routes(work, metrics))
     _answer_errors(app)
-    app.add_middleware(
-        RequestBodyLimitMiddleware, max_body_size=settings.limits.total_bytes + _BODY_SLACK
-    )
-
-    # The middleware added last runs first: the token is checked before the body is read.
-    app.add_middleware(Gate, settings=settings, count=metrics.count)
+    app.add_middleware(Gate, settings=settings, count=metrics.count, place=work.place)
     return app
 
 

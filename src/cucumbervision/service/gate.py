@@ -1,11 +1,9 @@
-"""Access control: tokens, hosts and origins, and time limits for headers and bodies."""
+"""Access control: tokens, sources of requests, who waits, and limits for headers and bodies."""
 
 from __future__ import annotations
 
-import asyncio
 import time
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers
@@ -13,11 +11,13 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from cucumbervision.service.server import is_loopback
-from cucumbervision.service.work import Problem
+from cucumbervision.errors import AccessError
+from cucumbervision.service.requests import RequestError, bounded, check_source
+from cucumbervision.service.work import BusyError, Problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 REFUSALS = frozenset({401, 403})
 _OPEN = frozenset({"/health"})
+_WITH_BODY = frozenset({"/measure", "/detect"})
+_BODY_SLACK = 1_000_000  # part headers of a body with many files
 _TAIL_BYTES = 256  # a form's closing boundary, of 70 characters at most, and what may follow it
+
+
+_STATUS = {RequestError: 400, AccessError: 403, BusyError: 503}
 
 
 def problem(status: int, error: str, message: str) -> JSONResponse:
@@ -36,8 +41,9 @@ def problem(status: int, error: str, message: str) -> JSONResponse:
 class Gate:
     """Lets requests in, before their bodies are read, and ends those that do not come on.
 
-    Without a token only this machine is admitted, and a page of another site in its browser is
-    not: `Host` must name this machine, and `Origin`, where there is one, the same place.
+    Without a token only this machine is admitted, by a name of its own. A page of another place is
+    not, whatever it knows (`check_source`). Who comes when too many wait is refused before its body
+    is read.
 
     Parameters
     ----------
@@ -47,12 +53,18 @@ class Gate:
         Token and time limits.
     count : callable
         Given path, status and seconds of every request.
+    place : callable
+        Holds a place among those who wait; raises BusyError without any.
     """
 
     def __init__(
-        self, app: ASGIApp, settings: ServiceSettings, count: Callable[[str, int, float], None]
+        self,
+        app: ASGIApp,
+        settings: ServiceSettings,
+        count: Callable[[str, int, float], None],
+        place: Callable[[], AbstractContextManager[None]],
     ) -> None:
-        self._app, self._settings, self._count = app, settings, count
+        self._app, self._settings, self._count, self._place = app, settings, count, place
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or pass it on."""
@@ -66,44 +78,47 @@ class Gate:
             status = message.get("status", status)
             await send(message)
 
+        headers, path = Headers(scope=scope), scope["path"]
         try:
-            refused = self._refused(scope["path"], Headers(scope=scope))
-            app = self._app if refused is None else refused
-            kind = Headers(scope=scope).get("content-type", "")
-            await app(scope, self._limited(kind, receive), noting)
+            check_source(headers, method=scope["method"], local=not self._settings.token)
+            if path not in _OPEN and not self._is_admitted(headers):
+                await _without_token()(scope, receive, noting)
+            elif path in _WITH_BODY and scope["method"] == "POST":
+                with self._place():
+                    await self._app(scope, self._limited(headers, receive), noting)
+            else:
+                most_bytes = 0  # of a body that nobody reads
+                await self._app(scope, self._bounded(headers, receive, most_bytes), noting)
+        except (RequestError, AccessError, BusyError) as error:
+            refused = problem(_STATUS[type(error)], error.code, str(error))
+            refused.headers.update({"Connection": "close"})
+            if isinstance(error, BusyError):
+                refused.headers["Retry-After"] = "1"
+            await refused(scope, receive, noting)
         finally:
-            self._count(scope["path"], status, time.perf_counter() - began_s)
+            self._count(path, status, time.perf_counter() - began_s)
 
-    def _refused(self, path: str, headers: Headers) -> JSONResponse | None:
-        settings = self._settings
+    def _is_admitted(self, headers: Headers) -> bool:
         scheme, _, token = headers.get("authorization", "").partition(" ")
-        if path not in _OPEN and not settings.admits(token if scheme.lower() == "bearer" else ""):
-            refused = problem(401, "AccessError", "the token is missing or wrong")
-            refused.headers["WWW-Authenticate"] = "Bearer"
-            return refused
-        host, origin = headers.get("host", ""), headers.get("origin")
-        if not settings.token and not is_loopback(urlsplit(f"//{host}").hostname or ""):
-            return problem(403, "AccessError", f"the request names the host {host!r}, not this one")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return problem(403, "AccessError", f"pages of {origin} may not send requests")
-        return None
+        return self._settings.admits(token if scheme.lower() == "bearer" else "")
 
-    def _limited(self, kind: str, receive: Receive) -> Receive:
-        """Return what receives a body within its time, and refuses a form that is cut off."""
-        settings, whole, tail = self._settings, False, b""
-        until_s = time.monotonic() + settings.body_s
+    def _bounded(self, headers: Headers, receive: Receive, most_bytes: int) -> Receive:
+        settings = self._settings
+        times = {"body_s": settings.body_s, "silence_s": settings.silence_s}
+        return bounded(receive, headers, most_bytes, **times)
+
+    def _limited(self, headers: Headers, receive: Receive) -> Receive:
+        """Return what receives a body within its limits, and refuses a form that is cut off."""
+        most_bytes = self._settings.limits.total_bytes + _BODY_SLACK
+        receive, whole, tail = self._bounded(headers, receive, most_bytes), False, b""
+        kind = headers.get("content-type", "")
         boundary = parse_options_header(kind)[1].get(b"boundary", b"")
 
         async def limited() -> Message:
             nonlocal whole, tail
+            message = await receive()
             if whole:
-                return await receive()
-            left_s = min(settings.silence_s, until_s - time.monotonic())
-            try:
-                message = await asyncio.wait_for(receive(), left_s)
-            except TimeoutError:
-                late = {"Connection": "close"}
-                raise HTTPException(408, "the body does not come on", late) from None
+                return message
             whole = not message.get("more_body", False)
             tail = (tail + message.get("body", b""))[-_TAIL_BYTES:]
             is_cut_off = boundary and b"--%b--" % boundary not in tail
@@ -113,6 +128,12 @@ class Gate:
             return message
 
         return limited
+
+
+def _without_token() -> JSONResponse:
+    refused = problem(401, "AccessError", "the token is missing or wrong")
+    refused.headers["WWW-Authenticate"] = "Bearer"
+    return refused
 
 
 class HeadLimit(H11Protocol):

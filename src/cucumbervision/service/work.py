@@ -146,25 +146,34 @@ class Work:
         self._room = threading.BoundedSemaphore(settings.waiting + 1)
 
     @contextmanager
-    def turn(self, left: Callable[[], bool] = never) -> Iterator[None]:
-        """Wait for the measurer.
+    def place(self) -> Iterator[None]:
+        """Hold a place among the requests that wait, from before its body is read to its answer.
 
         Raises
         ------
         BusyError
             If too many requests are waiting.
-        LeftError
-            If the client has left meanwhile.
         """
         if not self._room.acquire(blocking=False):
             raise BusyError("too many requests are waiting", remedy="send it again later")
         try:
-            with self._lock:
-                if left():
-                    raise LeftError("the client has left")
-                yield
+            yield
         finally:
             self._room.release()
+
+    @contextmanager
+    def turn(self, left: Callable[[], bool] = never) -> Iterator[None]:
+        """Wait for the measurer.
+
+        Raises
+        ------
+        LeftError
+            If the client has left meanwhile.
+        """
+        with self._lock:
+            if left():
+                raise LeftError("the client has left")
+            yield
 
     def measure(
         self, files: Sequence[tuple[str, BinaryIO]], left: Callable[[], bool] = never

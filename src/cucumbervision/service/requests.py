@@ -1,0 +1,189 @@
+"""What every request is asked first, in the service and the dashboard: where from and where to.
+
+`Host` and `Origin` are parsed here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import re
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.exceptions import HTTPException
+
+from cucumbervision.errors import AccessError, CucumberVisionError
+from cucumbervision.service.server import is_loopback
+
+if TYPE_CHECKING:
+    from starlette.datastructures import Headers
+    from starlette.types import Message, Receive
+
+_PORTS = {"http": 80, "https": 443}
+_LONGEST_NAME = 253
+_PLACE = re.compile(
+    r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<name>[\w.-]+))(?::(?P<port>\d{0,5}))?", re.A
+)
+_ORIGIN = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<place>[^/?#@\s]+)", re.I | re.A)
+_CLOSED = {"Connection": "close"}  # what is left of the body is not read
+
+
+class RequestError(CucumberVisionError):
+    """A header of a request is malformed."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A host's name in lower case, without brackets, and its port; None where it names none."""
+
+    name: str
+    port: int | None = None
+
+    def is_at(self, other: Place, scheme: str) -> bool:
+        """Return whether both are the same place, without a port that of the scheme."""
+        usual = _PORTS.get(scheme)
+        return (self.name, self.port or usual) == (other.name, other.port or usual)
+
+
+def parse_place(value: str, header: str = "Host") -> Place:
+    """Return the place that a `Host` names, or the end of an `Origin`.
+
+    Raises
+    ------
+    RequestError
+        If it is malformed.
+
+    Examples
+    --------
+    >>> parse_place("House:8501"), parse_place("[::1]")
+    (Place(name='house', port=8501), Place(name='::1', port=None))
+    >>> parse_place("[::1")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.service.requests.RequestError: the header Host is malformed; ...
+    """
+    match = _PLACE.fullmatch(value)
+    malformed = RequestError(f"the header {header} is malformed", remedy="name a host and its port")
+    if match is None or len(value) > _LONGEST_NAME:
+        raise malformed
+    port = int(match["port"]) if match["port"] else None
+    try:
+        name = match["name"] or str(ipaddress.IPv6Address(match["v6"]))
+    except ValueError:
+        raise malformed from None
+    if port is not None and not 0 < port < 1 << 16:
+        raise malformed
+    return Place(name.lower(), port)
+
+
+def parse_origin(value: str) -> tuple[str, Place] | None:
+    """Return scheme and place of an `Origin`; None for 'null', a page of nowhere.
+
+    Raises
+    ------
+    RequestError
+        If it is malformed.
+
+    Examples
+    --------
+    >>> parse_origin("https://house.example")
+    ('https', Place(name='house.example', port=None))
+    """
+    if value == "null":
+        return None
+    match = _ORIGIN.fullmatch(value)
+    if match is None:
+        raise RequestError("the header Origin is malformed", remedy="name a scheme and a host")
+    return match["scheme"].lower(), parse_place(match["place"], "Origin")
+
+
+def check_source(headers: Headers, *, method: str = "GET", local: bool = False) -> None:
+    """Refuse a request of a page of another place, another port of the same host included.
+
+    A link to a page of ours may stand anywhere: a browser that follows it is let in.
+
+    Parameters
+    ----------
+    headers : Headers
+        Of the request, or of a web socket's opening.
+    method : str
+        'GET' for a web socket.
+    local : bool
+        Admit only a `Host` that names this machine, and no other name that leads to it.
+
+    Raises
+    ------
+    RequestError
+        If `Host` or `Origin` is malformed, or there twice.
+    AccessError
+        If the request comes from another place, or goes to another one.
+    """
+    for header in ("Host", "Origin"):
+        if len(headers.getlist(header)) > 1:
+            raise RequestError(f"the header {header} is there twice", remedy="send it once")
+    host, origin = headers.get("host", ""), headers.get("origin")
+    place = parse_place(host) if host else None
+    source = None if origin is None else parse_origin(origin)
+    if local and (place is None or not is_loopback(place.name)):
+        raise AccessError(
+            f"the request names the host {host!r}, not this machine", remedy="open http://localhost"
+        )
+    if origin is not None and (
+        source is None or place is None or not source[1].is_at(place, source[0])
+    ):
+        raise AccessError(f"pages of {origin} may not send requests", remedy="open our own page")
+    fetched = [headers.get(f"sec-fetch-{name}", "") for name in ("site", "mode", "dest")]
+    is_link = method == "GET" and fetched[1:] == ["navigate", "document"]
+    if fetched[0] in ("cross-site", "same-site") and not is_link:
+        raise AccessError("a page of another place sent the request", remedy="open our own page")
+
+
+def bounded(
+    receive: Receive, headers: Headers, most_bytes: int, *, body_s: float, silence_s: float
+) -> Receive:
+    """Return what receives a body within its size and its time, counted while it is read.
+
+    Parameters
+    ----------
+    receive : callable
+        What receives it.
+    headers : Headers
+        Of the request: a body that is announced as too large is not read at all.
+    most_bytes : int
+        Its size.
+    body_s, silence_s : float
+        Seconds in which it must have come, and the longest silence in it.
+
+    Notes
+    -----
+    What is too large raises HTTPException 413, what does not come on 408.
+    """
+    until_s = time.monotonic() + body_s
+    told = headers.get("content-length", "")
+    read_bytes, is_whole = 0, False
+
+    async def receive_bounded() -> Message:
+        nonlocal read_bytes, is_whole
+        if is_whole:  # who waits now is told when the client leaves
+            return await receive()
+        if told.isdecimal() and int(told[:20]) > most_bytes:
+            raise _too_large(most_bytes)
+        try:
+            left_s = min(silence_s, until_s - time.monotonic())
+            message = await asyncio.wait_for(receive(), left_s)
+        except TimeoutError:
+            raise HTTPException(408, "the body does not come on", _CLOSED) from None
+        read_bytes += len(message.get("body", b""))
+        if read_bytes > most_bytes:
+            raise _too_large(most_bytes)
+        is_whole = not message.get("more_body", False)
+        return message
+
+    return receive_bounded
+
+
+def _too_large(most_bytes: int) -> HTTPException:
+    words = f"the body is larger than the {most_bytes / 1e6:g} MB that are taken"
+    return HTTPException(413, words, _CLOSED)

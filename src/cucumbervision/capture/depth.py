@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,13 +23,6 @@ _UNIT_NAMES = {
     0.0001: "steps of 0.1 mm",
     0.0002: "steps of 0.2 mm",
 }
-
-
-class DepthAlong(StrEnum):
-    """Direction in which the values of a depth picture are measured."""
-
-    AXIS = "axis"
-    RAY = "ray"
 
 
 def depth_along_axis(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.float32]:

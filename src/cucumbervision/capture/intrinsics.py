@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.conventions import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
 from cucumbervision.geometry.camera import Distortion as Distortion
 from cucumbervision.geometry.camera import distort, scale_error, undistort
@@ -30,13 +30,6 @@ _WIDEST = 20.0  # maximum tangent of a pixel's viewing angle
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
 _SAME_FACTOR, _CENTRED = 0.06, 0.09
 _OFF_CENTRE = 0.06  # share of the picture's size
-
-
-class Stream(StrEnum):
-    """The stream that a set of intrinsics was calibrated for."""
-
-    COLOR = "color"
-    DEPTH = "depth"
 
 
 @dataclass(frozen=True)

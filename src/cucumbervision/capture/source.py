@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.depth import DepthAlong
+    from cucumbervision.capture.conventions import DepthAlong
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Stream
     from cucumbervision.errors import CaptureError

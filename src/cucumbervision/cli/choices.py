@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 
 import typer
 
-from cucumbervision.capture.depth import DepthAlong
-from cucumbervision.capture.intrinsics import Stream
+from cucumbervision.capture.conventions import DepthAlong, Stream
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 

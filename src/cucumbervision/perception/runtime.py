@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
-import re
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -24,6 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
+from cucumbervision.perception.onnx_file import external_files, has_loop
 
 RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
 
@@ -191,9 +191,18 @@ def open_network(
         path = Path(path)
         if not path.is_file():
             raise ModelError("there is no such file", source=source, remedy="check the path")
+    loops = False
     if not verified:
-        _refuse_external_weights(path if isinstance(path, bytes) else path.read_bytes(), source)
-    for_openvino = runtime in ("auto", "openvino") and importlib.util.find_spec("openvino")
+        loops = _inspected(path if isinstance(path, bytes) else path.read_bytes(), source)
+    if loops and runtime == "openvino":
+        raise ModelError(
+            "holds a loop, which OpenVINO cannot end if it goes on for ever",
+            source=source,
+            remedy="choose the runtime onnxruntime",
+        )
+    for_openvino = (
+        runtime in ("auto", "openvino") and not loops and importlib.util.find_spec("openvino")
+    )
     if for_openvino and not verified:
         _check_graph(path, source)
     if runtime == "openvino":
@@ -212,18 +221,19 @@ def open_network(
     return network
 
 
-# ONNX, TensorProto.external_data: an entry with the key 'location', and its length in one or more
-# bytes. The runtimes would read the file that it names, wherever it lies.
-_EXTERNAL = re.compile(rb"\x0a(?:\x08|\x88[\x80]*\x00)location")
-
-
-def _refuse_external_weights(network: bytes, source: str) -> None:
-    if _EXTERNAL.search(network):
+def _inspected(network: bytes, source: str) -> bool:
+    """Refuse weights in another file; return whether a network holds a loop."""
+    try:
+        outside, loops = external_files(network), has_loop(network)
+    except ValueError:  # what is no ONNX file the runtimes refuse
+        return False
+    if outside:
         raise ModelError(
             "its weights are in another file, which its hash does not cover",
             source=source,
             remedy="save it as one file: onnx.save(onnx.load(FILE), NEW_FILE)",
         )
+    return loops
 
 
 def import_onnxruntime() -> Any:
@@ -341,8 +351,26 @@ def _open_onnxruntime(
         metadata=MappingProxyType(metadata),
         runtime=f"onnxruntime ({provider}{why})",
         source=source,
-        compute=lambda feeds: session.run(names, feeds),
+        compute=lambda feeds: _run_for(_LONGEST_RUN_S, ort, session, names, feeds),
     )
+
+
+_LONGEST_RUN_S = 300.0  # SAM takes 10 s on a slow processor; a loop in a network may never end
+
+
+def _run_for(
+    longest_s: float, ort: Any, session: Any, names: list[str], feeds: dict[str, Array]
+) -> list[Array]:
+    """Run a session, and end it after a time: a network may hold a loop that never ends."""
+    settings = ort.RunOptions()
+    timer = threading.Timer(longest_s, setattr, (settings, "terminate", True))
+    timer.daemon = True
+    timer.start()
+    try:
+        outputs: list[Array] = session.run(names, feeds, settings)
+    finally:
+        timer.cancel()
+    return outputs
 
 
 def _onnx_info(arg: Any) -> TensorInfo:

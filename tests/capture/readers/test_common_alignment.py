@@ -13,7 +13,7 @@ import pytest
 from tests.capsules import CAMERA, capsule_capture, lying
 
 from cucumbervision import measure
-from cucumbervision.capture.depth import DepthAlong
+from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.frames import Capture, Doubt
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import write_png

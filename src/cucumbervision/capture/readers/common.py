@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.depth import (
-    DepthAlong,
     depth_along_axis,
     depth_to_metres,
     enlarge_depth,

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
+from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.depth import (
-    DepthAlong,
     depth_along_axis,
     depth_to_metres,
     require_readings,

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.depth import DepthAlong
+from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.realsense import AlignedFrame, AlignedStream, burst_capture, play_file

@@ -1,0 +1,141 @@
+"""What an ONNX file names outside itself, and whether it loops, by its protocol buffer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_Kind: TypeAlias = Literal[
+    "model", "training", "graph", "node", "attribute", "tensor", "sparse", "function", "entry"
+]
+# Messages within messages by field number (onnx.proto, IR version 13): the ways to a tensor.
+_PARTS: dict[_Kind, dict[int, _Kind]] = {
+    "model": {7: "graph", 20: "training", 25: "function"},
+    "training": {1: "graph", 2: "graph"},
+    "graph": {1: "node", 5: "tensor", 15: "sparse"},
+    "node": {5: "attribute"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "function": {7: "node", 11: "attribute"},
+    "sparse": {1: "tensor", 2: "tensor"},
+    "tensor": {13: "entry"},
+    "entry": {},
+}
+_VARINT, _EIGHT_BYTES, _LENGTH, _FOUR_BYTES = 0, 1, 2, 5
+_DEEPEST = 64
+
+
+def external_files(network: bytes) -> list[str]:
+    r"""Return the files that an ONNX network's tensors are stored in, beside itself.
+
+    The runtimes would read each file that is named so, wherever it lies.
+
+    Parameters
+    ----------
+    network : bytes
+        The ONNX file.
+
+    Returns
+    -------
+    list of str
+        `TensorProto.external_data`, key 'location'; an empty name where a tensor is stored
+        elsewhere and does not say where.
+
+    Raises
+    ------
+    ValueError
+        If it is no protocol buffer.
+
+    Examples
+    --------
+    >>> location = b"\x0a\x08location\x12\x05w.bin"
+    >>> tensor = b"\x6a" + bytes([len(location)]) + location
+    >>> graph = b"\x2a" + bytes([len(tensor)]) + tensor
+    >>> external_files(b"\x3a" + bytes([len(graph)]) + graph)
+    ['w.bin']
+    """
+    return list(_locations(memoryview(network), "model", 0))
+
+
+def has_loop(network: bytes) -> bool:
+    """Return whether an ONNX network has a node `Loop`, whose end may depend on its input.
+
+    Raises
+    ------
+    ValueError
+        If it is no protocol buffer.
+    """
+    return "Loop" in _operators(memoryview(network), "model", 0)
+
+
+def _operators(message: memoryview, kind: _Kind, depth: int) -> Iterator[str]:
+    if depth > _DEEPEST:
+        raise ValueError("its graphs are nested too deeply")
+    for number, value in _fields(message):
+        if isinstance(value, int):
+            continue
+        if kind == "node" and number == 4:  # op_type
+            yield bytes(value).decode("utf-8", "replace")
+        elif (part := _PARTS[kind].get(number)) and part not in ("tensor", "sparse"):
+            yield from _operators(value, part, depth + 1)
+
+
+def _locations(message: memoryview, kind: _Kind, depth: int) -> Iterator[str]:
+    if depth > _DEEPEST:
+        raise ValueError("its graphs are nested too deeply")
+    parts = _PARTS[kind]
+    for number, value in _fields(message):
+        if isinstance(value, int):
+            if kind == "tensor" and number == 14 and value == 1:  # data_location EXTERNAL
+                yield ""
+        elif part := parts.get(number):
+            if part == "entry":
+                yield from _location(value)
+            else:
+                yield from _locations(value, part, depth + 1)
+
+
+def _location(entry: memoryview) -> Iterator[str]:
+    words = {
+        number: bytes(value).decode("utf-8", "replace")
+        for number, value in _fields(entry)
+        if not isinstance(value, int)
+    }
+    if words.get(1) == "location":
+        yield words.get(2, "")
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
+    """Return a message's fields: number, and bytes or number; fixed-size numbers as bytes."""
+    at = 0
+    while at < len(message):
+        key, at = _varint(message, at)
+        number, wire = key >> 3, key & 7
+        if wire == _VARINT:
+            value, at = _varint(message, at)
+            yield number, value
+            continue
+        if wire == _LENGTH:
+            size, at = _varint(message, at)
+        elif wire in (_EIGHT_BYTES, _FOUR_BYTES):
+            size = 8 if wire == _EIGHT_BYTES else 4
+        else:
+            raise ValueError("is no protocol buffer")
+        if at + size > len(message):
+            raise ValueError("is cut short")
+        yield number, message[at : at + size]
+        at += size
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(message):
+            raise ValueError("is cut short")
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise ValueError("is no protocol buffer")

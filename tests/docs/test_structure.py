@@ -1,0 +1,68 @@
+"""`scripts/structure` counts bound names that are pronouns, and refuses more than a limit."""
+
+from __future__ import annotations
+
+import ast
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytest.importorskip("grimp")
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "structure"
+
+
+@pytest.fixture(scope="module")
+def structure() -> ModuleType:
+    if not SCRIPT.is_file():
+        pytest.skip("the source archive has no scripts")
+    loader = SourceFileLoader("structure", str(SCRIPT))
+    spec = spec_from_loader("structure", loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("code", "names"),
+    [
+        ("one = mask = 1", ["one", "mask"]),
+        ("box, (far, *rest) = boxes", ["box", "far", "rest"]),
+        ("known: int = 1\nknown += 1", ["known", "known"]),
+        ("for each in rows: pass", ["each"]),
+        ("with path as left: pass", ["left"]),
+        ("depths = [own for own in rows if (most := own)]", ["depths", "most", "own"]),
+        ("def area(self, at, /, *some, low=0, **more): pass", ["at", "some", "low", "more"]),
+        ("key = lambda other: other", ["key", "other"]),
+        ("match row:\n case [here, *there] | {**rest}: pass", ["here", "rest", "there"]),
+        ("import own\nown.found = known[given]", []),
+    ],
+)
+def test_bound_names(structure: ModuleType, code: str, names: list[str]) -> None:
+    assert sorted(structure.bound_names(ast.parse(code))) == sorted(names)
+
+
+def test_more_pronouns_than_the_limit_are_a_fault(structure: ModuleType, tmp_path: Path) -> None:
+    room = tmp_path / "farm" / "rows"
+    room.mkdir(parents=True)
+    (tmp_path / "farm" / "__init__.py").write_text("mask = depth = axis = 1\n")
+    (room / "plants.py").write_text("found = 1\n")  # one of the four names: 25 %
+    table, faults = structure.pronouns({"farm": 25.0}, tmp_path)
+    assert faults == []
+    cells = list(zip(*(list(column.cells) for column in table.columns), strict=True))
+    assert cells == [
+        ("farm", "4", "1", "25.00"),
+        ("farm.rows", "1", "1", "100.00"),
+        ("farm/rows/plants.py", "", "1", ""),
+    ]
+    _, faults = structure.pronouns({"farm": 24.9}, tmp_path)
+    assert faults == ["farm: 25.00 % of the bound names are pronouns, allowed 24.9 %"]
+
+
+def test_a_limit_for_no_package_is_a_fault(structure: ModuleType, tmp_path: Path) -> None:
+    assert structure.pronouns({"frm": 1.0}, tmp_path)[1] == [
+        "frm: no such package, or it binds no name"
+    ]

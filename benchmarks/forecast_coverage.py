@@ -18,9 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.simulated_houses import HouseSettings, SimulatedHouse, simulate_house
 
-from cucumbervision.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
-from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, Spreads, fit_growth
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
+from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
+from cucumbervision_greenhouse.agronomy.growth import (
+    SPREAD_LOG_SD,
+    GrowthPrior,
+    Spreads,
+    fit_growth,
+)
 
 NAIVE_M_PER_DAY = 0.03
 CLIP = 0.01  # the least probability that the log score counts for either

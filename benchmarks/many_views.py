@@ -32,7 +32,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.row_fruit import joint_tube_is_used
+from cucumbervision_greenhouse.rounds.row_fruit import joint_tube_is_used
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense

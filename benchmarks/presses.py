@@ -28,11 +28,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tes
 
 from tests.conftest import record
 
-from cucumbervision.dashboard.camera_feed import PREVIEW_FPS
-from cucumbervision.dashboard.camera_process import CameraFolder
-from cucumbervision.store.records import Round, key_of
-from cucumbervision.store.repository import open_store
-from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
+from cucumbervision_greenhouse.dashboard.camera_feed import PREVIEW_FPS
+from cucumbervision_greenhouse.dashboard.camera_process import CameraFolder
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
 WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
 GAP_S, EVERY_S = 20.0, 0.5

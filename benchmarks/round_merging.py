@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
-from cucumbervision.rounds.day_linking import DayLinks, link_days
-from cucumbervision.rounds.merge import Merged, cluster_pairs, merge_row
-from cucumbervision.rounds.row_fruit import count_fruit, row_fruit
+from cucumbervision_greenhouse.rounds.day_linking import DayLinks, link_days
+from cucumbervision_greenhouse.rounds.merge import Merged, cluster_pairs, merge_row
+from cucumbervision_greenhouse.rounds.row_fruit import count_fruit, row_fruit
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {

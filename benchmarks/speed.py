@@ -50,9 +50,9 @@ from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
-from cucumbervision.rounds.adding import add_captures
-from cucumbervision.store.repository import open_store
-from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
+from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
@@ -394,7 +394,7 @@ class Visit:
 def visit(store: Path, replay: Path) -> Iterator[Visit]:
     """Serve a dashboard on the loopback, and open a page of Chromium on it."""
     from playwright.sync_api import sync_playwright
-    from tests.dashboard.conftest import FLAGS
+    from tests.greenhouse.dashboard.conftest import FLAGS
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -434,7 +434,7 @@ def passing(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
 def dashboard(quick: bool) -> list[Figure]:
     """Time presses, preview and pages in Chromium; the server has the same cores."""
     from tests.conftest import record
-    from tests.dashboard.conftest import LONG, WALK, long_round
+    from tests.greenhouse.dashboard.conftest import LONG, WALK, long_round
 
     presses = 20 if quick else 200
     measured = "#where:has-text('saved')"

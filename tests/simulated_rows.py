@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.measurement.matching import ALONG, DEPTH, UP
-from cucumbervision.rounds.row_views import RowStops, RowViews
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_lab.synthesis.bodies import random_fruit
 
 _SIZES = 64  # bodies drawn, from which fruit take their thickness

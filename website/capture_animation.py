@@ -19,10 +19,10 @@ from PIL import Image
 from cucumbervision import MeasureOptions, Measurer, draw_overlay, open_source
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.fruit_view import depth_picture
-from cucumbervision.dashboard.settings import Units
 from cucumbervision.measurement.result import FruitMeasurement
 from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
+from cucumbervision_greenhouse.dashboard.fruit_view import depth_picture
+from cucumbervision_greenhouse.dashboard.settings import Units
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

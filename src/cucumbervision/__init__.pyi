@@ -49,9 +49,6 @@ from .pipeline.run import BatchOptions as BatchOptions
 from .pipeline.run import RunResult as RunResult
 from .pipeline.run import measure_inputs as measure_inputs
 from .service.client import Client as Client
-from .store.records import Round as Round
-from .store.repository import Store as Store
-from .store.repository import open_store as open_store
 from .streaming.sources import open_stream as open_stream
 from .streaming.sources import stream_camera as stream_camera
 from .streaming.stream import FruitStream as FruitStream

@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 
 from cucumbervision.cli.app import app
-from cucumbervision.rounds.poses import PoseLine
+from cucumbervision_greenhouse.rounds.poses import PoseLine
 
 PAGE = Path(__file__).parents[2] / "docs" / "rounds.md"
 

@@ -6,7 +6,7 @@ import doctest
 import re
 from pathlib import Path
 
-from cucumbervision.store.repository import Store
+from cucumbervision_greenhouse.store.repository import Store
 
 PAGE = Path(__file__).parents[2] / "docs" / "store.md"
 

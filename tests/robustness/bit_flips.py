@@ -23,12 +23,12 @@ from tests.robustness.counted import add_counts
 from tests.robustness.made_stops import made_round, made_stop
 
 from cucumbervision.errors import StoreError
-from cucumbervision.store.check import check_store
-from cucumbervision.store.engine import prepare
-from cucumbervision.store.links import LinkKind, LinkRecord, Position
-from cucumbervision.store.records import DetectionRecord, JointRecord, key_of
-from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import Verdict
+from cucumbervision_greenhouse.store.check import check_store
+from cucumbervision_greenhouse.store.engine import prepare
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import Verdict
 
 OUTCOMES = ("without effect", "refused", "noticed", "missed")
 

@@ -133,10 +133,10 @@ def _unreadable_folder(folder: Path) -> Outcome:
 
 def _postgres_gone(folder: Path) -> Outcome:
     from sqlalchemy import event
+    from tests.greenhouse.store.throwaway_postgres import missing_reason, throwaway_cluster
     from tests.robustness.seeds import stop_of
-    from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
 
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     if reason := missing_reason():
         raise CucumberVisionError(reason)
@@ -171,10 +171,10 @@ def _postgres_gone(folder: Path) -> Outcome:
 
 def _postgres_full(folder: Path) -> Outcome:
     """Fill the disk of PostgreSQL's data while stops are saved, and make room again."""
+    from tests.greenhouse.store.throwaway_postgres import missing_reason, throwaway_cluster
     from tests.robustness.made_stops import made_round, made_stop
-    from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
 
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     if reason := missing_reason():
         raise CucumberVisionError(reason)

@@ -50,7 +50,7 @@ _BATCH = 200  # inputs per call of the reading process
 _DRAWN_BATCH = 2000  # Hypothesis begins each reader of a batch with its simplest inputs
 GENERATORS = ("mutations", "hypothesis")
 _START = "spawn"  # of the reading process
-_PACKAGES = ("cucumbervision/", "cucumbervision_lab/")
+_PACKAGES = ("cucumbervision/", "cucumbervision_greenhouse/", "cucumbervision_lab/")
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,16 @@ from sqlalchemy import func, select
 from tests.robustness.made_stops import FRUIT, METHODS, made_round, made_stop
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.store.check import check_store
-from cucumbervision.store.engine import begin
-from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.schema import CaptureLine, DetectionLine, MaskLine, MethodLine, StopLine
+from cucumbervision_greenhouse.store.check import check_store
+from cucumbervision_greenhouse.store.engine import begin
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.schema import (
+    CaptureLine,
+    DetectionLine,
+    MaskLine,
+    MethodLine,
+    StopLine,
+)
 
 RESENT = 3  # stops that a new child sends again although they were acknowledged
 WALK = made_round("killed")

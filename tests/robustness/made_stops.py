@@ -8,8 +8,8 @@ import numpy as np
 
 from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.perception.mask_codes import encode_rle
-from cucumbervision.store.images import DEPTH_UNIT_M, ImageStore
-from cucumbervision.store.records import (
+from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M, ImageStore
+from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
     DetectionRecord,

@@ -24,12 +24,12 @@ _BEGUN, _ENDED = b"<", b">"
 # All that `round add` imports: each kill needs a new process, and none needs to import it again.
 _LOADED = (
     "cucumbervision.cli.app",
-    "cucumbervision.cli.round",
+    "cucumbervision_greenhouse.cli.round",
     "cucumbervision.capture.readers",
     "cucumbervision.perception.networks",
-    "cucumbervision.rounds.adding",
-    "cucumbervision.rounds.merge_and_link",
-    "cucumbervision.store.repository",
+    "cucumbervision_greenhouse.rounds.adding",
+    "cucumbervision_greenhouse.rounds.merge_and_link",
+    "cucumbervision_greenhouse.store.repository",
     "tests.robustness.round_kills",
 )
 
@@ -84,8 +84,8 @@ def _compared(before: list[str], now: list[str], adding: _Program) -> tuple[list
 
 def _at_the_end(store: Path, last: _Program) -> str:
     """Return what is wrong with a round that was added to its end, pictures included."""
-    from cucumbervision.store.check import check_store
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.check import check_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     if stops_in(store) != [f"c{k}" for k in range(_STOPS)]:
         return f"at the end there was {stops_in(store)}: {last.said}"
@@ -148,8 +148,8 @@ class _Program:
 def _run(words: Sequence[str], said: Connection, printed: str) -> None:
     """Be the program."""
     from cucumbervision.cli.app import main
-    from cucumbervision.store.images import ImageStore
-    from cucumbervision.store.repository import Store
+    from cucumbervision_greenhouse.store.images import ImageStore
+    from cucumbervision_greenhouse.store.repository import Store
 
     file = os.open(printed, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for number in (1, 2):

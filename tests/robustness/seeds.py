@@ -20,7 +20,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.geometry.camera import Distortion
 from cucumbervision.measurement.result import Length
 from cucumbervision.perception.mask_codes import encode_rle
-from cucumbervision.store.records import (
+from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
     DetectionRecord,
@@ -32,7 +32,7 @@ from cucumbervision.store.records import (
 )
 
 if TYPE_CHECKING:
-    from cucumbervision.store.repository import Store
+    from cucumbervision_greenhouse.store.repository import Store
 
 _WIDTH, _HEIGHT = 64, 48
 CAMERA = Intrinsics(
@@ -260,7 +260,7 @@ def calibration(folder: Path) -> None:
 
 def store(folder: Path) -> None:
     """Write a store of one round with a stop, fruit and pictures."""
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     with open_store(folder / "house.db", images=folder / "pictures") as opened:
         walk, stop = stop_of(opened)
@@ -408,7 +408,7 @@ def judgement(folder: Path) -> None:
 
 def settings(folder: Path) -> None:
     """Write the dashboard's settings and its login by OpenID Connect."""
-    from cucumbervision.dashboard.settings import Settings, write_settings
+    from cucumbervision_greenhouse.dashboard.settings import Settings, write_settings
 
     write_settings(Settings(unit="in"), folder / "house.settings.json")
     (folder / "secrets.toml").write_text(

@@ -113,7 +113,7 @@ def _truth(folder: Path, name: str) -> None:
 
 
 def _poses(folder: Path, name: str) -> None:
-    from cucumbervision.rounds.poses import read_poses
+    from cucumbervision_greenhouse.rounds.poses import read_poses
 
     _those_of({one: partial(read_poses, folder / one) for one in ("poses.csv", "poses.json")}, name)
 
@@ -145,8 +145,8 @@ def _calibration(folder: Path, _name: str) -> None:
 
 
 def _store(folder: Path, _name: str) -> None:
-    from cucumbervision.store.check import check_store
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.check import check_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     with open_store(folder / "house.db", images=folder / "pictures", create=False) as store:
         for one in store.rounds():
@@ -155,8 +155,8 @@ def _store(folder: Path, _name: str) -> None:
 
 
 def _read_round(store: Any, key: str) -> None:
-    from cucumbervision.rounds.from_store import read_round
-    from cucumbervision.rounds.fruit_table import fruit_table
+    from cucumbervision_greenhouse.rounds.from_store import read_round
+    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 
     for stop in store.stops(key):
         for capture in store.stop(stop.key).captures:
@@ -199,8 +199,8 @@ def _judgement(folder: Path, _name: str) -> None:
 
 
 def _settings(folder: Path, name: str) -> None:
-    from cucumbervision.dashboard.access import read_openid_connect
-    from cucumbervision.dashboard.settings import read_settings
+    from cucumbervision_greenhouse.dashboard.access import read_openid_connect
+    from cucumbervision_greenhouse.dashboard.settings import read_settings
 
     def units() -> None:
         found = read_settings(folder / "house.settings.json")

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from tests.robustness.bit_flips import flip, lines_in, make_store, outcome_of, pages_of, try_flips
 
-from cucumbervision.store.repository import open_store
-from cucumbervision.store.schema import Base
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.schema import Base
 
 
 @pytest.fixture(scope="module")

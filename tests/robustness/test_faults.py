@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
+from tests.greenhouse.store.throwaway_postgres import missing_reason
 from tests.robustness.faults import _without, s3_gone, try_faults
 from tests.robustness.trial import Outcome
-from tests.store.throwaway_postgres import missing_reason
 
 from cucumbervision.errors import CucumberVisionError
 

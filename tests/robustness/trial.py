@@ -121,7 +121,7 @@ def rows_of(rows: Sequence[Sequence[str]], *captures: str) -> list[Sequence[str]
 
 def stops_in(store: Path) -> list[str]:
     """Return the captures of a store's only round, sorted; each stop must be whole."""
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.repository import open_store
 
     with open_store(store, create=False) as opened:
         (one,) = opened.rounds()

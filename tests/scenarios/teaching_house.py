@@ -27,18 +27,18 @@ from numpy.typing import NDArray
 from cucumbervision.capture.files import read_json
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.adding import add_captures
-from cucumbervision.rounds.stop_records import stored_capture
-from cucumbervision.store.records import Round, key_of
-from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
+from cucumbervision_greenhouse.dashboard.measuring import SharedMeasurer
+from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionView, Verdict
 from cucumbervision_lab.datasets.coco import picture_of, write_fragment
 from cucumbervision_lab.datasets.derive import dataset_from_store
 from cucumbervision_lab.datasets.labels import Label

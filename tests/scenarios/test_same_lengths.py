@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.dashboard.conftest import add_one
+from tests.greenhouse.dashboard.conftest import add_one
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.settings import Settings
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision.rounds.adding import add_captures
-from cucumbervision.store.records import DetectionRecord, Round
-from cucumbervision.store.repository import open_store
+from cucumbervision_greenhouse.dashboard.settings import Settings
+from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.store.records import DetectionRecord, Round
+from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths
 
 

@@ -1,1 +1,1 @@
-"""From lengths to decisions: crop profiles, grades, growth, forecast, picking and labour."""
+"""What a crop is: its profile, and the classes that it is sold by."""

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import crop, live, measure, models, own_truth, round, servers
+from cucumbervision.cli import crop, live, measure, models, own_truth, servers
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 
@@ -37,14 +37,11 @@ app.command("cameras")(live.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(servers.serve)
 app.command("schema")(servers.schema)
-app.command("dashboard")(servers.dashboard)
 app.command("calibrate")(own_truth.calibrate)
-app.command("export")(round.export)
 _GROUPS = {
     "crop": crop.app,
     "evaluate": own_truth.app,
     "models": models.app,
-    "round": round.app,
 }
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)

@@ -1,10 +1,9 @@
-"""`cucumbervision dashboard`, `serve` and `schema`: the pages, the service, its JSON Schemas."""
+"""`cucumbervision serve` and `schema`: the service, and the JSON Schemas."""
 
 from __future__ import annotations
 
 import json
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,50 +14,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from cucumbervision.pipeline.options import MeasureOptions
-
-
-def dashboard(
-    store: Annotated[
-        str | None,
-        typer.Option(help="SQLite file or postgresql:// URL; default: a file in your user folder."),
-    ] = None,
-    replay: Annotated[
-        Path | None,
-        typer.Option(help="Folder or recording to show instead of a camera.", show_default=False),
-    ] = None,
-    images: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the pictures; required with PostgreSQL.", show_default=False),
-    ] = None,
-    port: Port = 8501,
-    address: ListenOn = "127.0.0.1",
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open a browser on this machine.")
-    ] = True,
-    login: Annotated[
-        bool,
-        typer.Option(
-            "--login",
-            help="Require the token on this machine too, for use behind a proxy.",
-        ),
-    ] = False,
-) -> None:
-    """Capture, review and forecast rounds in a browser. Needs the extra 'dashboard'.
-
-    Other machines need the token in the printed link, or a login by OpenID Connect.
-    """
-    from cucumbervision.dashboard.server import default_store, serve
-
-    serve(
-        store or default_store(),
-        replay=replay,
-        images=images,
-        address=address,
-        port=port,
-        browser=browser,
-        login=login,
-        ready=lambda place: typer.echo(f"{place} (Ctrl-C ends)", err=True),
-    )
 
 
 @takes("options", measure_options, {"depth"})

@@ -238,7 +238,7 @@ def from_store(
     from rich.table import Table
 
     from cucumbervision.cli.console import screen
-    from cucumbervision.store.repository import open_store
+    from cucumbervision_greenhouse.store.repository import open_store
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.datasets.derive import dataset_from_store
 

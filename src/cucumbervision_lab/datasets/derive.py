@@ -22,8 +22,8 @@ from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.store.images import DEPTH_UNIT_M
-from cucumbervision.store.views import Verdict
+from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
+from cucumbervision_greenhouse.store.views import Verdict
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import (
     SPLITS,
@@ -39,9 +39,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 
     from cucumbervision.perception.networks import Segmenter
-    from cucumbervision.store.records import CaptureRecord, DetectionRecord, ImageRef, StopRecord
-    from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.records import (
+        CaptureRecord,
+        DetectionRecord,
+        ImageRef,
+        StopRecord,
+    )
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
 
 
 def merge_datasets(

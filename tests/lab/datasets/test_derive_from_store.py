@@ -12,7 +12,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.mask_codes import encode_rle
-from cucumbervision.store.records import (
+from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     DetectionRecord,
     Round,
@@ -20,8 +20,8 @@ from cucumbervision.store.records import (
     key_of,
     new_key,
 )
-from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import Verdict
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import Verdict
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.datasets.checks import check_folder
 from cucumbervision_lab.datasets.coco import read_coco

@@ -1,1 +1,0 @@
-"""Rounds on disk: the database, the pictures, and the log of manual actions."""

@@ -1,0 +1,1 @@
+"""From lengths to decisions: growth, forecast, picking and labour."""

@@ -1,0 +1,666 @@
+"""Forecast the number of fruit per class for the next days, from drawn lengths of every fruit."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.agronomy.classes import NO_CLASS, possible_classes
+from cucumbervision.errors import ForecastError
+from cucumbervision.measurement.result import INTERVAL_Z
+from cucumbervision_greenhouse.agronomy.growth import (
+    kalman_filter,
+    measured_histories,
+    measured_points,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision_greenhouse.agronomy.growth import (
+        FilteredStates,
+        Growth,
+        Histories,
+        Link,
+        Spreads,
+    )
+
+
+@dataclass(frozen=True)
+class FruitState:
+    """The last measurement of one fruit.
+
+    Parameters
+    ----------
+    fruit_id : str
+        Fruit identifier, the same as in growth links.
+    row : str
+        Its row.
+    position_m : float
+        Along the row, metres.
+    length_m, sd_m : float
+        The length that the profile grades by, and its standard deviation, metres;
+        `LengthBelief.sd_m` computes it from an interval.
+    day : float
+        Day of the measurement, counted as in the links.
+    side : str
+        Side of the row.
+    best_class : str
+        The best class that its shape allows, as `Grade.best_class` gives it; empty for any.
+    picked : bool
+        Whether it has been picked.
+    possible : tuple of str
+        The classes that it may be in on its day, as `Grade.possible` gives them; by default those
+        that its 90 % interval spans.
+    at_least : bool
+        Whether the length is a lower bound.
+    """
+
+    fruit_id: str
+    row: str
+    position_m: float
+    length_m: float
+    sd_m: float
+    day: float = 0.0
+    side: str = ""
+    best_class: str = ""
+    picked: bool = False
+    possible: tuple[str, ...] = ()
+    at_least: bool = False
+
+
+def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
+    """Check the fruit of a forecast.
+
+    Raises
+    ------
+    ForecastError
+        Names the first fruit with an invalid figure or `best_class`, or a duplicate identifier.
+    """
+    seen: set[str] = set()
+    for one in fruit:
+        figures = (one.length_m, one.sd_m, one.day, one.position_m)
+        if not all(map(math.isfinite, figures)) or one.length_m <= 0 or one.sd_m <= 0:
+            raise ForecastError(
+                f"fruit {one.fruit_id!r}: length {one.length_m} m, sd {one.sd_m} m, day {one.day}, "
+                f"position {one.position_m} m",
+                remedy="give finite figures, length and sd positive; leave unmeasured fruit out",
+            )
+        if one.best_class and one.best_class not in classes:
+            raise ForecastError(
+                f"fruit {one.fruit_id!r}: no class is called {one.best_class!r}",
+                remedy=f"take one of {', '.join(classes)}",
+            )
+        if one.fruit_id in seen:
+            raise ForecastError(
+                f"two fruit are called {one.fruit_id!r}", remedy="give each fruit a name of its own"
+            )
+        seen.add(one.fruit_id)
+
+
+@lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a natural sort key: row 2 before row 10.
+
+    Examples
+    --------
+    >>> sorted(["row 10", "row 2", "A"], key=natural_key)
+    ['A', 'row 2', 'row 10']
+    """
+    parts = re.findall(r"\d+|\D+", name)
+    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts)
+
+
+_SURELY_COMPLETE = 0.10  # largest probability that a fruit too small to be detected reaches a class
+
+
+@dataclass(frozen=True)
+class DetectionRates:
+    """Detection rates of the camera.
+
+    Parameters
+    ----------
+    found, found_sd : float
+        Share of the fruit that are found, and its standard deviation.
+    false : float
+        Share of the detections that are false positives or duplicates.
+
+    Raises
+    ------
+    ForecastError
+        If one of them is not a share.
+    """
+
+    found: float = 1.0
+    found_sd: float = 0.0
+    false: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.found <= 1 and 0 <= self.found_sd < 1 and 0 <= self.false < 1):
+            raise ForecastError(
+                f"found {self.found} (sd {self.found_sd}), false {self.false}",
+                remedy="give shares from 0 to 1, of which something is found and not all is false",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """Number of fruit: mean and interval. Arrays of the same shape, float64."""
+
+    expected: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Forecast for N fruit in R rows over D days, including today (day 0).
+
+    Parameters
+    ----------
+    today : float
+        Day 0, counted as in the fruit.
+    days : ndarray of int64, shape (D,)
+        0 to the last day.
+    classes : tuple of str, length C
+        The profile's classes, best first, then 'too short' and 'too long'.
+    pick : tuple of str
+        The classes that are ready to be picked.
+    rows : tuple of str, length R
+        In walking order.
+    fruit : tuple of FruitState, length N
+        Fruit on the plant, by row, without picked ones.
+    possible : tuple of tuple of str, length N
+        The classes that each may be in today: one where it is decided (`classes.possible_classes`).
+    probability : ndarray of float64, shape (N, D, C)
+        Of each class on each day if not picked; Monte Carlo error about 0.5 / sqrt(draws).
+    house, by_row : Counts, shapes (D, C) and (R, D, C)
+        Fruit in each class if nothing is picked.
+    picks, row_picks : Counts, shapes (D, C) and (R, D, C)
+        Fruit that become ready on that day, by class: the picks if every ready fruit is picked
+        every day.
+    complete : ndarray of bool, shape (D, C)
+        Whether only fruit seen today can be in that class on that day. If not, add fruit that are
+        too small to be measured today.
+    level : float
+        Of the intervals.
+    """
+
+    today: float
+    days: NDArray[np.int64]
+    classes: tuple[str, ...]
+    pick: tuple[str, ...]
+    rows: tuple[str, ...]
+    fruit: tuple[FruitState, ...]
+    possible: tuple[tuple[str, ...], ...]
+    probability: NDArray[np.float64]
+    house: Counts
+    by_row: Counts
+    picks: Counts
+    row_picks: Counts
+    complete: NDArray[np.bool_]
+    level: float
+
+    @property
+    def ready(self) -> NDArray[np.float64]:
+        """Probability that each fruit is ready today, shape (N,), float64."""
+        return np.asarray(self.probability[:, 0, self._picked].sum(axis=1), np.float64)
+
+    @property
+    def _picked(self) -> list[int]:
+        return [self.classes.index(name) for name in self.pick]
+
+
+def forecast(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    profile: CropProfile,
+    days: int = 7,
+    seed: int = 0,
+    *,
+    today: float | None = None,
+    detection: DetectionRates | None = None,
+    scale_sd: float = 0.0,
+    draws: int = 320,
+    level: float = 0.8,
+) -> Forecast:
+    """Forecast the classes of fruit.
+
+    Parameters
+    ----------
+    fruit : sequence of FruitState
+        The fruit; picked ones are ignored.
+    growth : Growth
+        The posterior of growth. A fruit with links is forecast by its own growth.
+    profile : CropProfile
+        Classes, and which of them are picked.
+    days : int
+        Days ahead.
+    seed : int
+        Seed of the random draws.
+    today : float, optional
+        Day 0; by default the latest day of the fruit. Earlier measurements are extrapolated to it.
+    detection : DetectionRates, optional
+        Miss and false positive rates; by default none. Missed fruit are assumed to resemble the
+        found ones of their row.
+    scale_sd : float
+        Relative standard deviation of an error common to all lengths: the camera's depth scale,
+        0.01 until it was calibrated. It is subtracted from each fruit's own variance.
+    draws : int
+        Draws from the posterior; a multiple of `growth.HYPER_DRAWS`, rounded up.
+    level : float
+        Of the intervals.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit's figure or an option is invalid, or an identifier occurs twice.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
+    >>> from cucumbervision.agronomy.profiles import load_profile
+    >>> profile = load_profile("long-cucumber")
+    >>> growth = fit_growth([], GrowthPrior.of(profile))
+    >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.22, 0.004) for k in range(50)]
+    >>> found = forecast(fruit, growth, profile)
+    >>> found.classes
+    ('I', 'II', 'too short', 'too long')
+    >>> found.house.expected[0].tolist()  # all are class II today
+    [0.0, 50.0, 0.0, 0.0]
+    >>> bool(found.house.expected[2, 0] > 40)  # most are class I in two days
+    True
+    """
+    _check(days, draws, scale_sd, level)
+    _check_fruit(fruit, [c.name for c in profile.classes])
+    left = sorted(
+        (f for f in fruit if not f.picked),
+        key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),
+    )
+    now = max((f.day for f in fruit), default=0.0) if today is None else today
+    rng = np.random.default_rng(seed)
+    lengths = draw_lengths(left, growth, now, days, draws, scale_sd, rng)
+    tally = _Tally(
+        left,
+        profile,
+        growth.curve.unslowed(profile.edges_m),
+        lengths,
+        detection or DetectionRates(),
+        rng,
+    )
+    shape = (len(left), days + 1, len(profile.outcomes))
+    probability, in_class, picked = np.empty(shape), [], []
+    for day in range(days + 1):
+        probability[:, day], counts, newly_ready = tally.day(day)
+        in_class.append(counts)
+        picked.append(newly_ready)
+    house, by_row = _counts(np.stack(in_class, axis=2), level, rng)
+    picks, row_picks = _counts(np.stack(picked, axis=2), level, rng)
+    return Forecast(
+        now,
+        np.arange(days + 1),
+        profile.outcomes,
+        profile.pick,
+        tally.rows,
+        tuple(left),
+        _possible_today(left, growth, now, scale_sd, profile),
+        probability,
+        house,
+        by_row,
+        picks,
+        row_picks,
+        _complete(lengths, growth, profile),
+        level,
+    )
+
+
+def _possible_today(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    today: float,
+    scale_sd: float,
+    profile: CropProfile,
+) -> tuple[tuple[str, ...], ...]:
+    """Return the classes that each fruit may be in today, whatever other fruit there are.
+
+    Those that were known on the fruit's day hold on that day; later those of its grown interval.
+    What is in no class, or may be in any, stays so.
+    """
+    names = [c.name for c in profile.classes]
+    found = [one.possible for one in fruit]
+    aged = [
+        k
+        for k, one in enumerate(fruit)
+        if not one.possible
+        or (
+            one.day < today
+            and one.possible != (NO_CLASS,)
+            and {*one.possible} < {*profile.outcomes}
+        )
+    ]
+    if not aged:
+        return tuple(found)
+    mean, sd = _lengths_today([fruit[k] for k in aged], growth, today, scale_sd)
+    edges = growth.curve.unslowed(profile.edges_m)
+    for k, low, high in zip(aged, mean - INTERVAL_Z * sd, mean + INTERVAL_Z * sd, strict=True):
+        one = fruit[k]
+        best = names.index(one.best_class) if one.best_class else 0
+        bins = [max(n, best) if n < len(names) else n for n in profile.outcome_of_bin]
+        by_bin = [profile.outcomes[n] for n in bins]
+        ends = float(low), math.inf if one.at_least else float(high)
+        found[k] = possible_classes(*ends, edges, by_bin)
+    return tuple(found)
+
+
+def _lengths_today(
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean and standard deviation of each unslowed length today, metres, (N,)."""
+    histories = _histories(fruit, growth, today, scale_sd)
+    # Rows without links have no coefficient in the posterior; theirs come before the days'.
+    first = 1 + len(growth.basis.rows)
+    unseen = slice(first, first + len(histories.basis.rows) - len(growth.basis.rows))
+    means, squares = np.zeros(len(fruit)), np.zeros(len(fruit))
+    for spreads, beta, root in zip(growth.spreads, growth.mean, growth.root, strict=True):
+        filtered = kalman_filter(histories, spreads)
+        columns = filtered.length[:, 1:]
+        seen = np.delete(columns, unseen, axis=1)
+        mean = filtered.length[:, 0] + seen @ beta
+        variance = filtered.covariance[:, 0] + ((seen @ root) ** 2).sum(axis=1)
+        variance += ((spreads.row * columns[:, unseen]) ** 2).sum(axis=1)
+        means += mean / len(growth.spreads)
+        squares += (variance + mean**2) / len(growth.spreads)
+    return means, np.sqrt(np.maximum(squares - means**2, 0.0) + (scale_sd * means) ** 2)
+
+
+def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
+    if days < 0 or draws < 1 or not 0 <= scale_sd < 1 or not 0 < level < 1:
+        raise ForecastError(
+            f"{days} days, {draws} draws, scale sd {scale_sd}, level {level}",
+            remedy="give 0 or more days, at least one draw, and shares from 0 to 1",
+        )
+
+
+class _Tally:
+    """Counts classes day by day, and keeps which fruit were ready before."""
+
+    def __init__(
+        self,
+        fruit: Sequence[FruitState],
+        profile: CropProfile,
+        edges_m: NDArray[np.float64],
+        lengths: LengthDraws,
+        detection: DetectionRates,
+        rng: np.random.Generator,
+    ) -> None:
+        names = [c.name for c in profile.classes]
+        self.rows = tuple(dict.fromkeys(f.row for f in fruit))
+        at = {name: k for k, name in enumerate(self.rows)}
+        self._profile, self._lengths = profile, lengths
+        self._edges = edges_m.astype(np.float32)
+        self._weights = _weights(lengths.unslowed_m.shape[1:], detection, rng)
+        self._of_bin = np.array(profile.outcome_of_bin, np.int8)
+        best = [names.index(f.best_class) if f.best_class else 0 for f in fruit]
+        self._best = np.array(best, np.int8)
+        self._ready = np.array([name in profile.pick for name in profile.outcomes])
+        row = np.array([at[f.row] for f in fruit], np.int64)
+        shape = lengths.unslowed_m.shape[1:]
+        # The fruit of a row are contiguous.
+        ends = np.searchsorted(row, np.arange(len(self.rows) + 1)).tolist()
+        self._spans = [slice(*span) for span in pairwise(ends)]
+        self._before = np.zeros(shape, bool)
+
+    def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
+        lengths = self._lengths.unslowed_m[day]
+        bins = np.zeros(lengths.shape, np.int8)
+        for edge in self._edges:
+            bins += lengths >= edge
+        found = self._of_bin.take(bins)
+        classes = len(self._profile.classes)
+        if self._best.any():
+            found = np.where(found < classes, np.maximum(found, self._best), found)
+        now = self._ready.take(found) & ~self._before
+        self._before |= now
+        each = [found == k for k in range(classes + 2)]
+        share = [np.add.reduce(one, axis=0, dtype=np.int32) / len(found) for one in each]
+        in_class = [self._count(one) for one in each]
+        ready = [self._count(one & now) for one in each]
+        return np.stack(share, axis=-1), np.stack(in_class, axis=-1), np.stack(ready, axis=-1)
+
+    def _count(self, which: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return the weighted number of the chosen fruit, (draws, R)."""
+        weighed = which if self._weights is None else which * self._weights
+        counts = np.zeros((len(which), len(self._spans)))
+        for row, span in enumerate(self._spans):
+            counts[:, row] = weighed[:, span].sum(axis=1)
+        return counts
+
+
+def _weights(
+    shape: tuple[int, ...], detection: DetectionRates, rng: np.random.Generator
+) -> NDArray[np.float32] | None:
+    """Draw a weight for each detected fruit, shape (draws, N); None if all weights are 1.
+
+    A false positive has weight 0; a real fruit has weight 1 plus missed ones. If fruit are found
+    with probability q, the number of missed fruit per found one is geometric, so the mean weight is
+    1 / q.
+    """
+    if detection == DetectionRates():
+        return None
+    weights = np.ones(shape, np.float32)
+    if detection.found < 1 or detection.found_sd > 0:
+        q = rng.normal(detection.found, detection.found_sd, (shape[0], 1)).clip(0.05, 1.0)
+        weights *= rng.geometric(np.broadcast_to(q, shape))
+    if detection.false > 0:
+        weights *= rng.random(shape, np.float32) >= detection.false
+    return weights
+
+
+def _counts(
+    drawn: NDArray[np.float64], level: float, rng: np.random.Generator
+) -> tuple[Counts, Counts]:
+    """Return the house's and the rows' counts of draws, shape (draws, R, D, C)."""
+    ends = [0.5 - level / 2, 0.5 + level / 2]
+    found = []
+    for counts in (drawn.sum(axis=1), drawn):
+        # Jitter by half a fruit: the whole numbers in the interval then cover `level` on average,
+        # where plain quantiles of small counts would cover far more.
+        jitter = rng.uniform(-0.5, 0.5, (counts.shape[-2], *counts.shape[:-2], counts.shape[-1]))
+        spread = counts + np.moveaxis(
+            jitter, 0, -2
+        )  # today first, independent of the number of days
+        low, high = np.quantile(spread, ends, axis=0)
+        mean = counts.mean(axis=0)
+        # Round to whole numbers around the mean.
+        low, high = np.minimum(np.ceil(low), np.floor(mean)), np.maximum(high, mean)
+        high = np.maximum(np.floor(high), np.ceil(mean))
+        found.append(Counts(mean, low + 0.0, high))
+    return found[0], found[1]
+
+
+def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
+    """Return for each day and class whether no fruit too small today can be in it, (D, C)."""
+    unslowed = growth.curve.unslowed
+    grown = unslowed(profile.acceptance.min_cm / 100) + lengths.newcomer_m
+    entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
+    reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
+    complete = np.stack(reach, axis=1) <= _SURELY_COMPLETE
+    complete[1:, len(profile.classes)] = False  # new fruit join 'too short' every day
+    return complete
+
+
+@dataclass(frozen=True, eq=False)
+class LengthDraws:
+    """Drawn lengths.
+
+    Parameters
+    ----------
+    unslowed_m : ndarray of float32, shape (D, S, N)
+        Unslowed lengths (`curve`) of N fruit on D days in S draws, metres.
+    newcomer_m : ndarray of float64, shape (D, S)
+        Unslowed growth from today on of a fruit in an unknown row, metres.
+    """
+
+    unslowed_m: NDArray[np.float32]
+    newcomer_m: NDArray[np.float64]
+
+
+def draw_lengths(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    today: float,
+    days: int,
+    draws: int,
+    scale_sd: float,
+    rng: np.random.Generator,
+) -> LengthDraws:
+    """Draw the lengths of fruit on days 0 to `days`; lengths never shrink.
+
+    Parameters
+    ----------
+    fruit : sequence of FruitState
+        N fruit.
+    growth : Growth
+        The posterior.
+    today : float
+        Day 0; every fruit is extrapolated to it.
+    days, draws : int
+        Days ahead, and number of draws, rounded up to a multiple of the posterior's.
+    scale_sd : float
+        Relative standard deviation of an error common to all lengths.
+    rng : numpy.random.Generator
+        Random generator.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit has links after its day, or was measured after `today`.
+    """
+    if late := [one for one in fruit if one.day > today]:
+        raise ForecastError(
+            f"fruit {late[0].fruit_id!r} was measured on day {late[0].day:g}, after today, day "
+            f"{today:g}",
+            remedy="give the day of the latest round as today",
+        )
+    histories = _histories(fruit, growth, today, scale_sd)
+    each = -(-draws // len(growth.spreads))
+    total = each * len(growth.spreads)
+    unslowed = np.empty((days + 1, total, len(fruit)), np.float32)
+    newcomers = np.zeros((days + 1, total))
+    [later] = rng.spawn(1)  # today's draws do not depend on the number of days
+    for h, spreads in enumerate(growth.spreads):
+        z = rng.standard_normal((each, growth.basis.size))
+        beta = growth.mean[h] + z @ growth.root[h].T
+        unseen = len(histories.basis.rows) - len(growth.basis.rows)
+        luck = spreads.row * rng.standard_normal((each, unseen))
+        beta = np.insert(beta, [1 + len(growth.basis.rows)] * unseen, luck, axis=1)
+        weather = spreads.day * later.standard_normal((days, each))
+        shared = _Shared(beta, weather, len(histories.basis.rows))
+        where = slice(h * each, (h + 1) * each)
+        _fill(
+            unslowed[:, where],
+            kalman_filter(histories, spreads),
+            shared,
+            histories.row,
+            spreads,
+            (rng, later),
+        )
+        newcomers[1:, where] = _newcomers(shared, spreads, later)
+    if scale_sd > 0:
+        unslowed *= np.exp(scale_sd * rng.standard_normal((total, 1))).astype(np.float32)
+    return LengthDraws(unslowed, newcomers)
+
+
+def _histories(
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
+) -> Histories:
+    """Arrange each fruit's points; rows without links follow those of the posterior."""
+    links: dict[str, list[Link]] = {}
+    for link in growth.links:
+        links.setdefault(link.fruit_id, []).append(link)
+    points = []
+    for one in fruit:
+        alone = max(one.sd_m**2 - (scale_sd * one.length_m) ** 2, (0.1 * one.sd_m) ** 2)
+        past = measured_points(links[one.fruit_id]) if one.fruit_id in links else []
+        if past and past[-1][0] > one.day:
+            raise ForecastError(
+                f"fruit {one.fruit_id!r} was measured on day {one.day:g}, a link of it ends on day "
+                f"{past[-1][0]:g}",
+                remedy="give the fruit as last measured, on the links' own count of days",
+            )
+        series = [*(p for p in past if p[0] < one.day), (one.day, one.length_m, alone**0.5)]
+        points.append(growth.curve.points(series, growth.pace_m))
+    names = [one.row for one in fruit]
+    rows = tuple(dict.fromkeys((*growth.basis.rows, *names)))
+    return measured_histories(points, names, replace(growth.basis, rows=rows), today)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """Effects shared in s draws: coefficients (s, p) of `rows` rows, next days (D, s)."""
+
+    beta: NDArray[np.float64]
+    days: NDArray[np.float64]
+    row_count: int
+
+    @property
+    def rates(self) -> NDArray[np.float64]:
+        """Growth of each row, shape (s, R)."""
+        return self.beta[:, :1] + self.beta[:, 1 : 1 + self.row_count]
+
+
+def _fill(
+    lengths: NDArray[np.float32],
+    filtered: FilteredStates,
+    shared: _Shared,
+    rows: NDArray[np.intp],
+    spreads: Spreads,
+    rngs: tuple[np.random.Generator, np.random.Generator],
+) -> None:
+    """Fill lengths, shape (D, s, N), of some draws: today's by one generator, later by another."""
+    rng, later = rngs
+    shape = lengths.shape[1:]
+    var_x, cov, var_b = filtered.covariance.T
+    sd_x = np.sqrt(var_x)
+    slope = cov / sd_x
+    rest = np.sqrt(np.maximum(var_b - slope**2, 0.0))
+    z = rng.standard_normal(shape, np.float32)
+    length = _affine(filtered.length, shared.beta) + sd_x.astype(np.float32) * z
+    rate = _affine(filtered.growth, shared.beta) + slope.astype(np.float32) * z
+    rate += rest.astype(np.float32) * rng.standard_normal(shape, np.float32)
+    rate += shared.rates.astype(np.float32)[:, rows]
+    lengths[0] = length
+    for day in range(1, len(lengths)):
+        step = later.standard_normal(shape, np.float32)
+        step *= np.float32(spreads.fruit_day)
+        step += rate
+        step += shared.days[day - 1].astype(np.float32)[:, None]
+        np.maximum(step, 0, out=step)
+        np.add(lengths[day - 1], step, out=lengths[day])
+
+
+def _affine(columns: NDArray[np.float64], beta: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return first column + others times beta for every draw, shape (s, N)."""
+    result = np.repeat(columns[None, :, 0].astype(np.float32), len(beta), axis=0)
+    # Only fruit with several points depend on beta. No BLAS: its threads cost more than they save.
+    past = np.flatnonzero(columns[:, 1:].any(axis=1))
+    weights = columns[past, 1:].astype(np.float32)
+    result[:, past] += np.einsum("sp,np->sn", beta.astype(np.float32), weights)
+    return result
+
+
+def _newcomers(shared: _Shared, spreads: Spreads, rng: np.random.Generator) -> NDArray[np.float64]:
+    own = np.hypot(spreads.row, spreads.fruit) * rng.standard_normal(len(shared.beta))
+    luck = spreads.fruit_day * rng.standard_normal(shared.days.shape)
+    steps = np.maximum(shared.beta[:, 0] + own + shared.days + luck, 0.0)
+    return np.asarray(np.cumsum(steps, axis=0), np.float64)

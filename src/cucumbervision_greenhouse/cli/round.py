@@ -1,0 +1,429 @@
+"""`cucumbervision round` and `export`: create, fill, merge, link, list, check and export rounds."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cucumbervision.cli.choices import (
+    EXIT_CODES,
+    Images,
+    Profile,
+    RoundName,
+    StoreName,
+    loop_options,
+    measure_options,
+    takes,
+)
+from cucumbervision_greenhouse.exports import ExportFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.batch import LoopOptions
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision_greenhouse.rounds.adding import Added
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import RoundView
+
+
+app = typer.Typer(
+    name="round",
+    help="Rounds of a house: stops, fruit counted once, growth between days, picking.",
+    no_args_is_help=True,
+)
+
+
+@contextmanager
+def opened_round(
+    where: str, name: str, images: Path | None = None
+) -> Iterator[tuple[Store, RoundView]]:
+    """Open a store and find a round in it; close the store at the end."""
+    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.store.repository import open_store
+
+    with open_store(where, images=images, create=False) as store:
+        yield store, find_round(store, name)
+
+
+def chosen_profile(given: str | None, one: RoundView) -> CropProfile | None:
+    """Return the crop profile that is named, or else the round's own; None without either."""
+    from cucumbervision.agronomy.profiles import load_profile
+
+    name = given or one.record.profile
+    return load_profile(name) if name else None
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the round.")] = "",
+    store: StoreName = "house.db",
+    house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
+    profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
+    images: Images = None,
+) -> None:
+    """Create a round and print its key."""
+    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision_greenhouse.store.records import Round
+    from cucumbervision_greenhouse.store.repository import open_store
+
+    load_profile(profile)
+    record = Round(name=name, house=house, profile=profile)
+    with open_store(store, images=images) as opened:
+        opened.save_round(record)
+        saved = next(one.record for one in opened.rounds() if one.key == record.key)
+    if saved.house != house.strip():
+        typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
+    typer.echo(record.key)
+
+
+@app.command(epilog=EXIT_CODES)
+@takes("options", measure_options, {"profile"})
+@takes("loop", loop_options)
+def add(
+    captures: Annotated[list[Path], typer.Argument(help="Inputs as for `measure`.")],
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
+    side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
+    position: Annotated[
+        float | None, typer.Option(help="Position of the first capture along the row, metres.")
+    ] = None,
+    spacing: Annotated[
+        float,
+        typer.Option(help="Distance between captures, metres; negative for walking backwards."),
+    ] = 0.4,
+    position_sd: Annotated[
+        float, typer.Option(min=0.001, max=5.0, help="Standard deviation of positions, metres.")
+    ] = 0.03,
+    higher_to: Annotated[
+        str | None,
+        typer.Option(help="right or left: direction of increasing positions in the picture."),
+    ] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
+    ] = None,
+    images: Images = None,
+    *,
+    options: MeasureOptions,
+    loop: LoopOptions,
+) -> None:
+    """Measure captures and save each as a stop.
+
+    An existing stop is measured again only if its intrinsics, the calibration or the options have
+    changed.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, stopping_gently
+    from cucumbervision.pipeline.inputs import count_captures
+    from cucumbervision_greenhouse.rounds.adding import Place, add_captures
+    from cucumbervision_greenhouse.rounds.poses import read_poses
+
+    if higher_to not in (None, "left", "right"):
+        raise typer.BadParameter("give right or left", param_hint="--higher-to")
+    sign = {None: None, "right": 1, "left": -1}[higher_to]
+    given = {} if poses is None else read_poses(poses)
+    place = Place(row, side, position, spacing, position_sd, sign, given)
+    with (
+        opened_round(store, round_, images) as (opened, one),
+        progress_bar(Console(stderr=True, highlight=False)) as bar,
+        stopping_gently() as stop,
+    ):
+        task = bar.add_task(
+            "measuring", total=count_captures(captures, options.reading, loop.opener)
+        )
+        options, loop = with_limits(options, one), replace(loop, stop=stop)
+        step = partial(bar.advance, task)
+        done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
+    if unused := sorted(given.keys() - {one.name for one in done}):
+        line = f"{poses}: no capture is called {', '.join(unused)}"
+        screen().print(line, soft_wrap=True, markup=False)
+    raise typer.Exit(_show_added(done, interrupted=stop()))
+
+
+def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
+    """Return the options with the lengths that the round's crop can have."""
+    profile = chosen_profile(None, one)
+    return options if profile is None else options.for_crop(profile)
+
+
+def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
+    """Print the outcome of the captures, and return the exit code."""
+    from cucumbervision.cli.console import screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+
+    new = [one for one in done if one.new]
+    failures = [one.failure for one in done if one.failure]
+    again = sum(one.again for one in done)
+    there = len(done) - len(new) - len(failures) - again
+    fruit = sum(one.fruit for one in new)
+    screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
+    if again:
+        screen().print(f"{again} were measured again, because their inputs have changed.")
+    if deleted := sum(one.deleted for one in done):
+        screen().print(f"{deleted} of these were deleted: undo the deletion to restore them.")
+    show_failures(failures)
+    return 130 if interrupted else exit_code(len(done) - len(failures), failures)
+
+
+@app.command(epilog=EXIT_CODES)
+@takes(
+    "options",
+    measure_options,
+    {"profile", "depth", "intrinsics", "depth_unit", "depth_along", "aligned_to", "burst"},
+)
+@takes("loop", loop_options, {"guard"})
+def remeasure(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    images: Images = None,
+    *,
+    options: MeasureOptions,
+    loop: LoopOptions,
+) -> None:
+    """Measure a round again from the captures that the store keeps, and merge it.
+
+    Stops keep their positions. Fruit that are found again keep the decisions made by hand.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
+
+    with opened_round(store, round_, images) as (opened, one):
+        with progress_bar(Console(stderr=True, highlight=False)) as bar:
+            task = bar.add_task("measuring", total=None)
+            done, failures = measure_round_again(
+                *(opened, one.key, with_limits(options, one)),
+                lambda k, of: bar.update(task, completed=k, total=of),
+                loop,
+            )
+        settle_round(opened, one.key)
+    screen().print(f"{done} stops measured again.")
+    show_failures(failures)
+    raise typer.Exit(exit_code(done, failures))
+
+
+@app.command("merge")
+def merge(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    images: Images = None,
+) -> None:
+    """Merge views of the same fruit from several stops, and measure it from all views together.
+
+    Manual decisions are kept, and joint measurements are reused.
+    """
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
+
+    with opened_round(store, round_, images) as (opened, one):
+        rows = merge_round(opened, one.key)
+        measure_all_views(opened, one.key)
+    right = ("stops", "views", "fruit", "expected", "stops known to")
+    table = columns_table("Merged rows", ("row",), *right)
+    for row in rows:
+        expected = f"{row.expected:.0f} ± {row.count.sd:.0f}"
+        known_to = "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm"
+        counts = (row.stops, row.views, row.fruit)
+        table.add_row(row.row, *(str(count) for count in counts), expected, known_to)
+    console = screen()
+    console.print(table)
+    for row in rows:
+        if row.unplaced:
+            console.print(
+                f"row {row.row}: {row.unplaced} fruit without position or depth are not merged"
+            )
+        for side in row.mirrored:
+            console.print(
+                f"row {row.row}, side {side}: positions seem to be reversed; "
+                "add its captures to a new round with --higher-to"
+            )
+
+
+def settle_round(store: Store, key: str) -> None:
+    """Merge a round again, measure its joint lengths and link it; print failures."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.rounds.merge_and_link import settle
+
+    if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
+        screen().print(fault, soft_wrap=True, markup=False)
+    measure_all_views(store, key)
+
+
+def measure_all_views(store: Store, key: str) -> None:
+    """Measure fruit from all their views together, and show progress."""
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, show_failures
+    from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
+
+    with progress_bar(Console(stderr=True, highlight=False)) as bar:
+        task = bar.add_task("fruit in several views", total=None)
+        done = measure_jointly(store, key, lambda k, of: bar.update(task, completed=k, total=of))
+        bar.update(task, visible=False)
+    show_failures(done.failures)
+
+
+@app.command()
+def link(
+    earlier: Annotated[str, typer.Argument(help="Name or key of the earlier round.")],
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+) -> None:
+    """Link fruit to those of an earlier round, which may have grown and moved."""
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds
+
+    with opened_round(store, earlier) as (opened, before):
+        later = find_round(opened, round_)
+        rows = link_rounds(opened, before.key, later.key, chosen_profile(None, later))
+    right = ("earlier", "later", "linked", "sure", "moved along")
+    table = columns_table("Fruit found again", ("row",), *right)
+    for row in rows:
+        moved = f"{100 * row.shift_m:.0f} ± {100 * row.shift_sd_m:.0f} cm"
+        counts = (row.earlier, row.later, row.links, row.sure)
+        table.add_row(row.row, *(str(count) for count in counts), moved)
+    screen().print(table)
+
+
+@app.command()
+def show(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    profile: Profile = None,
+) -> None:
+    """Show a round's fruit by row and position."""
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision_greenhouse.rounds.from_store import read_round
+    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+
+    with opened_round(store, round_) as (opened, one):
+        lines = fruit_table(read_round(opened, one.key))
+    crop = chosen_profile(profile, one)
+    title = f"{one.record.name or one.key}: {len(lines)} fruit, lengths in cm"
+    right = ("at, m", "length", "90 % interval", "seen")
+    table = columns_table(title, ("no.", "row", "side"), *right)
+    for head in ("class", "remarks", "key"):
+        table.add_column(head, overflow="fold")
+    for line in lines:
+        table.add_row(*_cells(line, crop))
+    screen().print(table)
+
+
+def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
+    from cucumbervision.agronomy.grades import grade
+    from cucumbervision.measurement.flags import flag_remarks
+
+    view, record = line.view, line.view.record
+    length = record.length
+    low, high = (None, None) if length is None else (length.low_m, length.high_m)
+    least = "≥ " if record.at_least else ""
+    remarks = [
+        "" if length is not None else f"not measured: {record.reason}",
+        "" if view.picked_s is None else "picked",
+        flag_remarks(record.flags),
+    ]
+    return [
+        str(line.number),
+        view.row or "",
+        view.side or "",
+        "" if view.along_m is None else f"{view.along_m:.2f}",
+        "" if length is None else f"{least}{100 * length.value_m:.1f}",
+        "" if least or low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
+        str(view.views),
+        "" if profile is None else grade(record, profile).words,
+        "; ".join(filter(None, remarks)),
+        view.key[:8],
+    ]
+
+
+@app.command("list")
+def list_(store: StoreName = "house.db") -> None:
+    """List the rounds, newest first."""
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision_greenhouse.store.repository import open_store
+
+    with open_store(store, create=False) as opened:
+        rounds = opened.rounds()
+    left = ("key", "name", "house", "walked", "profile")
+    table = columns_table(None, left, "stops", "views")
+    for one in rounds:
+        record = one.record
+        walked = datetime.fromtimestamp(one.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        counts = str(one.stops), str(one.fruit)
+        table.add_row(one.key[:8], record.name, record.house, walked, record.profile, *counts)
+    screen().print(table)
+
+
+@app.command()
+def check(
+    store: StoreName = "house.db",
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Remove pictures that no stop refers to.")
+    ] = False,
+    images: Images = None,
+) -> None:
+    """Verify a store: its file, all hashes and all pictures. Exits with 1 if something is wrong."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision_greenhouse.store.check import check_store
+    from cucumbervision_greenhouse.store.repository import open_store
+
+    with open_store(store, images=images, create=False) as opened:
+        found = check_store(opened, remove=remove)
+    console = screen()
+    console.print(f"{found.pictures} pictures, {len(found.orphans)} files that no stop names")
+    lines = [
+        *(f"removed: {path}" for path in found.removed),
+        *(f"missing: {path}" for path in found.missing),
+        *(f"damaged: {path}" for path in found.damaged),
+        *found.faults,
+    ]
+    for line in lines:
+        console.print(line, soft_wrap=True, markup=False)
+    console.print("sound" if found.sound else "copy what is missing or damaged from a backup")
+    raise typer.Exit(0 if found.sound else 1)
+
+
+def export(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
+    round_: Annotated[
+        str,
+        typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; default: the newest."),
+    ] = "",
+    store: StoreName = "house.db",
+    images: Images = None,
+    formats: Annotated[
+        list[ExportFormat] | None,
+        typer.Option("--format", "-f", help="Repeat for several; default: csv, xlsx, json."),
+    ] = None,
+    profile: Profile = None,
+) -> None:
+    """Export a round: summary, fruit, stops, forecast, pick list, provenance."""
+    from cucumbervision_greenhouse.exports.build import round_tables
+    from cucumbervision_greenhouse.exports.writers import write_exports
+
+    usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
+    with opened_round(store, round_, images) as (opened, one):
+        tables = round_tables(
+            opened,
+            one.key,
+            chosen_profile(profile, one),
+            profile_name=profile or one.record.profile,
+        )
+        for path in write_exports(tables, out, formats or usual):
+            typer.echo(path)
+    if tables.note:
+        typer.echo(f"no forecast: {tables.note}", err=True)

@@ -1,0 +1,261 @@
+"""Charts of a round: lengths by class and by method, the map of a row, the forecast by day."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import altair as alt
+import numpy as np
+import pyarrow as pa
+from altair.utils.schemapi import disable_debug_mode
+
+from cucumbervision.agronomy.classes import class_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision_greenhouse.dashboard.settings import Units
+
+# Vega itself says what is wrong with a chart; to check each against its schema takes longer than
+# all else that a page does; channels are named for the same reason, where a string would do.
+disable_debug_mode()
+
+MAP_PX = 1000, 560
+"""Width and height of a row's map, in its own pixels."""
+
+_MAP_EDGE_PX = 50
+# Of viridis: from dark to light with the length.
+_STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")
+
+
+_MANY = 40  # fruit from which narrow bars say more than they scatter
+
+
+_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
+
+
+_OTHERS = {
+    "no class": "#E69F00",
+    "too short": "#56B4E9",
+    "too long": "#D55E00",
+    "undecided": "#999999",
+    "not measured": "#555555",
+}
+
+
+def _class_colors(names: Iterable[str]) -> alt.Scale:
+    """Return a scale with a colour for each class: classes in greens, the best darkest and first.
+
+    Examples
+    --------
+    >>> _class_colors(["too long", "class I", "class I"]).to_dict()
+    {'domain': ['class I', 'too long'], 'range': ['#1B7837', '#D55E00']}
+    """
+    present = set(names)
+    classes = sorted(present - set(_OTHERS))  # 'class I' before 'class II'
+    others = [name for name in _OTHERS if name in present]
+    greens = [_GREENS[min(k, len(_GREENS) - 1)] for k in range(len(classes))]
+    return alt.Scale(
+        domain=[*classes, *others], range=[*greens, *(_OTHERS[name] for name in others)]
+    )
+
+
+_BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has room for it
+
+
+def _color_of_class(names: Iterable[str]) -> alt.Color:
+    return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
+
+
+def class_color(name: str) -> str:
+    """Return the colour of a class: greens for classes, the best darkest.
+
+    Examples
+    --------
+    >>> class_color("class I"), class_color("too long")
+    ('#1B7837', '#D55E00')
+    """
+    return _OTHERS.get(name) or _GREENS[min(name.count("I"), len(_GREENS)) - 1]
+
+
+def day_name(day: int) -> str:
+    """Return the name of a day by its distance from today.
+
+    Examples
+    --------
+    >>> day_name(0), day_name(1), day_name(2)
+    ('today', 'tomorrow', 'in 2 days')
+    """
+    return ("today", "tomorrow")[day] if day < 2 else f"in {day} days"
+
+
+def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
+    """Return a histogram by class, with a line at the mean and a band of one standard deviation."""
+    step = (1.0 if len(lines) >= _MANY else 2.0) / (1 if units.name == "cm" else 2)
+    lengths = np.array([line["length"] for line in lines], np.float64)
+    mean, sd = float(lengths.mean()), float(lengths.std(ddof=1)) if len(lengths) > 1 else 0.0
+    # Counted here: the browser is sent some dozen bars, however many fruit there are.
+    counted = Counter((math.floor(line["length"] / step), line["class"]) for line in lines)
+    table = [
+        {"from": k * step, "to": (k + 1) * step, "class": name, "fruit": number}
+        for (k, name), number in sorted(counted.items())
+    ]
+    bars = (
+        alt.Chart(_data(table))
+        .mark_bar(stroke="white")
+        .encode(
+            x=alt.X(
+                "from:Q",
+                bin="binned",
+                title=f"Length [{units.name}]",
+                scale=alt.Scale(zero=False),
+            ),
+            x2=alt.X2("to:Q"),
+            y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
+            color=_color_of_class(x["class"] for x in lines),
+            tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
+        )
+    )
+    spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
+    band = (
+        alt.Chart(spread)
+        .mark_rect(opacity=0.12, color="#000")
+        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
+    )
+    line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x=alt.X("mean:Q"))
+    chart: alt.LayerChart = (band + bars + line).properties(height=260)
+    return chart
+
+
+def map_picture(
+    lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the fruit of one row and side as layers of a picture of `MAP_PX`, and its grid.
+
+    Parameters
+    ----------
+    lines : list of dict
+        The fruit, as `round_tables.map_lines` gives them.
+    shown : list of dict
+        All that are shown, which the scales fit.
+    by_length : bool
+        A layer for every step of the length; else one a class.
+    """
+    ends = {name: _ends(shown, name) for name in ("along", "height")}
+
+    def place(name: str, value: float) -> float:
+        (low, high), size = ends[name], MAP_PX[name == "height"]
+        share = (value - low) / max(high - low, 0.1)
+        across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
+        return round(size - across if name == "height" else across, 1)
+
+    layers: dict[str, dict[str, Any]] = {}
+    for line in sorted(lines, key=lambda one: one["length"] or 0.0):
+        name, color = _length_step(line["length"], units) if by_length else _class(line["class"])
+        layer = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
+        mark = {
+            "kind": "mark",
+            "points": [place("along", line["along"]), place("height", line["height"])],
+            "key": line["key"],
+            "mark": line["mark"],
+            "once": line["views"] == 1,
+            "says": line["says"],
+        }
+        layer["shapes"].append(mark)
+    grid = {
+        name: [(place(of, at), f"{at:g} m") for at in _round_values(*ends[of])]
+        for name, of in (("across", "along"), ("up", "height"))
+    }
+    return list(layers.values()), grid
+
+
+def _class(name: str) -> tuple[str, str]:
+    return name, class_color(name)
+
+
+def _length_step(length: float | None, units: Units) -> tuple[str, str]:
+    """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
+    if length is None:
+        return "not measured", _OTHERS["not measured"]
+    step = 5 if units.name == "cm" else 2
+    number = int(length // step)
+    name = f"{number * step} to {(number + 1) * step} {units.name}"
+    return name, _STEP_COLORS[min(max(number - 1, 0), len(_STEP_COLORS) - 1)]
+
+
+def _round_values(low: float, high: float) -> list[float]:
+    """Return round values between two ends, at most ten.
+
+    Examples
+    --------
+    >>> _round_values(-0.31, 0.42), _round_values(0.2, 23.9)
+    ([-0.2, 0.0, 0.2, 0.4], [5.0, 10.0, 15.0, 20.0])
+    """
+    steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+    step = next((s for s in steps if (high - low) / s <= 5), 100.0)
+    first, last = math.ceil(low / step), math.floor(high / step)
+    return [round(k * step, 1) for k in range(first, last + 1)]
+
+
+def _data(lines: list[dict[str, Any]]) -> Any:
+    # Sent as a table rather than within the chart's description, where each value costs time.
+    return pa.Table.from_pylist(lines)
+
+
+def _ends(lines: list[dict[str, Any]], name: str) -> tuple[float, float]:
+    known = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
+    return min(known), max(known)
+
+
+def forecast_chart(found: Forecast) -> alt.LayerChart:
+    """Return the expected number in each class on each day, with its interval."""
+    drawn = expected_classes(found)
+    share = 0.8 / max(len(drawn), 1)  # of a day, which is 1 wide
+    lines = [
+        {
+            "day": day_name(day),
+            "class": class_name(found.classes[k]),
+            "from": day - 0.4 + n * share,
+            "to": day - 0.4 + (n + 0.85) * share,
+            "middle": day - 0.4 + (n + 0.425) * share,
+            "floor": 0.0,
+            "expected": float(found.house.expected[day, k]),
+            "low": float(found.house.low[day, k]),
+            "high": float(found.house.high[day, k]),
+        }
+        for day in found.days.tolist()
+        for n, k in enumerate(drawn)
+    ]
+    names = [class_name(found.classes[k]) for k in drawn]
+    days = found.days.tolist()
+    said = " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
+    axis = alt.Axis(values=days, labelExpr=said, labelAngle=0, grid=False)
+    ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
+    base = alt.Chart(_data(lines))
+    bars = base.mark_bar().encode(
+        x=alt.X("from:Q", title="Day", axis=axis, scale=ends),
+        x2=alt.X2("to:Q"),
+        y=alt.Y("expected:Q", title="Fruit"),
+        y2=alt.Y2("floor:Q"),
+        color=_color_of_class(names),
+        tooltip=[
+            alt.Tooltip("day:N", title="Day"),
+            alt.Tooltip("class:N", title="Class"),
+            alt.Tooltip("expected:Q", title="Expected", format=".0f"),
+            alt.Tooltip("low:Q", title="Likely from", format=".0f"),
+            alt.Tooltip("high:Q", title="to", format=".0f"),
+        ],
+    )
+    whiskers = base.mark_rule(strokeWidth=2, color="#222").encode(
+        x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
+    )
+    chart: alt.LayerChart = (bars + whiskers).properties(height=320)
+    return chart
+
+
+def expected_classes(found: Forecast) -> list[int]:
+    """Return which classes any fruit may be in on any of the days."""
+    return [k for k in range(len(found.classes)) if found.house.high[:, k].max() >= 1]

@@ -1,0 +1,52 @@
+"""The dashboard as Streamlit serves it: its pages behind the guard."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, suppress
+from importlib import import_module
+from pathlib import Path
+
+import streamlit as st
+from starlette.middleware import Middleware
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.service.server import TOKEN_VARIABLE
+from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.dashboard.access import AccessGuard, Login
+from cucumbervision_greenhouse.dashboard.callbacks import finish_callbacks
+from cucumbervision_greenhouse.dashboard.routes import routes
+from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
+
+# Without `server.serve`, which decides on the login, nobody is admitted.
+_GUARD = Middleware(
+    AccessGuard,
+    login=Login(os.environ.get(LOGIN_VARIABLE, Login.TOKEN)),
+    token=os.environ.get(TOKEN_VARIABLE, ""),
+)
+
+# Streamlit imports the last two within the first page that is drawn.
+_FIRST_USED = ("cucumbervision_greenhouse.dashboard.app", "pandas", "streamlit.emojis")
+
+
+@asynccontextmanager
+async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
+    """Load networks, pages and the newest round, and measure what waits, before anybody comes."""
+
+    def prepare() -> None:
+        with suppress(CucumberVisionError, ImportError):  # a page says why
+            resources.prepare()
+            for name in _FIRST_USED:
+                import_module(name)
+            resources.read_ahead()
+
+    threading.Thread(target=prepare, name="preparing", daemon=True).start()
+    yield {}
+
+
+finish_callbacks()
+app = st.App(
+    Path(__file__).with_name("app.py"), middleware=[_GUARD], routes=routes(), lifespan=_prepared
+)

@@ -1,0 +1,273 @@
+"""Elements that several pages draw: buttons, a job's progress, columns, tables."""
+
+from __future__ import annotations
+
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
+
+import streamlit as st
+from streamlit.runtime.scriptrunner import get_script_run_ctx
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse.agronomy.picking import hours_words
+from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.dashboard.fruit_view import component
+from cucumbervision_greenhouse.dashboard.round_choice import choose_round, missing_round
+from cucumbervision_greenhouse.dashboard.words import action_words, plain, sentence, step_words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Sequence
+
+    from streamlit.delta_generator import DeltaGenerator
+
+    from cucumbervision_greenhouse.agronomy.picking import PickWork
+    from cucumbervision_greenhouse.dashboard.jobs import Job, Work
+    from cucumbervision_greenhouse.store.records import JointRecord
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+_PICTURE_PX = 168  # two abreast on a phone
+
+
+def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
+    """Return a wide and a narrow column, under each other where a tablet is held upright."""
+    with st.container(key="halves"):
+        left, right = st.columns([3, 2], gap="medium")
+    return left, right
+
+
+def button(
+    place: Any, label: str, icon: str, act: Callable[..., object], *args: Any, **options: Any
+) -> None:
+    """Draw a button as wide as its place; pressing it calls `act` before the page is drawn anew."""
+    icon = f":material/{icon}:"
+    options.setdefault("width", "stretch")
+    place.button(label, icon=icon, on_click=act, args=args, **options)
+
+
+def do(act: Callable[[], object]) -> bool:
+    """Correct a round, or say below what keeps that from being done; return whether it was done."""
+    try:
+        act()
+    except CucumberVisionError as error:
+        st.session_state["fault"] = str(error)
+        return False
+    return True
+
+
+def draw_undo(round_key: str) -> None:
+    """Draw a button that takes back what the viewer did last, and what kept something undone."""
+
+    def undo() -> None:
+        try:
+            action = resources.undo(resources.store(), round_key)
+        except CucumberVisionError as error:
+            st.session_state["fault"] = str(error)
+        else:
+            st.toast(plain(f"Taken back: {action_words(action)}"), icon=":material/undo:")
+
+    button(st, "Undo", "undo", undo)
+    if fault := st.session_state.pop("fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
+
+
+def table(lines: list[dict[str, Any]]) -> None:
+    """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
+    said = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
+    st.table([{plain(name): plain(line[name]) for name in said} for line in lines], hide_index=True)
+
+
+def fruit_list(
+    key: str,
+    label: str,
+    fruit: list[dict[str, Any]],
+    words: str,
+    on_taps: Callable[[], None] | None = None,
+) -> None:
+    """Draw fruit to be tapped off, or to be opened: the address names the one that was tapped.
+
+    Parameters
+    ----------
+    key, label : str
+        The element's own, and its name for screen readers.
+    fruit : list of dict
+        'key', 'picture' (a data URL, or None), 'says' (words that are drawn side by side, or under
+        each other on a phone), and 'picked'.
+    words : str
+        Stand over the list, after how many are picked.
+    on_taps : callable
+        Called with every tap, before anything is drawn, so that all totals count it; None for
+        fruit to be opened.
+    """
+
+    def opened() -> None:
+        name_in_address("fruit", st.session_state[key].opened)
+
+    data = {"fruit": fruit, "words": words, "label": label, "opens": on_taps is None}
+    tapped = {"on_opened_change": opened} if on_taps is None else {"on_taps_change": on_taps}
+    component("fruitlist")(key=key, data=data, **tapped)
+
+
+def pictures(
+    views: Sequence[DetectionView],
+    words: Callable[[DetectionView], str],
+    act: Callable[[DetectionView], None] | None = None,
+    joint: JointRecord | None = None,
+) -> None:
+    """Draw views side by side, each with words, and with what `act` draws below them."""
+    with st.container(horizontal=True):
+        for view in views:
+            with st.container(width=_PICTURE_PX):
+                if (cut := resources.cutout_of(view, joint)) is not None:
+                    st.image(cut, width="stretch", alt=f"Fruit at {step_words(view.step).lower()}")
+                st.caption(words(view))
+                if act is not None:
+                    act(view)
+
+
+def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
+    """Return the items of the chosen page; `choose_page` with the same key lets it be chosen."""
+    number = min(st.session_state.get(key, 1), _pages(items, size))
+    return items[(number - 1) * size : number * size]
+
+
+def choose_page(items: Sequence[Any], key: str, size: int) -> None:
+    """Draw the choice of a page where there are several."""
+    pages = _pages(items, size)
+    if pages > 1:
+        st.session_state[key] = min(st.session_state.get(key, 1), pages)
+        st.number_input(f"Page of {pages}", 1, pages, key=key)
+
+
+def _pages(items: Sequence[Any], size: int) -> int:
+    return max(1, -(-len(items) // size))
+
+
+def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
+    """Make a page of a function that draws a round: the round is chosen above it."""
+
+    @wraps(draw)
+    def page() -> None:
+        one = choose_round()
+        if missing := missing_round():
+            st.warning(
+                f"There is no round '{plain(missing[:40])}'. Choose one above, or start a new one.",
+                icon=":material/search_off:",
+            )
+        elif one is None:
+            st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
+        else:
+            draw(one)
+
+    return page
+
+
+def link(page: str, label: str, **parts: str) -> None:
+    """Draw a way to another page of the round, by the name that its address ends on."""
+    found = st.session_state.get("pages", {}).get(page)
+    if found is not None:
+        st.page_link(
+            found, label=label, icon=found.icon, query_params=here(**parts), width="stretch"
+        )
+
+
+def leave_for(page: str, **parts: str) -> None:
+    """Open another page of the round."""
+    if found := st.session_state.get("pages", {}).get(page):
+        st.switch_page(found, query_params=here(**parts))
+
+
+def here(**parts: str) -> dict[str, str]:
+    """Return what an address says: the round that is open, and what else is named."""
+    opened = st.session_state.get("round")
+    return ({"round": opened} if opened else {}) | parts
+
+
+def work_words(work: PickWork) -> str:
+    """Return the work and crates that picking takes, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.picking import PickWork
+    >>> work_words(PickWork(70, {"I": 70}, 0.2333, {"I": 6}))
+    '14 min and 6 crates'
+    """
+    crates = sum(work.crates.values())
+    return f"{hours_words(work.hours)} and {crates} {'crate' if crates == 1 else 'crates'}"
+
+
+def name_in_address(name: str, value: str | None) -> None:
+    """Let the address name a fruit, row or stop, so that it can be sent; None takes it away."""
+    if value is not None:
+        st.query_params[name] = value
+    elif name in st.query_params:
+        del st.query_params[name]
+    note_address()
+
+
+def say_missing(name: str, there: Container[str | None], words: str) -> None:
+    """Say that what the address names is not there, so that nothing else is taken for it.
+
+    Parameters
+    ----------
+    name : str
+        The part of the address: 'fruit', 'stop' or 'row'.
+    there : container of str
+        What it could name.
+    words : str
+        What is said.
+    """
+    if (named := st.query_params.get(name)) is not None and named not in there:
+        st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
+
+
+def note_address() -> None:
+    """Remember the address of the page that is open."""
+    context = get_script_run_ctx()
+    page = context.page_script_hash if context else ""
+    st.session_state["address"] = page, st.query_params.to_dict()
+
+
+def keep_address() -> None:
+    """Stay where the page is if nothing but its own news draws it anew.
+
+    A browser that was slower sends the address of before along with them, which would show the
+    list of fruit in place of the one that was just opened.
+    """
+    context, (page, kept) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
+    news = getattr(st.session_state.get("live"), "changed", None)
+    if not news or context is None or context.is_history_navigation:
+        return
+    sent = st.query_params.to_dict()
+    is_link = dict(parse_qsl(str(news["at"]).lstrip("?"))) != sent
+    if page == context.page_script_hash and not is_link and kept != sent:
+        st.query_params.from_dict(kept)
+
+
+def start_job(key: str, title: str, work: Work, round_key: str) -> None:
+    """Queue a job on a round and remember it in the viewer's session."""
+    st.session_state[key] = resources.worker().submit(title, work, round_key).number
+
+
+def finished_job(key: str) -> Job | None:
+    """Return the viewer's job once it is finished; `live` shows its progress until then."""
+    job = resources.worker().get(st.session_state.get(key))
+    return job if job is not None and job.finished else None
+
+
+def live(ticket: str = "") -> None:
+    """Show the work that goes on, and draw the page anew whenever its round changes.
+
+    Parameters
+    ----------
+    ticket : str
+        By which the viewer is known outside Streamlit's pages, where a provider logs in.
+    """
+    opened = st.session_state.get("round") or ""
+    data = {"round": opened, "version": resources.news(opened)["version"], "ticket": ticket}
+    component("live")(key="live", data=data, on_changed_change=lambda: None)
+
+
+def go(address: str) -> None:
+    """Leave Streamlit's pages for another address of this server."""
+    component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)

@@ -1,0 +1,153 @@
+"""The choice of a round above every page; rounds are begun, renamed, deleted and brought back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import streamlit as st
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.names import same_house
+from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.dashboard.callbacks import label_options
+from cucumbervision_greenhouse.dashboard.words import plain, round_name, sentence
+from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
+from cucumbervision_greenhouse.store.records import Round
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cucumbervision_greenhouse.store.views import RoundView
+
+_MISSING = "missing_round"
+_NEW_HOUSE = "New house …"
+_BEGINNING, _CHANGING = "beginning_round", "changing_round"
+
+
+def choose_round() -> RoundView | None:
+    """Draw the choice, and return the round that is open; None where there is none."""
+    rounds = {one.key: one for one in resources.rounds()}
+    names = {key: round_name(one) for key, one in rounds.items()}
+    label = label_options("round", names)
+    asked = st.session_state.get("round")
+    if asked in rounds:
+        st.session_state.pop(_MISSING, None)
+    elif asked is None and not st.session_state.get(_MISSING):
+        st.session_state["round"] = next(iter(rounds), None)
+    else:  # no other round is shown in its place
+        st.session_state[_MISSING] = asked or st.session_state[_MISSING]
+        st.session_state["round"] = None
+    with st.container(key="rounds"):
+        chosen, new, change = st.columns([6, 2, 1], vertical_alignment="center")
+    key = chosen.selectbox(
+        "Round",
+        list(rounds),
+        format_func=label,
+        key="round",
+        placeholder="Choose a round" if rounds else "No round yet",
+        label_visibility="collapsed",
+    )
+    one = rounds.get(key) if key else None
+    if one is not None and st.query_params.get("round") != one.key:
+        # A browser that was slower sends the round of before once more: that opens nothing.
+        st.session_state["named_before"] = st.session_state.get("named")
+        st.query_params["round"] = st.session_state["named"] = one.key
+    # They know whether they are open, so that what is done in them closes them.
+    tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
+    with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
+        _begin()
+    with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
+        _change(one)
+    return one
+
+
+def missing_round() -> str:
+    """Return the round that the address names and that is not there; empty where all is well."""
+    return str(st.session_state.get(_MISSING) or "")
+
+
+def _begin() -> None:
+    st.text_input("Name", placeholder="Morning round", key="new_name")
+    houses = resources.houses()
+    known = [*houses, _NEW_HOUSE]
+    if houses:
+        st.selectbox("House", known, key="known_house")
+    if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
+        st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
+
+    def begin() -> None:
+        # What the fields hold now: the page may not have been drawn since they were filled in.
+        name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
+        if houses and (chosen := st.session_state["known_house"]) != _NEW_HOUSE:
+            house = chosen
+        record = Round(name=name, house=house, profile=resources.settings().profile)
+        try:
+            resources.store().save_round(record)
+        except CucumberVisionError as error:
+            st.session_state["begin_fault"] = str(error)
+            return
+        if (same := same_house(house, houses)) != " ".join(house.split()):
+            st.toast(plain(f"The round is in the house '{same}', which is known by that name."))
+        st.session_state["round"] = record.key
+        st.session_state[_BEGINNING] = False
+
+    st.button("Start this round", type="primary", width="stretch", on_click=begin)
+    if fault := st.session_state.pop("begin_fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
+
+
+def _change(one: RoundView | None) -> None:
+    if fault := st.session_state.pop("round_fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
+    if one is not None:
+        name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}")
+        st.button(
+            "Rename",
+            width="stretch",
+            on_click=_do,
+            args=(_rename, one.key),
+            disabled=not name.strip(),
+        )
+        st.button(
+            "Delete this round",
+            icon=":material/delete:",
+            width="stretch",
+            on_click=_do,
+            args=(_delete, one.key),
+        )
+    for gone in resources.store().rounds(deleted=True):
+        st.button(
+            f"Restore: {plain(round_name(gone))}",
+            icon=":material/undo:",
+            width="stretch",
+            key=f"back_{gone.key}",
+            on_click=_do,
+            args=(_bring_back, gone.key),
+        )
+
+
+def _do(act: Callable[[str], None], key: str) -> None:
+    try:
+        act(key)
+    except CucumberVisionError as error:
+        st.session_state["round_fault"] = str(error)
+    else:
+        st.session_state[_CHANGING] = False
+
+
+def _rename(key: str) -> None:
+    # What the field holds now: it may have been typed into since it was drawn.
+    if name := st.session_state[f"name_{key}"].strip():
+        resources.store().rename_round(key, name)
+
+
+def _delete(key: str) -> None:
+    for after in delete_round(resources.store(), key, resources.waiting()):
+        resources.merge(after)
+    st.session_state["round"] = None  # the newest of the others
+
+
+def _bring_back(key: str) -> None:
+    resources.store().restore_round(key)
+    resources.merge(key)  # its fruit and those of its neighbours were linked past it
+    st.session_state["round"] = key

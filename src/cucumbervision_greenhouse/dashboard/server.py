@@ -1,0 +1,141 @@
+"""Start the dashboard's server, and tell its pages by the environment what to show."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.service.server import TOKEN_VARIABLE, check_access
+
+STORE_VARIABLE = "CUCUMBERVISION_STORE"
+IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
+REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
+LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
+_APP = Path(__file__).with_name("guarded_app.py")
+
+
+def default_store() -> str:
+    """Return the path of the user's own store.
+
+    Examples
+    --------
+    >>> default_store().endswith("rounds.db")
+    True
+    """
+    import platformdirs
+
+    return str(Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "rounds.db")
+
+
+def require_extra() -> None:
+    """Raise MissingExtraError if the extra 'dashboard' is not installed."""
+    if find_spec("streamlit") is None:
+        raise MissingExtraError("streamlit", "dashboard")
+
+
+def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
+    """Return Streamlit's command line.
+
+    Examples
+    --------
+    >>> "--browser.gatherUsageStats=false" in server_arguments("127.0.0.1", 8501, browser=False)
+    True
+    """
+    options = {
+        "server.address": address,
+        "server.port": port,
+        "server.headless": "false" if browser else "true",
+        "server.showEmailPrompt": "false",
+        # Beside its own greeting this silences what Streamlit offers to developers on the page.
+        "logger.hideWelcomeMessage": "true",
+        "server.fileWatcherType": "none",
+        # A collection after each run of a part of a page, several times a second where a camera's
+        # picture is shown, looks through all packages: 0.16 s each, in which nothing is measured.
+        # Python collects by itself when there is something to collect.
+        "runner.postScriptGC": "false",
+        "server.maxUploadSize": 200,
+        # Streamlit names a large part that it has sent before by its hash; a page that no longer
+        # has it ends in "Cached ForwardMsg MISS". Beyond this size, in bytes, it would do so.
+        "global.minCachedMessageSize": 10**12,
+        "browser.gatherUsageStats": "false",
+        "browser.serverAddress": address,
+        "client.toolbarMode": "minimal",
+        "client.showErrorDetails": "none",
+        "theme.primaryColor": "#1B7837",
+        "theme.baseFontSize": 17,
+    }
+    return ["run", str(_APP), *(f"--{name}={value}" for name, value in options.items())]
+
+
+def serve(
+    store: str,
+    *,
+    replay: Path | None = None,
+    images: Path | None = None,
+    address: str = "127.0.0.1",
+    port: int = 8501,
+    browser: bool = True,
+    login: bool = False,
+    ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve the dashboard until it is interrupted.
+
+    Parameters
+    ----------
+    store : str
+        Path of an SQLite file, or the URL of a PostgreSQL database.
+    replay : Path, optional
+        Folder or recording to show where no camera is; the bundled captures by default.
+    images : Path, optional
+        Folder of the pictures, which PostgreSQL needs.
+    address : str
+        Address to bind to.
+    port : int
+        TCP port.
+    browser : bool
+        Open a browser on this machine.
+    login : bool
+        Require a login on this machine too: for a proxy on it that others reach.
+    ready : callable, optional
+        Called with the address to open, which contains the token where one is needed.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra 'dashboard' is not installed.
+    AccessError
+        If OpenID Connect is set up incompletely, or the token of the environment is short.
+    CucumberVisionError
+        If the replay does not exist.
+    """
+    require_extra()
+    from cucumbervision_greenhouse.dashboard.access import Login, decide_login, read_openid_connect
+
+    how = decide_login(address, oidc=read_openid_connect() is not None, always=login)
+    os.environ[LOGIN_VARIABLE] = how.value
+    place = f"http://{_shown_host(address)}:{port}"
+    if how is Login.TOKEN:
+        token = os.environ.setdefault(TOKEN_VARIABLE, secrets.token_urlsafe(24))
+        check_access(address, token)
+        place += f"/?token={token}"
+    if replay is not None and not replay.exists():
+        raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
+    given = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}
+    os.environ.update({name: str(value) for name, value in given.items() if value})
+    if ready is not None:
+        ready(place)
+    from streamlit.web import cli
+
+    cli.main(server_arguments(address, port, browser=browser), standalone_mode=False)
+
+
+def _shown_host(address: str) -> str:
+    """Return what to open in a browser: of all addresses, this machine's name."""
+    if address in ("", "0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{address}]" if ":" in address else address

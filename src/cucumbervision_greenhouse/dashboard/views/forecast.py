@@ -1,0 +1,109 @@
+"""Forecast: how many fruit will be in which class, and the work that picking them takes."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.classes import UNDECIDED, class_name, class_of
+from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
+from cucumbervision_greenhouse.dashboard import page_elements, resources
+from cucumbervision_greenhouse.dashboard.charts import day_name, expected_classes, forecast_chart
+from cucumbervision_greenhouse.dashboard.words import (
+    counted,
+    hours_span_words,
+    round_day,
+    span_words,
+)
+from cucumbervision_greenhouse.rounds.forecasting import Age, age_of, age_words
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision_greenhouse.store.views import RoundView
+
+
+@page_elements.of_round
+def page(one: RoundView) -> None:
+    """Draw the page."""
+    found = resources.forecast_of(one)
+    if not found.fruit:
+        st.info(
+            "Nothing to forecast: this round has no measured fruit left on the plant.",
+            icon=":material/calendar_month:",
+        )
+        return
+    _age(one)
+    days, work = st.tabs(["Next days", "Work and crates"])
+    with days:
+        _days(found)
+    with work:
+        _work(found)
+
+
+def _age(one: RoundView) -> None:
+    walked = one.walked_s
+    days, age = age_of(walked, time.time())
+    if age is not Age.FRESH:
+        useless = age is Age.USELESS
+        holds = "for the day of the walk" if useless else "only if nothing was picked since"
+        st.warning(
+            f"This round is {age_words(days)} (walked on {round_day(walked)}): the forecast is "
+            f"valid {holds}. Walk again.",
+            icon=":material/history:",
+        )
+    page_elements.link("today", "Today's pick list")
+
+
+def _days(found: Forecast) -> None:
+    st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
+    st.altair_chart(forecast_chart(found))
+    house = found.house
+    lines = []
+    for day in found.days.tolist():
+        line = {"Day": day_name(day)}
+        for k in expected_classes(found):
+            more = "" if found.complete[day, k] else " or more"
+            count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
+            words = span_words(count)
+            line[class_name(found.classes[k])] = words if words == "–" else f"{words}{more}"
+        lines.append(line)
+    page_elements.table(lines)
+    undecided = sum(class_of(possible) == UNDECIDED for possible in found.possible)
+    words = "'Or more': fruit too small to be detected today are not counted."
+    if undecided:
+        fruit = counted(undecided, "undecided fruit is", "undecided fruit are")
+        words = f"Today {fruit} in no class, and in the ranges. {words}"
+    st.caption(words)
+    with st.expander("Details", icon=":material/list:"):
+        st.caption(
+            "Ranges are 80 % intervals. Growth comes from the crop profile until fruit are linked "
+            "between days."
+        )
+
+
+def _work(found: Forecast) -> None:
+    now = resources.settings()
+    per_hour, per_row, per_crate = st.columns(3)
+    resources.change_settings(
+        fruit_per_hour=per_hour.number_input(
+            "Fruit picked in an hour", 1.0, 5000.0, now.fruit_per_hour, 10.0
+        ),
+        minutes_per_row=per_row.number_input(
+            "Minutes for each row", 0.0, 120.0, now.minutes_per_row, 0.5
+        ),
+        fruit_per_crate=per_crate.number_input("Fruit in a crate", 1, 500, now.fruit_per_crate),
+    )
+    lines = [
+        {
+            "Day": day_name(day.day),
+            "Fruit": span_words(day.fruit),
+            "Work": hours_span_words(day.hours),
+            **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},
+        }
+        for day in plan_work(found, resources.settings().rates)
+        if day.fruit.high >= 1
+    ]
+    page_elements.table(lines)
+    st.caption("If every ready fruit is picked every day. Hours for one person.")

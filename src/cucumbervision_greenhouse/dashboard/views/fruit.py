@@ -1,0 +1,393 @@
+"""One fruit: its picture, measurements, 3D, ruler, all its views; accept, reject, correct."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import streamlit as st
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import painted_mask
+from cucumbervision_greenhouse.dashboard import page_elements, resources
+from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
+from cucumbervision_greenhouse.dashboard.fruit_view import (
+    as_data_url,
+    depth_picture,
+    fruit_layers,
+    joint_tube,
+    picture,
+    ruler_m,
+    scale_bar,
+    stop_layers,
+)
+from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo
+from cucumbervision_greenhouse.dashboard.round_tables import GradedRound, figure_lines
+from cucumbervision_greenhouse.dashboard.words import (
+    interval_words,
+    kind_words,
+    length_words,
+    plain,
+    remarks,
+    round_day,
+    sentence,
+    step_words,
+)
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision_greenhouse.dashboard.jobs import Job
+    from cucumbervision_greenhouse.dashboard.settings import Units
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.store.records import (
+        DetectionRecord,
+        JointRecord,
+        MethodRecord,
+    )
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+
+def show(one: RoundView, graded: GradedRound, key: str) -> None:
+    """Draw a fruit in place of the list."""
+    detail = resources.fruit_detail(one, key)
+    _head(graded, key)
+    left, right = page_elements.halves()
+    # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
+    with right.container():
+        _figures(graded, detail)
+    with right.container():
+        _verdict(one, detail)
+    line = next((x for x in resources.fruit_of(one) if x.view.group == detail.view.group), None)
+    joint = _joint_of(one, line)
+    with left:
+        _pictures(detail, joint)
+    _show_stops(one, detail.view, line, joint)
+    _methods(detail)
+
+
+def _head(graded: GradedRound, key: str) -> None:
+    shown = {key, *(view.key for view in graded.fruit)}  # one marked as no fruit keeps its place
+    keys = [one for one in graded.grades if one in shown]
+    at = keys.index(key)
+
+    def go(to: str | None) -> None:
+        page_elements.name_in_address("fruit", to)
+        st.session_state.pop("ruler", None)
+
+    with st.container(horizontal=True, gap="small", key="fruit_head"):
+        button(st, "All fruit", "arrow_back", go, None)
+        for label, to, side in (("Previous", at - 1, "left"), ("Next", at + 1, "right")):
+            there = 0 <= to < len(keys)
+            target, how = keys[to] if there else key, {"disabled": not there}
+            # A keyboard walks through the fruit by its arrows.
+            arrow = side.capitalize()
+            own = f"{side}_{key}"
+            button(st, label, f"chevron_{side}", go, target, shortcut=arrow, key=own, **how)
+
+
+def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
+    shown = {view.key: view for view in (*graded.fruit, *graded.deleted)}
+    record, units = shown[detail.view.key].record, resources.settings().units
+    found = graded.grades[detail.view.key]
+    interval = interval_words(record, units)
+    st.metric(
+        kind_words(None if record.length is None else str(record.length.kind)),
+        length_words(record, units),
+        interval and f"Likely between {interval.replace(' to ', ' and ')}",
+        delta_color="off",
+        delta_arrow="off",
+    )
+    st.markdown(f"**{sentence(found.words)}**")
+    traits = {
+        "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
+        "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
+        "Distance": units.text(record.distance_m),
+        "Outline by": record.mask_source and MaskSource(record.mask_source).words,
+        "Hidden by leaves": None
+        if record.hidden_share is None
+        else f"{100 * record.hidden_share:.0f} %",
+    }
+    st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
+    if words := remarks(record, units):
+        st.caption(sentence(f"{words}."))
+    with st.expander("Details", icon=":material/list:"):
+        for rule in found.rules:
+            st.caption(plain(rule))
+        page_elements.table(figure_lines(record))
+
+
+def _verdict(one: RoundView, detail: DetectionDetail) -> None:
+    key, now, store = detail.view.key, detail.view.verdict, resources.store()
+    is_picked = detail.view.picked_s is not None
+
+    def judge(verdict: Verdict | None) -> None:
+        # All its views: otherwise another one would stand in for a fruit that was deleted.
+        views = store.detections(detail.view.round_key)
+        group = next(x.group for x in views if x.key == key)  # merged anew since it was drawn
+        store.set_verdict([x.key for x in views if x.group == group], verdict)
+
+    def pick() -> None:
+        store.unpick([key]) if is_picked else store.pick([key])
+
+    with st.container(horizontal=True):
+        for verdict, name, done, icon in (
+            (Verdict.ACCEPTED, "Accept", "Accepted", "check"),
+            (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
+        ):
+            # Named after the fruit: a press means the one on the screen, not the one drawn next.
+            if now is verdict:
+                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}")
+            else:
+                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}")
+    with st.container(horizontal=True):
+        words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
+        button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
+        draw_undo(one.key)
+
+
+def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
+    try:
+        capture = _capture(detail)
+    except CucumberVisionError as error:
+        st.warning(plain(error), icon=":material/broken_image:")
+        return
+    # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
+    seen, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
+    with seen:
+        _picture(detail, capture, joint)
+    if turned.open:
+        with turned:
+            _cloud(capture, detail.view.record)
+
+
+def _cloud(capture: Capture, record: DetectionRecord) -> None:
+    deck = point_cloud(capture, record)
+    if deck is None:
+        st.info("There is no depth on this fruit to show in 3D.")
+        return
+    with st.container(key="point_cloud"):
+        st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
+    st.caption(
+        "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
+        "white; the bar is 5 cm long. Drag to turn, pinch or wheel to zoom."
+    )
+
+
+@st.cache_resource(
+    show_spinner=False,
+    max_entries=6,
+    hash_funcs={DetectionDetail: lambda detail: (detail.view.stop_key, detail.capture.color)},
+)
+def _capture(detail: DetectionDetail) -> Capture:
+    return stored_capture(resources.store().images, detail.capture, detail.stop)
+
+
+def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
+    record, units = detail.view.record, resources.settings().units
+    depth, words = depth_picture(capture.depth_m, units)
+    ruler = st.session_state.get("ruler")
+    tube = None if joint is None else joint_tube(joint, detail.view.key)
+    view = detail.view
+    adds = st.session_state.get("adds_fruit", False)
+    drawn = picture(
+        f"fruit_{view.key}",
+        {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
+        (capture.width, capture.height),
+        layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
+        bar=scale_bar(capture.intrinsics, record.distance_m, units),
+        tools=("ruler", "point", "box", "brush", "erase"),
+        ruler_text=ruler or "",
+        title=f"Fruit {record.number} of {view.capture}",
+        focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
+        place={"stop": view.stop_key, "capture": view.capture},
+        adds=adds,
+        outcome=_outcome(view.key),
+    )
+    simulated = ", computer-made example" if capture.simulated else ""
+    st.caption(f"{plain(view.capture)}{simulated}. Depth: {words}.")
+    if drawn.ruler:
+        x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
+        length_m = ruler_m(capture, (x1, y1), (x2, y2))
+        text = units.text(length_m) if length_m is not None else "no depth there"
+        st.session_state["ruler"] = text
+        st.rerun()
+    if ruler:
+        st.markdown(f"Ruler: **{ruler}**, straight distance")
+    st.toggle(
+        "Tap or draw a box to add a missed fruit",
+        key="adds_fruit",
+        help="Off: this corrects the outline of this fruit.",
+    )
+    if drawn.point or drawn.box:
+        prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
+        _correct(detail, prompted, MaskSource.SAM)
+    elif drawn.stroke:
+        painted = partial(_painted, record, capture, drawn.stroke)
+        _correct(detail, painted, MaskSource.HAND)
+    _accept_others(detail)
+
+
+def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
+    """Return the other fruit of the picture as a layer, so that one that was added is seen."""
+    others = [
+        one
+        for one in _of_picture(detail.view)
+        if one.key != detail.view.key and one.verdict is not Verdict.REJECTED
+    ]
+    names = dict.fromkeys((one.key for one in others), "Other fruit")
+    return stop_layers(detail.capture, others, names, resources.settings().units)
+
+
+def _of_picture(view: DetectionView) -> list[DetectionView]:
+    """Return all fruit of the picture that a view is of."""
+    only = DetectionFilter(stop_key=view.stop_key)
+    return [
+        one
+        for one in resources.store().detections(view.round_key, only)
+        if one.capture == view.capture
+    ]
+
+
+def _accept_others(detail: DetectionDetail) -> None:
+    view = detail.view
+
+    def accept() -> None:
+        if others := [one.key for one in _of_picture(view) if one.verdict is None]:
+            resources.store().set_verdict(others, Verdict.ACCEPTED)
+
+    st.button(
+        "Accept the rest of this picture",
+        icon=":material/done_all:",
+        width="stretch",
+        on_click=accept,
+        key=f"rest_{view.key}",
+    )
+
+
+def _painted(
+    record: DetectionRecord, capture: Capture, stroke: dict[str, Any]
+) -> NDArray[np.bool_]:
+    mask = np.zeros((capture.height, capture.width), bool)
+    if record.mask is not None:
+        mask = decode_rle(record.mask, capture.height, capture.width)
+    points = np.array(stroke["points"], np.float64).reshape(-1, 2)
+    return painted_mask(mask, points, float(stroke["radius"]), erase=bool(stroke["erase"]))
+
+
+def _correct(
+    detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]], drawn_by: MaskSource
+) -> None:
+    options, measurer = resources.settings().options, resources.measurer()
+    store = resources.store()
+
+    def work(job: Job) -> int:
+        job.total = 2
+        mask = draw()
+        job.step()
+        return measurer.correct(store, detail, mask, options, drawn_by)
+
+    view = detail.view
+    title = "Measuring with the new outline"
+    page_elements.start_job(f"correction_{view.key}", title, work, view.round_key)
+
+
+def _outcome(key: str) -> tuple[int | None, str]:
+    """Return the last correction of a fruit, and what became of it."""
+    job = page_elements.finished_job(f"correction_{key}")
+    if job is None:
+        return None, ""
+    return job.number, job.error or "Saved: measured with this outline. 'Undo' removes it."
+
+
+def _methods(detail: DetectionDetail) -> None:
+    units, record = resources.settings().units, detail.view.record
+    lines = [
+        {
+            "Method": method.method,
+            "Length": units.text(method.length_m),
+            "Kind": method.kind or "–",
+            "Thread": units.text(method.thread_m),
+            "Centreline": units.text(method.centreline_m),
+            "Chord": units.text(method.chord_m),
+            "Remark": _remark(method, record),
+        }
+        for method in record.methods
+    ]
+    with st.expander("All methods", icon=":material/straighten:"):
+        page_elements.table(lines)
+        if record.fallback:
+            st.caption(f"Methods tried first: {plain(record.fallback)}")
+    if detail.log:
+        with st.expander("Corrections", icon=":material/history:"):
+            for action in detail.log:
+                when = round_day(action.at_s)
+                undone = " (undone)" if action.undone else ""
+                st.write(plain(f"{when}, {action.by or 'unnamed'}: {action.kind}{undone}"))
+
+
+def _remark(method: MethodRecord, record: DetectionRecord) -> str:
+    remarks = [
+        "chosen" if method.method == record.method else "",
+        "" if method.reason == "ok" else method.reason.replace("-", " "),
+        f"measured by {method.measured_by} instead" if method.measured_by else "",
+    ]
+    return ", ".join(filter(None, remarks))
+
+
+def _show_stops(
+    one: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
+) -> None:
+    """Draw the views of a fruit, the representative one first; nothing if there is only one.
+
+    Parameters
+    ----------
+    one : RoundView
+        Its round.
+    fruit : DetectionView
+        Any of its views.
+    line : RoundFruit, optional
+        The fruit with the length by all its views.
+    joint : JointRecord, optional
+        One tube in all of them.
+    """
+    content, units = resources.content_of(one), resources.settings().units
+    views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
+    if len(views) < 2:
+        return
+    st.markdown(f"**Seen {len(views)} times**")
+    chosen = "representative" if line is None else "best view"
+
+    def words(view: DetectionView) -> str:
+        best = f" · {chosen}" if view.best else ""
+        return f"{step_words(view.step)}: {_length(view.record, units)}{best}"
+
+    page_elements.pictures(views, words, joint=joint)
+    if line is not None:
+        how = "All that show it whole, together"
+        if joint is not None:
+            how = f"One tube fitted to {joint.views} of these views (pink), which gives the length"
+        st.caption(f"{how}: {_length(line.view.record, units)}")
+
+
+def _joint_of(one: RoundView, line: RoundFruit | None) -> JointRecord | None:
+    if line is None or line.joint is None:
+        return None
+    try:
+        return resources.joint_of(one.key, line.joint.key)
+    except CucumberVisionError:  # merged anew meanwhile
+        return None
+
+
+def _length(record: DetectionRecord, units: Units) -> str:
+    words = length_words(record, units)
+    interval = interval_words(record, units)
+    return f"{words} ({interval})" if interval else words

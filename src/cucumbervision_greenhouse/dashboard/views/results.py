@@ -1,0 +1,186 @@
+"""Results: the statistics of a round, its fruit in a table, its files, and each fruit by itself."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+import streamlit as st
+
+from cucumbervision_greenhouse.dashboard import charts, page_elements, resources
+from cucumbervision_greenhouse.dashboard import round_tables as tables
+from cucumbervision_greenhouse.dashboard.callbacks import label_options
+from cucumbervision_greenhouse.dashboard.round_tables import GradedRound
+from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
+from cucumbervision_greenhouse.dashboard.words import (
+    interval_words,
+    length_words,
+    metres_words,
+    plain,
+    remarks,
+    row_name,
+)
+from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.rounds.adding import is_demonstration
+from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
+from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from streamlit.delta_generator import DeltaGenerator
+
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+_FORMATS = {
+    ExportFormat.XLSX: "Excel",
+    ExportFormat.CSV: "CSV",
+    ExportFormat.HTML: "Page to print",
+    ExportFormat.PARQUET: "Parquet",
+    ExportFormat.JSON: "JSON",
+}
+
+
+def _files(one: RoundView) -> None:
+    """Draw the choice of formats, and the link that makes and loads the files."""
+    formats = st.pills(
+        "Formats",
+        list(_FORMATS),
+        format_func=_FORMATS.__getitem__,
+        selection_mode="multi",
+        default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
+        key="formats",
+    )
+    if formats:
+        asked = urlencode([("formats", str(chosen)) for chosen in formats])
+        st.html(f'<a class="load" href="/api/files/{one.key}?{asked}" download>Download</a>')
+
+
+_VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
+
+
+@page_elements.of_round
+def page(one: RoundView) -> None:
+    """Draw the page."""
+    graded = resources.graded_round(one)
+    groups = {view.key: view.group for view in resources.content_of(one).views}
+    opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
+    if opened is not None and opened in graded.grades:
+        fruit_page.show(one, graded, opened)
+        return
+    page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")
+    if not (graded.fruit or graded.deleted):
+        _empty(one)
+        return
+    _classes(one, graded)
+    _statistics(graded)
+    fruit = _filtered(graded)
+    if not fruit:
+        st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
+        return
+    _list(graded, fruit)
+    _chart(graded, fruit)
+    with st.expander("Files of this round", icon=":material/download:"):
+        _files(one)
+
+
+def _empty(one: RoundView) -> None:
+    if not one.stops and (words := resources.progress(one.key).first_words):
+        st.info(words, icon=":material/hourglass_empty:")
+    elif one.stops:
+        st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
+    else:
+        st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
+
+
+def _classes(one: RoundView, graded: GradedRound) -> None:
+    """Say first what a grower asks first: how many of each class, and where the list is."""
+    counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
+    words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+    says, go = st.columns([3, 1], vertical_alignment="center")
+    says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
+    if resources.today_of(one).age_days:
+        says.caption("As measured. 'What is ready today' includes the growth expected since then.")
+    if is_demonstration(one.key):
+        says.caption("A computer-made example.")
+    with go:
+        page_elements.link("today", "What is ready today")
+
+
+def _statistics(graded: GradedRound) -> None:
+    found, units = graded.figures, resources.settings().units
+    shown: dict[str, tuple[int | str, str | None]] = {
+        "Fruit": (found.fruit, f"detected {found.detections} times"),
+        "Measured": (found.measured, None),
+        "Mean length": (
+            units.text(found.mean_m),
+            f"± {units.text(found.sd_m)}" if found.sd_m else None,
+        ),
+        "Picked": (found.picked, None),
+        "Deleted": (len(graded.deleted), None),
+    }
+    how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
+    with st.container(horizontal=True):
+        for label, (value, below) in shown.items():
+            st.metric(label, value, below, **how)
+
+
+def _filtered(graded: GradedRound) -> list[DetectionView]:
+    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
+        known = sorted({value for value in values if value})
+        names: dict[str | None, str] = {None: "all", **{name: str(name) for name in known}}
+        key = f"only_{label}"
+        labelled = label_options(key, names)
+        if st.session_state.get(key) not in names:
+            st.session_state[key] = None  # as in another round
+        return column.selectbox(label, names, format_func=labelled, key=key)
+
+    with st.expander("Filters", icon=":material/filter_alt:"):
+        row, named, checked = st.columns(3)
+        chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
+        chosen_name = choose(named, "Class", (found.label for found in graded.grades.values()))
+        verdict = choose(checked, "Checked", Verdict)
+    only = DetectionFilter(row=chosen_row, verdict=verdict)
+    return [
+        view
+        for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
+        if only.keeps(view) and chosen_name in (None, graded.grades[view.key].label)
+    ]
+
+
+def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+    """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
+    units = resources.settings().units
+    lines = tables.length_lines(fruit, graded.grades, units)
+    if not lines:
+        return
+    icon = ":material/bar_chart:"
+    shown = st.expander("Chart of the lengths", icon=icon, key="chart", on_change="rerun")
+    if shown.open:
+        shown.caption("Fruit on the plant: line at the mean, band of one standard deviation")
+        shown.altair_chart(charts.histogram(lines, units))
+
+
+def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+    shown = page_elements.page_of(fruit, "list_page", resources.LINES)
+    lines = [_line(graded, view) for view in shown]
+    words = f"{len(fruit)} fruit: tap one to open it"
+    page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
+    page_elements.choose_page(fruit, "list_page", resources.LINES)
+
+
+def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
+    units, record = resources.settings().units, view.record
+    interval = interval_words(record, units)
+    at = "" if view.along_m is None else f", {metres_words(view.along_m)}"
+    checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
+    picked = "picked" if view.picked_s else ""
+    says = [
+        length_words(record, units) + (f" ({interval})" if interval else ""),
+        graded.grades[view.key].words,
+        f"{row_name(view.row)} {view.side or ''}".strip() + at,
+        ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
+        remarks(record, units),
+    ]
+    return {"key": view.key, "picture": resources.thumbnail_of(view), "says": says}

@@ -1,0 +1,223 @@
+"""Row map: where the fruit hang, how many there are, and corrections of the merging."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import streamlit as st
+
+from cucumbervision_greenhouse.dashboard import page_elements, resources
+from cucumbervision_greenhouse.dashboard.charts import MAP_PX, map_picture
+from cucumbervision_greenhouse.dashboard.fruit_view import picture
+from cucumbervision_greenhouse.dashboard.page_elements import button, do, draw_undo
+from cucumbervision_greenhouse.dashboard.round_tables import map_lines, map_words, row_and_side
+from cucumbervision_greenhouse.dashboard.views.stops import list_stops
+from cucumbervision_greenhouse.dashboard.words import (
+    count_words,
+    counted,
+    length_words,
+    metres_words,
+    plain,
+    round_day,
+    row_name,
+    step_words,
+)
+from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first
+from cucumbervision_greenhouse.store.views import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cucumbervision_greenhouse.dashboard.round_tables import GradedRound
+    from cucumbervision_greenhouse.rounds.fruit_table import FruitContext, OtherDay
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+_ROWS_AT_ONCE = 4
+
+
+@page_elements.of_round
+def page(one: RoundView) -> None:
+    """Draw the page."""
+    maps, undo, views = st.container(), st.container(), st.container()
+    list_stops(one)  # before the rest, which a stop on a third side keeps from being drawn
+    with undo:
+        draw_undo(one.key)
+    with maps:
+        opened = _opened(one)
+        there = {view.key for view in opened.views} if opened else ()
+        page_elements.say_missing(
+            "fruit", there, "There is no such fruit in this round (any more)."
+        )
+        _maps(one, opened)
+    with views:
+        if opened is not None:
+            _same(opened)
+
+
+def _maps(one: RoundView, opened: FruitContext | None) -> None:
+    units = resources.settings().units
+    graded = resources.graded_round(one)
+    lines = map_lines(graded, units)
+    if not lines:
+        st.info(
+            "No fruit of this round has a position yet. Enter row and position when capturing.",
+            icon=":material/map:",
+        )
+        return
+    by, where = st.columns([2, 3], vertical_alignment="bottom")
+    st.session_state.setdefault("color_by", "Class")
+    colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
+    rows = sorted({line["row"] for line in lines})
+    chosen = where.pills(
+        "Rows and sides",
+        rows,
+        default=rows[:_ROWS_AT_ONCE],
+        format_func=plain,
+        selection_mode="multi",
+    )
+    for report in resources.rows_of(one):
+        st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
+    named = None if opened is None else row_and_side(opened.fruit)
+    drawn = [row for row in rows if row in chosen or row == named]
+    shown = [line for line in lines if line["row"] in drawn]
+    abreast = st.columns(min(2, max(len(drawn), 1)))
+    for number, row in enumerate(drawn):
+        with abreast[number % len(abreast)]:
+            st.caption(plain(row))
+            here = [line for line in shown if line["row"] == row]
+            layers, grid = map_picture(here, shown, units, by_length=colored == "Length")
+            found = opened if row == named else None
+            _row(one, row, layers, {"grid": grid, "opened": found and _answer(graded, found)})
+    st.caption(
+        "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale if "
+        "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
+        "camera."
+    )
+    _doubtful(graded)
+
+
+def _row(
+    one: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+) -> None:
+    """Draw a row's map; a tap is answered beside the mark, where the fruit is judged too."""
+    key = f"map_{one.key}_{row}"
+
+    def tapped() -> None:
+        page_elements.name_in_address("fruit", st.session_state[key].tapped or None)
+
+    def judged() -> None:
+        asked = st.session_state[key].judged
+        found = around(resources.store(), one.key, asked["key"])
+        if found is not None and asked["act"] != "open":
+            keys = [view.key for view in found.views]
+            verdict = Verdict(asked["act"])
+            do(partial(resources.store().set_verdict, keys, verdict))
+
+    told = picture(
+        key,
+        {},
+        MAP_PX,
+        layers=layers,
+        title=f"Map of {row}",
+        content=content,
+        on={"tapped": tapped, "judged": judged},
+    )
+    if told.judged and told.judged["act"] == "open":
+        page_elements.leave_for("results", fruit=told.judged["key"])
+
+
+def _answer(graded: GradedRound, found: FruitContext) -> dict[str, Any]:
+    """Return what is said of a fruit beside its mark."""
+    fruit, units = found.fruit, resources.settings().units
+    marked = {
+        None: "",
+        Verdict.ACCEPTED: ". Marked: a fruit.",
+        Verdict.REJECTED: ". Marked: not a fruit.",
+    }
+    return {
+        "key": fruit.key,
+        "picture": resources.thumbnail_of(fruit),
+        "says": map_words(fruit, graded, units) + marked[fruit.verdict],
+        "verdict": fruit.verdict,
+    }
+
+
+def _opened(one: RoundView) -> FruitContext | None:
+    key = st.query_params.get("fruit")
+    return around(resources.store(), one.key, key) if key else None
+
+
+def _doubtful(graded: GradedRound) -> None:
+    left = least_sure_first(graded.fruit)
+    if not left:
+        return
+
+    def look() -> None:
+        keys = [view.key for view in left]
+        now = st.query_params.get("fruit")
+        at = keys.index(now) + 1 if now in keys else 0
+        page_elements.name_in_address("fruit", keys[at % len(keys)])
+
+    words = counted(len(left), "fruit was", "fruit were")
+    says, go = st.columns([3, 2], vertical_alignment="center")
+    says.markdown(f"{words} seen from one stop only: may be wrong or counted twice.")
+    button(go, "Show the least certain", "visibility", look)
+
+
+def _same(found: FruitContext) -> None:
+    """Draw the views of a fruit, its neighbours and those of other days, to be told apart."""
+    fruit, store = found.fruit, resources.store()
+    apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
+    seen = f"Seen {counted(len(found.views), 'time', 'times')}"
+    _pictures(fruit, seen, found.views, apart)
+    same = ("Same fruit", "merge", partial(store.merge, fruit.key))
+    _pictures(fruit, "Fruit nearby", found.near, same)
+    for day, is_earlier in ((found.earlier, True), (found.later, False)):
+        if day is not None:
+            _other_day(fruit, day, is_earlier=is_earlier)
+
+
+def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None:
+    store = resources.store()
+
+    def link(key: str) -> int:
+        if day.linked is not None:
+            do(partial(part, day.linked.key))
+        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
+        return store.link_growth(*pair)
+
+    def part(key: str) -> int:
+        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
+        return store.unlink_growth(*pair)
+
+    when = round_day(day.round.walked_s)
+    if day.linked is not None:
+        act = ("Different fruit", "link_off", part)
+        _pictures(fruit, f"The same fruit on {when}", [day.linked], act)
+    _pictures(fruit, f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
+
+
+def _pictures(
+    of: DetectionView,
+    title: str,
+    views: Sequence[DetectionView],
+    act: tuple[str, str, Callable[[str], int]] | None,
+) -> None:
+    """Draw views side by side, each with what can be done about it to the fruit `of`."""
+    if not views:
+        return
+    units = resources.settings().units
+    st.markdown(f"**{title}**")
+
+    def words(view: DetectionView) -> str:
+        place = f"{step_words(view.step).lower()} · {metres_words(view.along_m)}"
+        return f"{length_words(view.record, units)} · {place}"
+
+    def draw(view: DetectionView) -> None:
+        if act is not None:
+            label, icon, change = act
+            name = f"{label}_{of.key}_{view.key}"
+            button(st, label, icon, do, partial(change, view.key), key=name)
+
+    page_elements.pictures(views, words, draw)

@@ -1,0 +1,95 @@
+"""Corrections of stops: moved to another row or position, renamed, deleted, undone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.capture.frames import Stop
+from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.dashboard.callbacks import label_options
+from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
+from cucumbervision_greenhouse.dashboard.words import counted, stop_name
+from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
+from cucumbervision_greenhouse.rounds.walking import sides_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cucumbervision_greenhouse.store.views import RoundView, StopView
+
+
+def list_stops(one: RoundView) -> None:
+    """Draw the choice of a stop, and the form that corrects it."""
+    stops = {stop.key: stop for stop in resources.store().stops(one.key)}
+    key = f"stop_of_{one.key}"
+    named = st.query_params.get("stop")  # as the capture page's link does
+    say_missing("stop", stops, "There is no such stop in this round (any more).")
+    if named in stops:
+        st.session_state.setdefault(key, named)
+    with st.expander(
+        "Stops: move, rename, delete", expanded=named in stops, icon=":material/place:"
+    ):
+        chosen = st.selectbox(
+            "Stop",
+            list(stops),
+            index=None,
+            format_func=label_options(key, {at: _words(stop) for at, stop in stops.items()}),
+            placeholder=f"Choose one of {counted(len(stops), 'stop', 'stops')}",
+            key=key,
+        )
+        if chosen in stops:
+            change_stop(stops[chosen], sides_of(stops.values()))
+
+
+def _words(stop: StopView) -> str:
+    note = f" ({stop.note})" if stop.note else ""
+    return f"{stop_name(stop)}{note} · {stop.fruit} fruit"
+
+
+def change_stop(stop: StopView, sides: Sequence[str]) -> None:
+    """Draw a stop's place and name to be changed; `sides` are those of its round."""
+    store = resources.store()
+    # Fields of new names after every change: those on the page keep what was typed before.
+    given = f"{stop.key}_{store.newest_action(stop.round_key)}"
+    row, side, position = st.columns(3)
+    number, note = st.columns([1, 2])
+    row.text_input("Row", stop.row or "", key=f"stop_row_{given}")
+    every = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
+    at = every.index(stop.side) if stop.side else None
+    side.selectbox("Side", every, at, key=f"stop_side_{given}", accept_new_options=True)
+    position.number_input(
+        "At [m]",
+        min(0.0, stop.position_m or 0.0),
+        None,
+        stop.position_m,
+        0.1,
+        "%.2f",
+        key=f"stop_at_{given}",
+    )
+    number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{given}")
+    note.text_input("Name", stop.note, key=f"stop_note_{given}")
+
+    def move() -> int:
+        # What the fields hold now: they may have been typed into since they were drawn.
+        names = ("row", "side", "at", "step", "note")
+        typed = [st.session_state[f"stop_{name}_{given}"] for name in names]
+        row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
+        return move_stop(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
+
+    def remove() -> int:
+        return store.delete_stop(stop.key)
+
+    save, delete = st.columns(2)
+    for where, label, icon, act in (
+        (save, "Save", "save", move),
+        (delete, "Delete this stop", "delete", remove),
+    ):
+        button(where, label, icon, _do, stop.round_key, act, key=f"{label}_{stop.key}")
+
+
+def _do(round_key: str, act: Callable[[], int]) -> None:
+    """Do it, and find the round's fruit anew."""
+    if do(act):
+        resources.merge(round_key)

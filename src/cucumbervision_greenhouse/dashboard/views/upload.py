@@ -1,0 +1,173 @@
+"""Upload: captures from other devices into a round, checked before anything reads them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.errors import NameRefusedError
+from cucumbervision.names import checked_name
+from cucumbervision_greenhouse.dashboard import page_elements, resources
+from cucumbervision_greenhouse.dashboard.fruit_view import component
+from cucumbervision_greenhouse.dashboard.progress import progress_of
+from cucumbervision_greenhouse.dashboard.uploading import CAMERAS
+from cucumbervision_greenhouse.dashboard.uploads import SentPlace
+from cucumbervision_greenhouse.dashboard.words import counted, plain, round_day, sentence
+from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.dashboard.uploads import Upload
+    from cucumbervision_greenhouse.store.views import RoundView
+
+_SHOWN = 5  # uploads whose outcomes are shown
+
+_ENDINGS = [
+    *("zip", "bag", "db3", "json", "csv", "raw"),
+    *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),
+]
+
+
+@page_elements.of_round
+def page(one: RoundView) -> None:
+    """Draw the page."""
+    st.write(
+        "Zips of captures, RealSense recordings (.bag, .db3), or colour and depth pictures with "
+        "matching names. Many at once."
+    )
+    sender = st.container()
+    place = _place(one)
+    camera = st.selectbox(
+        "Camera of pictures without intrinsics",
+        ["", *CAMERAS],
+        format_func=lambda name: name or "unknown: do not measure them",
+        help="Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
+        "Upload an intrinsics file if you have one.",
+    )
+    with sender:
+        component("upload")(
+            key=f"upload_{one.key}",
+            data={
+                "round": one.key,
+                "place": place.model_dump(),
+                "camera": camera,
+                "limit_mb": resources.settings().upload_limit_mb,
+                "accept": ",".join(f".{ending}" for ending in _ENDINGS),
+            },
+        )
+    if doubts := resources.doubts_of(one):
+        words = f"Check the data of this round. {'. '.join(doubts)}."
+        st.warning(plain(words), icon=":material/error:")
+    for upload in resources.uploads().all(one.key)[:_SHOWN]:
+        _show(upload)
+
+
+def _place(one: RoundView) -> SentPlace:
+    """Draw where the first capture was taken, for files that do not say; it goes on from there.
+
+    What was typed stays until it was sent, also in the address for a reload; another row goes on
+    where its last stop is.
+    """
+    stops = resources.store().stops(one.key)
+    sides = sides_of(stops)
+    keys = {name: f"up_{name}_{one.key}" for name in ("row", "side", "at", "step", "way")}
+
+    def suggest(place: NextPlace) -> None:
+        side = place.side if place.side in sides else sides[0]
+        values = place.row, side, place.position_m, place.step_m, "down" if place.back else "up"
+        st.session_state.update(zip(keys.values(), values, strict=True))
+
+    def change_row() -> None:
+        row = st.session_state[keys["row"]].strip()
+        side = st.session_state[keys["side"]]
+        own = [stop for stop in stops if (stop.row or "") == row]
+        suggest(next_place(own) if own else NextPlace(row, side))
+        keep()
+
+    def keep() -> None:
+        page_elements.name_in_address("row", st.session_state[keys["row"]].strip())
+
+    sent = [upload.sending.key for upload in resources.uploads().all(one.key)[:1]]
+    given = (tuple(sent), one.stops)
+    before = st.session_state.get(f"up_given_{one.key}")
+    is_typed = "row" in st.query_params
+    if before is not None and before[0] != given[0] and is_typed:
+        page_elements.name_in_address("row", None)  # it was sent: on from there
+        is_typed = False
+    if keys["row"] not in st.session_state or (before != given and not is_typed):
+        suggest(next_place(stops))
+        if is_typed:
+            st.session_state[keys["row"]] = st.query_params["row"]
+            change_row()
+    st.session_state[f"up_given_{one.key}"] = given
+    # In two lines, so that no choice is cut off on a tablet.
+    row, side = st.columns(2)
+    position, step, way = st.columns([2, 2, 3])
+    named = row.text_input("Row", key=keys["row"], on_change=change_row)
+    try:
+        named = checked_name(named, "row")
+    except NameRefusedError as error:
+        st.warning(sentence(error), icon=":material/error:")
+        named = ""
+    return SentPlace(
+        row=named,
+        side=side.segmented_control(
+            "Side",
+            sides,
+            format_func=_side_words,
+            required=True,
+            key=keys["side"],
+            on_change=keep,
+        )
+        or sides[0],
+        position_m=position.number_input(
+            "First at [m]", 0.0, step=0.1, format="%.2f", key=keys["at"], on_change=keep
+        ),
+        step_m=step.number_input("Step [m]", 0.0, 5.0, step=0.1, key=keys["step"], on_change=keep),
+        back=way.segmented_control(
+            "Walking",
+            ["up", "down"],
+            format_func="{} the row".format,
+            required=True,
+            width="stretch",
+            key=keys["way"],
+            on_change=keep,
+        )
+        == "down",
+    )
+
+
+def _side_words(side: str) -> str:
+    return plain(side.capitalize())
+
+
+def _show(upload: Upload) -> None:
+    """Draw an upload: what is there of it, or the outcome of each of its files."""
+    sending, uploads = upload.sending, resources.uploads()
+    names = ", ".join(plain(one.name) for one in sending.files[:3])
+    more = f" and {len(sending.files) - 3} more" if len(sending.files) > 3 else ""
+    if not upload.done and not uploads.is_whole(sending.key):
+        there = sum(uploads.received(sending.key))
+        st.info(
+            f"{names}{more}: {there / 1e6:.0f} of {sending.size / 1e6:.0f} MB are here. "
+            "Choose the same files again to send the rest.",
+            icon=":material/upload:",
+        )
+        return
+    saved = sum(one.saved for one in upload.outcomes)
+    left = len(upload.outcomes) - saved
+    words = f"{counted(saved, 'capture', 'captures')} saved{f', {left} not' if left else ''}"
+    when = round_day(upload.begun_s)
+    if not upload.done:
+        at_work = progress_of(sending.round, (), uploads=[upload]).words
+        st.info(f"{names}{more}, {when}: {at_work or 'waiting'}. {words} so far.")
+    else:
+        (st.success if saved else st.warning)(f"{names}{more}, {when}: {words}.")
+    if saved:
+        page_elements.link("results", "Results")
+    lines = [
+        {"File": one.name, "": "saved" if one.saved else "not saved", "Result": one.words}
+        for one in sorted(upload.outcomes, key=lambda one: one.saved)
+    ]
+    if lines:
+        page_elements.table(lines)

@@ -1,0 +1,453 @@
+"""Build the tables of a round from the store: their columns and cells."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.agronomy.grades import grade
+from cucumbervision.capture.source import safe_name
+from cucumbervision.errors import CucumberVisionError, ForecastError
+from cucumbervision.measurement.flags import flag_remarks
+from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
+from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
+from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
+from cucumbervision_greenhouse.rounds.forecasting import day_0_s, forecast_today
+from cucumbervision_greenhouse.rounds.from_store import read_round
+from cucumbervision_greenhouse.rounds.fruit_table import (
+    fruit_table,
+    hanging_lengths_m,
+    round_figures,
+)
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_reports
+from cucumbervision_greenhouse.store.check import refuse_changed
+from cucumbervision_greenhouse.store.records import DetectionRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision_greenhouse.agronomy.forecast import Counts, Forecast
+    from cucumbervision_greenhouse.agronomy.picking import Rates
+    from cucumbervision_greenhouse.rounds.from_store import RoundContent
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.store.records import ArtifactRecord, MethodRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import RoundView
+
+
+PICTURES = "pictures"
+_BIN_CM = 2
+
+Line = dict[str, Any]
+
+
+def round_tables(
+    store: Store,
+    round_key: str,
+    profile: CropProfile | None = None,
+    *,
+    profile_name: str = "",
+    days: int = 7,
+    rates: Rates | None = None,
+    pictures: bool = True,
+) -> RoundTables:
+    """Build all tables of a round.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    round_key : str
+        Key of the round.
+    profile : CropProfile, optional
+        Crop profile for grades and forecast, which are empty without it.
+    profile_name : str
+        Name of the profile; by default its title.
+    days : int
+        Number of days of the forecast.
+    rates : Rates, optional
+        Picking rates for hours and crates.
+    pictures : bool
+        Include small pictures.
+
+    Raises
+    ------
+    StoreError, RoundError
+        If the round does not exist or cannot be read.
+    """
+    view = next((one for one in store.rounds() if one.key == round_key), None)
+    if view is None:
+        raise CucumberVisionError(
+            f"no round has the key {round_key}", source=store.name, remedy="see `round list`"
+        )
+    refuse_changed(store, round_key)
+    content = read_round(store, round_key)
+    table = fruit_table(content)
+    now_s = time.time()
+    forecast, note = _forecast(store, view, content, profile, days, now_s)
+    kept = _pictures(store, content, table, view.record.name) if pictures else {}
+    measured_with = store.artifacts(round_key)
+    called = profile_name or (profile.title if profile else view.record.profile)
+    provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
+    hashes = {key: _hashes(used) for key, used in measured_with.items()}
+    today_s = day_0_s(view, now_s)
+    lines: dict[str, Iterable[Any]] = {
+        "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
+        "rows": row_reports(content),
+        "fruit": (
+            {**line, "picture": kept.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
+            for key, stop_key, line in _fruit_lines(
+                table, store.measurements(round_key), profile, forecast
+            )
+        ),
+        "stops": (
+            {"number": n, "stop": one, "picture": kept.get(one.key, ("",))[0]}
+            | {"hashes": hashes.get(one.key)}
+            for n, one in enumerate(content.stops, 1)
+        ),
+        "forecast": [] if forecast is None else _forecast_lines(forecast, today_s),
+        "picks": [] if forecast is None else _pick_lines(forecast, table),
+        "work": [] if forecast is None else _work_lines(forecast, today_s, rates),
+        "provenance": provenance,
+    }
+    return RoundTables(
+        view.record.name or view.key,
+        _about(view, provenance),
+        {name: Table.of(name, own) for name, own in lines.items()},
+        _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
+        dict(kept.values()),
+        note,
+    )
+
+
+def _forecast(
+    store: Store,
+    view: RoundView,
+    content: RoundContent,
+    profile: CropProfile | None,
+    days: int,
+    now_s: float,
+) -> tuple[Forecast | None, str]:
+    if profile is None:
+        return None, "no crop profile was named"
+    try:
+        return forecast_today(store, view, profile, now_s, content, days=days), ""
+    except ForecastError as error:
+        return None, str(error)
+
+
+def _pictures(
+    store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
+) -> dict[str, tuple[str, Callable[[], bytes]]]:
+    """Return name and factory of each picture, by the keys of fruit and stops."""
+    makers: dict[str, Callable[[], bytes]] = {
+        one.key: partial(store.images.read, one.thumbnail)
+        for one in content.stops
+        if one.thumbnail is not None and store.images.path(one.thumbnail).is_file()
+    }
+    makers.update(fruit_pictures(store, content.key, table))
+    shown = [(one.key, one.row, f"stop-{n:03d}") for n, one in enumerate(content.stops, 1)]
+    shown += [(one.view.key, one.view.row, f"fruit-{one.number:04d}") for one in table]
+    found = {}
+    for key, row, what in shown:
+        if key in makers:
+            name = safe_name("_".join(filter(None, (called, row and f"row-{row}", what))))
+            found[key] = f"{PICTURES}/{name}.jpg", makers[key]
+    return found
+
+
+def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:
+    """Return hashes by kind, several separated by spaces."""
+    return {
+        kind: " ".join(one.sha256 for one in used if one.kind == kind and one.sha256)
+        for kind in ("config", "model", "calibration")
+    }
+
+
+def _provenance(
+    measured_with: Iterable[Sequence[ArtifactRecord]],
+    profile: CropProfile | None,
+    called: str,
+    stops: int,
+) -> list[Line]:
+    counts = Counter((one.kind, one.name, one.sha256) for used in measured_with for one in used)
+    found = [(*key, number) for key, number in sorted(counts.items())]
+    if profile is not None:
+        sha256 = hashlib.sha256(profile.model_dump_json().encode()).hexdigest()
+        found.append(("profile", called, sha256, stops))
+    return [dict(zip(("kind", "name", "sha256", "stops"), one, strict=True)) for one in found]
+
+
+def _about(view: RoundView, provenance: list[Line]) -> dict[str, Any]:
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+        "written_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "round": view.record.name,
+        "round_key": view.key,
+        "hashes": [
+            {key: line[key] for key in ("kind", "name", "sha256")}
+            for line in provenance
+            if line["sha256"]
+        ],
+    }
+
+
+def _summary(
+    view: RoundView,
+    content: RoundContent,
+    table: Sequence[RoundFruit],
+    reports: Sequence[RowReport],
+    forecast: Forecast | None,
+    profile: str,
+) -> Line:
+    listed = Counter(pick.kind for pick in pick_list(forecast)) if forecast else Counter()
+    return {
+        "view": view,
+        "figures": round_figures(content, table),
+        "profile": profile,
+        "rows": len({stop.row for stop in content.stops if stop.row is not None}),
+        "stops": len(content.stops),
+        "captures": sum(stop.captures for stop in content.stops),
+        "expected_fruit": sum(row.expected for row in reports),
+        "expected_fruit_sd": math.hypot(*(row.count.sd for row in reports)),
+        "failures": sum(stop.failures for stop in content.stops),
+        "ready_today": None if forecast is None else listed[PickKind.READY],
+        "may_be_ready": None if forecast is None else listed[PickKind.UNDECIDED],
+        "simulated": any(line.view.simulated for line in table),
+    }
+
+
+def _fruit_lines(
+    table: Sequence[RoundFruit],
+    methods: Mapping[str, Sequence[MethodRecord]],
+    profile: CropProfile | None,
+    forecast: Forecast | None,
+) -> Iterator[tuple[str, str, Line]]:
+    """Return key, stop and row of each fruit."""
+    ready: dict[str, float] = {}
+    if forecast is not None:
+        ids = (one.fruit_id for one in forecast.fruit)
+        ready = dict(zip(ids, forecast.ready.tolist(), strict=True))
+    for one in table:
+        view = one.view
+        line = {
+            **vars(one),
+            **_grade_cells(one, profile),
+            "ready": ready.get(view.key),
+            "remarks": _remarks(one),
+            "methods": {each.method.upper(): each.length_m for each in methods.get(view.key, ())},
+        }
+        yield view.key, view.stop_key, line
+
+
+def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:
+    if profile is None:
+        return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
+    found = grade(one.view.record, profile)
+    return {
+        "grade": found,
+        "grade_probability": found.probabilities.get(found.name),
+        "grade_rule": found.rules[0] if found.rules else "; ".join(found.missing),
+        "mass_kg": None if found.mass_g is None else found.mass_g / 1000,
+    }
+
+
+def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
+    """Return the forecast of the greenhouse, then of each row, by day and class."""
+    scopes: list[tuple[str, str | None, Counts, Counts, tuple[int, ...]]] = [
+        ("house", None, forecast.house, forecast.picks, ())
+    ]
+    for n, row in enumerate(forecast.rows):
+        scopes.append(("row", row, forecast.by_row, forecast.row_picks, (n,)))
+    for scope, row_name, standing, ready, where in scopes:
+        for k, day in enumerate(forecast.days.tolist()):
+            for c, name in enumerate(forecast.classes):
+                at = (*where, k, c)
+                yield {
+                    "scope": scope,
+                    "row": row_name,
+                    "day": day,
+                    "date_utc": _date(today_s, day),
+                    "class": name,
+                    "picked_class": name in forecast.pick,
+                    "expected": standing.expected[at],
+                    "low": standing.low[at],
+                    "high": standing.high[at],
+                    "newly_ready": ready.expected[at],
+                    "newly_ready_low": ready.low[at],
+                    "newly_ready_high": ready.high[at],
+                    "complete": forecast.complete[k, c],
+                }
+
+
+def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Line]:
+    lines = {line.view.key: line for line in table}
+    for order, pick in enumerate(pick_list(forecast), 1):
+        line = lines[pick.fruit.fruit_id]
+        yield {
+            **{"order": order, "number": line.number, "pick": pick, "view": line.view},
+            "simulated": line.view.simulated,
+        }
+
+
+def _work_lines(forecast: Forecast, today_s: float, rates: Rates | None) -> Iterator[Line]:
+    for work in plan_work(forecast, rates):
+        crates = sum(crates.expected for crates in work.crates.values())
+        yield {"work": work, "date_utc": _date(today_s, work.day), "crates": crates}
+
+
+def _date(today_s: float, day: int) -> str:
+    return utc(today_s + day * DAY_S)[:10]
+
+
+def _remarks(fruit: RoundFruit) -> str:
+    """Return the remarks of a fruit as text."""
+    record = fruit.view.record
+    bound = record.at_least and record.length_m is not None
+    parts = (
+        "picked" if fruit.view.picked_s else "",
+        "drawn, not grown" if fruit.view.simulated else "",
+        flag_remarks(
+            record.flags, f"at least {100 * (record.length_m or 0):.1f} cm" if bound else ""
+        ),
+    )
+    return "; ".join(filter(None, parts))
+
+
+def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:
+    """Count lengths in bins of 2 cm, from inclusive to exclusive, without gaps.
+
+    Examples
+    --------
+    >>> _length_bins([21.0, 22.0, 27.9])
+    ((20, 22, 1), (22, 24, 1), (24, 26, 0), (26, 28, 1))
+    """
+    # Round to 0.01 mm as in the tables, so that 0.22 m is not less than 22 cm.
+    counts = Counter(math.floor(round(length, 3) / _BIN_CM) for length in lengths_cm)
+    if not counts:
+        return ()
+    ends = range(min(counts), max(counts) + 1)
+    return tuple((_BIN_CM * k, _BIN_CM * (k + 1), counts[k]) for k in ends)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file or sheet.
+    columns : tuple of Field
+        Columns.
+    rows : list of dict
+        Cells by column name.
+    """
+
+    name: str
+    columns: tuple[Field, ...]
+    rows: list[dict[str, Cell]]
+
+    @classmethod
+    def of(cls, name: str, lines: Iterable[Any]) -> Table:
+        """Create one of the tables of `COLUMNS`; empty text becomes an empty cell."""
+        columns = COLUMNS[name]
+        rows = [{one.name: _cell(one, line) for one in columns} for line in lines]
+        return cls(name, columns, rows)
+
+
+def _cell(column: Field, line: Any) -> Cell:
+    cell = column.of(line)
+    return None if cell == "" else cell
+
+
+@dataclass(frozen=True)
+class RoundTables:
+    """All tables of a round for export.
+
+    Parameters
+    ----------
+    title : str
+        Name of the round, or its key.
+    provenance : mapping
+        Software, source, time, key of the round, and hashes of configuration, models, calibration
+        and profile, as JSON values.
+    tables : mapping of str to Table
+        'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
+        'provenance', in this order.
+    bins : tuple of (from_cm, to_cm, fruit)
+        Histogram of the lengths on the plant.
+    pictures : mapping of str to callable
+        Functions that create the JPEG files, by the name in the column `picture`.
+    note : str
+        Reason for a missing forecast.
+    """
+
+    title: str
+    provenance: Mapping[str, Any]
+    tables: Mapping[str, Table]
+    bins: tuple[tuple[int, int, int], ...] = ()
+    pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    note: str = ""
+
+    def __getitem__(self, name: str) -> Table:
+        """Return a table by its name."""
+        return self.tables[name]
+
+    @property
+    def summary(self) -> dict[str, Cell]:
+        """The row of the summary."""
+        return self.tables["summary"].rows[0]
+
+
+def _kept(one: Field) -> Field | None:
+    """Return the stored field of a fruit for a field of `measurements.csv`, or None.
+
+    Lengths are stored as `Length` values.
+    """
+    inside = one.path.removeprefix("fruit.")
+    if not inside.startswith(("length.", "raw_length.")):
+        inside = one.si_name
+    known = hasattr(DetectionRecord, inside.partition(".")[0])
+    return replace(one, path=f"view.record.{inside}") if known else None
+
+
+_KEPT = {one.name: kept for one in FIELDS if (kept := _kept(one)) is not None}
+_METHODS = tuple(
+    replace(one, path=f"methods.{method}")
+    for method in Method
+    for one in FIELDS
+    if one.name == f"{method.lower()}_cm"
+)
+
+
+def _columns() -> dict[str, tuple[Field, ...]]:
+    """Read `columns.csv`: a line without description is a stored field, '*' all remaining ones."""
+    found = read_fields(Path(__file__).with_name("columns.csv"))
+    named = {line["name"] for line, _ in found if line["table"] == "fruit"}
+    rest = [*(one for name, one in _KEPT.items() if name not in named), *_METHODS]
+    columns: dict[str, list[Field]] = {}
+    for line, one in found:
+        table = columns.setdefault(line["table"], [])
+        kept = rest if one.name == "*" else [_KEPT.get(one.name, one)]
+        table += [one] if one.says else kept
+    return {name: tuple(table) for name, table in columns.items()}
+
+
+COLUMNS = _columns()
+"""Columns of each table, in order."""

@@ -1,0 +1,149 @@
+"""Draw a fruit cropped from its capture with outline, measured line and scale bar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, cast
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.pipeline.overlay import COLORS, draw_bar, draw_line, draw_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.store.records import CaptureRecord, DetectionRecord, ImageRef
+    from cucumbervision_greenhouse.store.repository import Store
+
+_LONG_SIDE_PX = 480
+_MARGIN, _NARROWEST = 0.12, 0.6  # margin and minimum width, relative to the longer side
+_BARS_M = (0.10, 0.05, 0.02, 0.01)
+_QUALITY = 90
+
+
+def fruit_pictures(
+    store: Store, round_key: str, fruit: Sequence[RoundFruit]
+) -> dict[str, Callable[[], bytes]]:
+    """Return functions that draw each fruit as JPEG, by key, if its capture was kept."""
+    corrected = store.corrected(round_key)
+    found: dict[str, Callable[[], bytes]] = {}
+    read = lru_cache(4)(store.images.read_color)
+    by_stop: dict[str, list[RoundFruit]] = {}
+    for one in fruit:
+        by_stop.setdefault(one.view.stop_key, []).append(one)
+    for stop_key, own in by_stop.items():
+        captures = {capture.name: capture for capture in store.stop(stop_key).captures}
+        for one in own:
+            capture = captures[one.view.capture]
+            kept = capture.color or capture.thumbnail
+            if kept is None or not store.images.path(kept).is_file():
+                continue
+            record = corrected.get(one.view.key) or next(
+                each for each in capture.fruit if each.number == one.view.record.number
+            )
+            bare = replace(capture, fruit=())
+            found[one.view.key] = partial(_jpeg, read, kept, record, bare)
+    return found
+
+
+def _jpeg(
+    read: Callable[[ImageRef], NDArray[np.uint8]],
+    kept: ImageRef,
+    record: DetectionRecord,
+    capture: CaptureRecord,
+) -> bytes:
+    drawn = draw_fruit(read(kept), record, capture)
+    _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return data.tobytes()
+
+
+def draw_fruit(
+    color: NDArray[np.uint8], record: DetectionRecord, capture: CaptureRecord
+) -> NDArray[np.uint8]:
+    """Draw one fruit, cropped with a margin.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB picture of the capture, possibly downscaled.
+    record : DetectionRecord
+        The fruit; a missing mask or method is not drawn.
+    capture : CaptureRecord
+        Size and camera of the capture.
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+        RGB, the longer side `_LONG_SIDE_PX`.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import CaptureRecord, DetectionRecord
+    >>> fruit = DetectionRecord(1, box_x1_px=100, box_y1_px=10, box_x2_px=140, box_y2_px=110)
+    >>> capture = CaptureRecord("a", width_px=640, height_px=480)
+    >>> draw_fruit(np.zeros((480, 640, 3), np.uint8), fruit, capture).shape
+    (480, 330, 3)
+    """
+    height, width = capture.height_px or color.shape[0], capture.width_px or color.shape[1]
+    left, top, right, bottom = _window(record, width, height)
+    per_px = np.array([color.shape[1] / width, color.shape[0] / height])
+    (x1, y1), (x2, y2) = (
+        np.rint(per_px * corner).astype(int) for corner in ((left, top), (right, bottom))
+    )
+    cut = color[y1 : max(y2, y1 + 1), x1 : max(x2, x1 + 1)]
+    zoom = _LONG_SIDE_PX / max(right - left, bottom - top)
+    size = round(zoom * (right - left)), round(zoom * (bottom - top))
+    by = cv2.INTER_AREA if zoom < per_px[0] else cv2.INTER_CUBIC
+    picture = cast("NDArray[np.uint8]", cv2.resize(cut, size, interpolation=by))
+
+    def place(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Pixel centres are integers, so the window starts half a pixel before the first one.
+        return (points_px - (left, top) + 0.5) * zoom - 0.5
+
+    if record.mask is not None:
+        mask = decode_rle(record.mask, height, width).astype(np.uint8)
+        for line in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+            outline = np.rint(place(line.reshape(-1, 2).astype(np.float64))).astype(np.int32)
+            cv2.polylines(picture, [outline], True, COLORS[0], 2, cv2.LINE_AA)
+    if capture.camera:
+        camera = CameraModel.model_validate(capture.camera).intrinsics
+        chosen = next((one for one in record.methods if one.method == record.method), None)
+        path = np.array(chosen.path_m if chosen else (), np.float64).reshape(-1, 3)
+        if len(path) > 1 and (path[:, 2] > 0).all():
+            draw_line(picture, place(camera.project(path)), COLORS[0], 0.75)
+        if record.distance_m:
+            _draw_scale(picture, zoom * camera.fx_px / record.distance_m)
+    if record.length_m is not None:
+        least = "at least " if record.at_least else ""
+        draw_text(picture, f"{least}{100 * record.length_m:.1f} cm", (10, 22), 0.75)
+    return picture
+
+
+def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of the crop in whole pixels."""
+    x1, y1, x2, y2 = record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px
+    if x2 - x1 < 1 or y2 - y1 < 1:  # no box
+        return 0, 0, width_px, height_px
+    longest = max(x2 - x1, y2 - y1)
+    spans = []
+    for low, high, most in ((x1, x2, width_px), (y1, y2, height_px)):
+        half = max(high - low, _NARROWEST * longest) / 2 + _MARGIN * longest
+        middle = (low + high) / 2
+        first = int(np.clip(round(middle - half), 0, most - 1))
+        spans.append((first, int(np.clip(round(middle + half), first + 1, most))))
+    (left, right), (top, bottom) = spans
+    return left, top, right, bottom
+
+
+def _draw_scale(picture: NDArray[np.uint8], px_per_m: float) -> None:
+    """Draw the longest scale bar below half of the picture's width."""
+    most_m = 0.5 * picture.shape[1] / px_per_m
+    length_m = next((one for one in _BARS_M if one <= most_m), _BARS_M[-1])
+    draw_bar(picture, length_m * px_per_m, f"{100 * length_m:.0f} cm", 0.75)

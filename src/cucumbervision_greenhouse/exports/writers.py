@@ -1,0 +1,248 @@
+"""Write a round as CSV, Excel, Parquet, JSON and printable page."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.capture.files import write_csv, write_json
+from cucumbervision.errors import MissingExtraError, wrap_os_errors
+from cucumbervision.pipeline.tables import Workbook, write_parquet
+from cucumbervision_greenhouse.agronomy.picking import PickKind, hours_words
+from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.exports.build import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from jinja2 import Template
+
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision_greenhouse.exports.build import RoundTables
+
+
+def write_exports(
+    tables: RoundTables, out: Path, formats: Collection[ExportFormat] = tuple(ExportFormat)
+) -> list[Path]:
+    """Write a round in one or more formats; existing files are replaced.
+
+    Parameters
+    ----------
+    tables : RoundTables
+        The round.
+    out : Path
+        Output folder; created if missing. Pictures are written to `pictures/`.
+    formats : collection of ExportFormat
+        Formats to write.
+
+    Returns
+    -------
+    list of Path
+        The written files, without pictures.
+
+    Raises
+    ------
+    MissingExtraError
+        If a format needs a package that is not installed.
+    CucumberVisionError
+        If the folder is not writable.
+    """
+    writers: dict[ExportFormat, Callable[[RoundTables, Path], list[Path]]] = {
+        ExportFormat.CSV: _write_csv,
+        ExportFormat.XLSX: _write_workbook,
+        ExportFormat.PARQUET: _write_parquet,
+        ExportFormat.JSON: _write_json_round,
+        ExportFormat.HTML: _write_sheet,
+    }
+    with wrap_os_errors("cannot be written", out, "choose another folder, and close its files"):
+        out.mkdir(parents=True, exist_ok=True)
+        for name, make in tables.pictures.items():
+            (out / name).parent.mkdir(exist_ok=True)
+            (out / name).write_bytes(make())
+        return [
+            path for one in ExportFormat if one in formats for path in writers[one](tables, out)
+        ]
+
+
+def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
+    """Write each table as CSV (UTF-8, commas, decimal points) with escaped formulas."""
+    paths = [out / f"{name}.csv" for name in tables.tables]
+    for path, table in zip(paths, tables.tables.values(), strict=True):
+        write_csv(path, [column.name for column in table.columns], table.rows)
+    return paths
+
+
+def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
+    """Write all tables as one JSON file with units and descriptions of the columns."""
+    keys = ("name", "unit", "type", "says")
+    columns = {
+        name: [{key: getattr(one, key) for key in keys} for one in table.columns]
+        for name, table in tables.tables.items()
+    }
+    report = {
+        "format": "cucumbervision-round",
+        "version": 1,
+        **tables.provenance,
+        "note": tables.note,
+        "columns": columns,
+        "tables": {name: table.rows for name, table in tables.tables.items()},
+    }
+    write_json(out / "round.json", report)
+    return [out / "round.json"]
+
+
+def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
+    """Write each table as Parquet with units, descriptions and hashes as metadata."""
+    paths = [out / f"{name}.parquet" for name in tables.tables]
+    for path, table in zip(paths, tables.tables.values(), strict=True):
+        write_parquet(path, table.columns, table.rows, tables.provenance)
+    return paths
+
+
+SHEETS = {
+    "fruit": ("Fruit", 5),
+    "stops": ("Stops", 2),
+    "forecast": ("Forecast", 0),
+    "picks": ("Pick list", 0),
+    "work": ("Work", 0),
+    "rows": ("Rows", 0),
+    "provenance": ("Provenance", 0),
+}
+_NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
+
+
+def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
+    """Write `round.xlsx` with a summary, a sheet per table, and the column descriptions."""
+    path, about = out / "round.xlsx", tables.provenance
+    with Workbook(path) as book:
+        book.book.set_properties(
+            {
+                "title": tables.title,
+                "comments": f"{about['software']}, {about['licence']}, {about['source']}",
+            }
+        )
+        summary = book.sheet("Summary", (20, 26, 6, 66), high=1)
+        summary.set_portrait()
+        facts = tables["summary"]
+        book.lines(summary, [[tables.title], ("what", "value", "unit", "meaning")])
+        for line, one in enumerate(facts.columns, 2):
+            said = (one.title.split(" [")[0], facts.rows[0][one.name], one.unit, one.says)
+            for at, cell in enumerate(said):
+                book.write(summary, line, at, cell, one if at == 1 else None)
+        book.lines(summary, _notes(tables), 3 + len(facts.columns))
+        for name, (title, frozen) in SHEETS.items():
+            table = tables[name]
+            book.table(title, table.columns, table.rows, frozen, _printed(table))
+        meaning = (
+            (name, one.name, one.unit, one.says)
+            for name, table in tables.tables.items()
+            for one in table.columns
+        )
+        head = ("table", "column", "unit", "meaning")
+        book.lines(book.sheet("Columns", (18, 18, 18, 70)), (head, *meaning))
+    return [path]
+
+
+def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
+    if tables.note:
+        yield "no forecast", tables.note
+    for name in ("software", "licence", "source", "written_utc"):
+        yield name.replace("_", " "), tables.provenance[name]
+    for one in tables.provenance["hashes"]:
+        yield f"{one['kind']} SHA-256", one["name"], "", one["sha256"]
+
+
+def _printed(table: Table) -> int:
+    """Return the number of columns to print."""
+    names = [column.name for column in table.columns]
+    # A leading key column identifies the rows.
+    return next((n for n, name in enumerate(names) if n > 1 and name in _NOT_PRINTED), len(names))
+
+
+_FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+_LABELS = {"ready_today": "ready that day", "may_be_ready": "may be ready that day"}
+_DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
+_NUMBERS = (
+    *(
+        "ready_today",
+        "may_be_ready",
+        "fruit",
+        "expected_fruit",
+        "picked",
+        "mean_length_cm",
+        "sd_length_cm",
+    ),
+    *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
+)
+
+
+def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
+    path = out / "round.html"
+    path.write_text(render_sheet(tables), encoding="utf-8")
+    return [path]
+
+
+def render_sheet(tables: RoundTables) -> str:
+    """Return the printable page as self-contained HTML with escaped text.
+
+    Raises
+    ------
+    MissingExtraError
+        If Jinja is not installed.
+    """
+    summary = tables.summary
+    columns = {column.name: column for column in tables["summary"].columns}
+    house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
+    picks = tables["picks"].rows
+    kinds = Counter(str(line["kind"]) for line in picks)
+    return _template().render(
+        title=tables.title,
+        about=tables.provenance,
+        note=tables.note,
+        numbers=[(columns[name], summary[name]) for name in _NUMBERS if summary[name] is not None],
+        where=[summary[name] for name in ("house", "profile") if summary[name]],
+        day=str(summary["started_utc"])[:10],
+        simulated=summary["simulated"],
+        bins=tables.bins,
+        most=max((count for *_, count in tables.bins), default=0) or 1,
+        fills=_FILLS,
+        house=house,
+        classes=[*dict.fromkeys(str(line["class"]) for line in house)],
+        work=tables["work"].rows,
+        picks=picks,
+        kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
+        labels=_LABELS,
+        fruit=tables["fruit"].rows,
+    )
+
+
+def _template() -> Template:
+    try:
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+    except ModuleNotFoundError:
+        raise MissingExtraError("jinja2", "export") from None
+    environment = Environment(
+        loader=PackageLoader("cucumbervision_greenhouse.exports", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(figure=_figure, hours=hours_words)
+    return environment.get_template("round.html")
+
+
+def _figure(cell: Cell, unit: str = "") -> Any:
+    """Format a cell for the page."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, str) and _TIME.fullmatch(cell):
+        return cell.replace("T", " ").removesuffix("Z")
+    if isinstance(cell, float):
+        return f"{cell:.{_DIGITS.get(unit, 1)}f}"
+    return cell

@@ -1,0 +1,53 @@
+"""What the data of a round makes doubtful, in the words of a batch of `measure`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cucumbervision.measurement.result import Choice, Method
+from cucumbervision.pipeline.summary import Summary
+from cucumbervision_greenhouse.store.views import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision_greenhouse.store.records import DetectionRecord, MethodRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionView
+
+_REFUSED = (Choice.IMPLAUSIBLE, Choice.IMPLAUSIBLE_DIAMETER)
+
+
+def round_doubts(store: Store, views: Iterable[DetectionView]) -> list[str]:
+    """Return what the data of a round makes doubtful, a line each with the remedy.
+
+    Parameters
+    ----------
+    store : Store
+        Asked for every method's length where fruit of impossible sizes are among them.
+    views : iterable of DetectionView
+        Those of one round; what somebody marked as no fruit does not count.
+    """
+    fruit = [view for view in views if view.verdict is not Verdict.REJECTED]
+    methods: dict[str, tuple[MethodRecord, ...]] = {}
+    for round_key in {view.round_key for view in fruit if view.record.reason in _REFUSED}:
+        methods |= store.measurements(round_key)
+    summary = Summary()
+    summary.add(_row(view.record, methods.get(view.key, ())) for view in fruit)
+    return summary.doubts()
+
+
+def _row(record: DetectionRecord, methods: Sequence[MethodRecord]) -> dict[str, Cell]:
+    """Return what `Summary` counts of a fruit, as `pipeline.fields.csv` names it."""
+    lengths_cm = {one.method: 100 * one.length_m for one in methods if one.length_m is not None}
+    return {
+        "length_cm": None if record.length_m is None else 100 * record.length_m,
+        "method": record.method,
+        "reason": record.reason if lengths_cm else "",
+        "flags": record.flags,
+        "mask_source": record.mask_source,
+        "label": record.label,
+        "simulated": False,
+        **{f"{method.lower()}_cm": lengths_cm.get(method) for method in Method},
+    }

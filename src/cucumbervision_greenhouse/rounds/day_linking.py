@@ -1,0 +1,299 @@
+"""Find the same fruit on a later day, after growth and after lowering and re-hanging the row.
+
+The shift of the plants is unknown and may vary along the row: it is searched on a grid for each
+stretch, then estimated together with the links, with neighbouring stretches alike. A fruit may
+remain without a link, and each link has a probability.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.measurement.matching import ALONG, UP, log_density
+from cucumbervision_greenhouse.rounds.row_views import pairs_within
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.rounds.row_fruit import RowFruit
+    from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints
+
+_STAY = 0.7  # share of fruit that are still there and seen
+_SWING_M = (
+    0.04,
+    0.04,
+    0.05,
+)  # how far a fruit hangs off its plant's shift: along, up, into the row
+_MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
+_STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
+_CHANGE_M = 0.05  # how far neighbouring stretches usually differ
+SURE = 0.8  # probability from which a link counts for growth
+_FREEDOM = 4.0
+_PASSES = 6
+_BELIEF_STEPS = 40
+_PRIOR_LINKS = 20.0  # weight of the prior of swinging, in links
+
+
+@dataclass(frozen=True, eq=False)
+class DayLinks:
+    """Links between two rounds of one row.
+
+    Parameters
+    ----------
+    pairs : ndarray of int64, shape (K, 2)
+        Fruit of the earlier and of the later round, one to one, likelier than not.
+    probability : ndarray of float64, shape (K,)
+        How likely each is right.
+    sure : ndarray of bool, shape (K,)
+        Which of them reach the threshold, and so count for growth.
+    shift_m, shift_sd_m : ndarray of float64, shape (S, 3)
+        How far each stretch was moved, metres.
+    """
+
+    pairs: Ints
+    probability: Floats
+    sure: Bools
+    shift_m: Floats
+    shift_sd_m: Floats
+
+
+def link_days(
+    earlier: RowFruit,
+    later: RowFruit,
+    days: float,
+    growth_m: float = 0.03,
+    growth_sd_m: float = 0.01,
+) -> DayLinks:
+    """Link the fruit of one row between two rounds.
+
+    Parameters
+    ----------
+    earlier, later : RowFruit
+        The fruit of both, as `best.row_fruit` gives them.
+    days : float
+        Between the rounds.
+    growth_m, growth_sd_m : float
+        What fruit grow by a day, and how far they differ in it, metres.
+
+    Raises
+    ------
+    ValueError
+        If the days are not positive.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.rounds.row_fruit import RowFruit
+    >>> place = np.array([[0.5, 0.1, 0.0], [1.1, -0.1, 0.0], [1.9, 0.2, 0.0], [2.6, 0.0, 0.0]])
+    >>> def fruit(place, length):
+    ...     few = np.full(4, 0.02)
+    ...     return RowFruit(np.arange(4), place, np.full((4, 3), 0.01), length, few,
+    ...         np.zeros(4, bool))
+    >>> before = fruit(place, np.array([0.10, 0.22, 0.15, 0.28]))
+    >>> after = fruit(place + [0.3, -0.25, 0.0], np.array([0.13, 0.25, 0.18, 0.31]))
+    >>> links = link_days(before, after, 1.0)
+    >>> links.pairs.tolist(), links.shift_m[0, :2].round(1).tolist()
+    ([[0, 0], [1, 1], [2, 2], [3, 3]], [0.3, -0.2])
+    """
+    if not days > 0:
+        raise ValueError(f"the later round is {days} days after the earlier one")
+    a, b = _tops(earlier), _tops(later)
+    knots = _knots(a[:, ALONG])
+    i, j = _near(a[:, ALONG], b[:, ALONG], _MOST_ALONG_M + 4 * _SWING_M[0])
+    grown, grown_sd = growth_m * days, growth_sd_m * days
+    size = _size_ratio(earlier, later, i, j, grown, grown_sd)
+    noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
+    noise = noise + _hidden_variance(earlier, later, i, j)
+    swing = np.square(_SWING_M)
+    other = _other_density(b)
+    shift = _vote(knots, a, b, (i, j), size, noise + swing, other)
+    field, spread = shift, np.full_like(shift, _SWING_M[0])
+    for _ in range(_PASSES):
+        moved = _at(knots, field, a[i, ALONG])
+        gap = b[j] - a[i] - moved
+        variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
+        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY) - other
+        pairs = _assign(i, j, ratio, len(a), len(b))
+        field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
+        swing = _swing(gap[pairs], variance[pairs] - swing)
+    chance = _chances(i, j, ratio, len(a), len(b))[pairs]
+    kept = chance > 0.5
+    found = np.column_stack([i[pairs], j[pairs]])[kept]
+    return DayLinks(found, chance[kept], chance[kept] >= SURE, field, spread)
+
+
+def _swing(gap: Floats, other: Floats) -> Floats:
+    """Return the variance of fruit about their plants' shift: the prior's and the links' own.
+
+    By the median, so that a fifth of wrong links does little.
+    """
+    prior = np.square(_SWING_M)
+    if not len(gap):
+        return prior
+    seen = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(other, axis=0)
+    seen = np.clip(seen, prior / 4, prior * 4)
+    return np.asarray((_PRIOR_LINKS * prior + len(gap) * seen) / (_PRIOR_LINKS + len(gap)))
+
+
+def _tops(fruit: RowFruit) -> Floats:
+    """Return the upper ends of fruit, shape (F, 3): they stay while a growing middle sinks."""
+    top = fruit.place_m.copy()
+    top[:, UP] += np.nan_to_num(fruit.length_m, nan=0.15) / 2
+    return top
+
+
+def _knots(along: Floats) -> Floats:
+    low, high = float(along.min(initial=0.0)), float(along.max(initial=0.0))
+    count = max(int(np.ceil((high - low) / _STRETCH_M)), 1)
+    return low + (np.arange(count) + 0.5) * (high - low) / count
+
+
+def _near(a: Floats, b: Floats, gate_m: float) -> tuple[Ints, Ints]:
+    i, j = pairs_within(np.concatenate([a, b]), gate_m)
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    between = (low < len(a)) & (high >= len(a))
+    return low[between], high[between] - len(a)
+
+
+def _size_ratio(
+    earlier: RowFruit, later: RowFruit, i: Ints, j: Ints, grown_m: float, grown_sd_m: float
+) -> Floats:
+    """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
+    first, second = earlier.length_m[i], later.length_m[j]
+    known = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
+    error = np.hypot(first * earlier.length_sd[i], second * later.length_sd[j])
+    sd = np.sqrt(error**2 + grown_sd_m**2 + 0.003**2)
+    whole = later.length_m[np.isfinite(later.length_m)]
+    width = max(float(np.sqrt(12) * whole.std()), 0.1) if len(whole) else 0.3
+    grown = log_density(second - first - grown_m, sd**2) + np.log(width)
+    return np.asarray(np.where(known, np.maximum(grown, -6.0), 0.0), np.float64)
+
+
+def _hidden_variance(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> Floats:
+    """Return the variance that hidden parts add to upper ends, shape (K, 3)."""
+    lost = 0.06**2 * (earlier.partial[i].astype(float) + later.partial[j])
+    return np.stack([0 * lost, lost, 0 * lost], axis=1)
+
+
+def _other_density(b: Floats) -> float:
+    """Return the log density of fruit in the row, per cubic metre."""
+    width = np.maximum(np.sqrt(12) * b.std(axis=0), [0.5, 0.2, 0.1])
+    return float(np.log(max(len(b), 1) / width.prod()))
+
+
+def _at(knots: Floats, values: Floats, along: Floats) -> Floats:
+    return np.stack([np.interp(along, knots, values[:, c]) for c in range(3)], axis=1)
+
+
+def _vote(
+    knots: Floats,
+    a: Floats,
+    b: Floats,
+    pairs: tuple[Ints, Ints],
+    size: Floats,
+    noise: Floats,
+    other: float,
+) -> Floats:
+    """Find each stretch's shift on a grid; stretches that see little follow the whole row."""
+    from scipy.ndimage import gaussian_filter
+
+    i, j = pairs
+    step = 0.02
+    gap = (b[j] - a[i])[:, :2]
+    half = np.array([_MOST_ALONG_M, _MOST_UP_M])
+    bins = [np.arange(-h, h + step, step) for h in half]
+    core = np.sqrt(np.median(noise[:, :2], axis=0)) / step if len(i) else np.ones(2)
+    # How much a pair adds at its own shift, beyond what other fruit do by chance.
+    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY) - other
+    weight = np.log1p(np.exp(np.minimum(height, 20.0)))
+    stretch = np.abs(a[i, ALONG, None] - knots).argmin(axis=1)
+    grids = []
+    for k in range(len(knots)):
+        own = stretch == k
+        grid, *_ = np.histogram2d(gap[own, 0], gap[own, 1], bins, weights=weight[own])
+        grids.append(gaussian_filter(grid, core) * 2 * np.pi * core.prod())
+    middles = [edges[:-1] + step / 2 for edges in bins]
+    x, y = np.meshgrid(*middles, indexing="ij")
+    prior = -0.5 * (x**2 / 0.5**2 + y**2 / 0.3**2)
+    whole = _peak(sum(grids, prior), middles)
+    found = np.zeros((len(knots), 3))
+    for k in range(len(knots)):
+        near = sum(grids[max(k - 1, 0) : k + 2], np.zeros_like(prior))
+        off = (x - whole[0]) ** 2 + (y - whole[1]) ** 2
+        found[k, :2] = _peak(near + np.log(0.9 * np.exp(-0.5 * off / 0.1**2) + 0.02), middles)
+    return found
+
+
+def _peak(grid: Floats, middles: list[Floats]) -> tuple[float, float]:
+    at = np.unravel_index(int(grid.argmax()), grid.shape)
+    return float(middles[0][at[0]]), float(middles[1][at[1]])
+
+
+def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
+    """Return which pairs are assigned, one to one; a pair below even odds is none.
+
+    Fruit that no likely pair joins are assigned apart from each other, group by group.
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    likely = np.flatnonzero(ratio > 0)
+    ends = (i[likely], rows + j[likely])
+    graph = coo_array((np.ones(len(likely)), ends), shape=(rows + columns, rows + columns))
+    _, label = connected_components(graph, directed=False)
+    order = likely[np.argsort(label[i[likely]], kind="stable")]
+    cuts = np.flatnonzero(np.diff(label[i[order]])) + 1
+    kept = []
+    for part in np.split(order, cuts):
+        if not len(part):
+            continue
+        own, row = np.unique(i[part], return_inverse=True)
+        others, column = np.unique(j[part], return_inverse=True)
+        index = np.full((len(own), len(others)), -1)
+        index[row, column] = part
+        gain = np.where(index >= 0, ratio[index], 0.0)
+        chosen = index[linear_sum_assignment(gain, maximize=True)]
+        kept.append(chosen[chosen >= 0])
+    none: Ints = np.zeros(0, np.intp)
+    return np.concatenate([none, *kept])
+
+
+def _fit(
+    knots: Floats, a: Floats, b: Floats, pairs: tuple[Ints, Ints], noise: Floats, voted: Floats
+) -> tuple[Floats, Floats]:
+    """Estimate the shifts of all stretches from the links, smooth but for some jumps."""
+    i, j = pairs
+    count = len(knots)
+    basis = np.stack([np.interp(a[i, ALONG], knots, line) for line in np.eye(count)], axis=1)
+    field, spread = voted.copy(), np.empty_like(voted)
+    steps = np.diff(np.eye(count), axis=0)
+    for c in range(3):
+        target = b[j, c] - a[i, c]
+        for _ in range(4):
+            misfit = (target - basis @ field[:, c]) ** 2 / noise[:, c]
+            trust = (_FREEDOM + 1) / (_FREEDOM + misfit) / noise[:, c]
+            jump = (steps @ field[:, c]) ** 2 / _CHANGE_M**2
+            stiff = 2.0 / (1.0 + jump) / _CHANGE_M**2
+            information = (basis.T * trust) @ basis + (steps.T * stiff) @ steps
+            information += np.eye(count) / 0.5**2
+            pull = basis.T @ (trust * target) + voted[:, c] / 0.5**2
+            field[:, c] = np.linalg.solve(information, pull)
+        spread[:, c] = np.sqrt(np.diag(np.linalg.inv(information)))
+    return field, spread
+
+
+def _chances(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Floats:
+    """Return how likely each pair is, of all one-to-one assignments and none.
+
+    Marginals by belief propagation, as in Williams & Lau (2014), "Approximate evaluation of
+    marginal association probabilities with belief propagation".
+    """
+    weight = np.exp(np.clip(ratio, -30.0, 30.0))
+    back = np.ones(len(weight))
+    for _ in range(_BELIEF_STEPS):
+        of_row = weight * back
+        there = weight / (1.0 + np.bincount(i, of_row, rows)[i] - of_row)
+        back = 1.0 / (1.0 + np.bincount(j, there, columns)[j] - there)
+    of_row = weight * back
+    return np.asarray(of_row / (1.0 + np.bincount(i, of_row, rows)[i]), np.float64)

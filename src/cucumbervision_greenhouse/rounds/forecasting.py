@@ -1,0 +1,453 @@
+"""The forecast of a round, its age, and the fruit that are ready today."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.agronomy.classes import class_of
+from cucumbervision.agronomy.grades import grade
+from cucumbervision.errors import ForecastError
+from cucumbervision.measurement.intervals import SCALE_SD
+from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, FruitState, forecast
+from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
+from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind, pick_list
+from cucumbervision_greenhouse.rounds.day_linking import SURE
+from cucumbervision_greenhouse.rounds.from_store import read_round
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_reports
+from cucumbervision_greenhouse.rounds.row_fruit import found_share
+from cucumbervision_greenhouse.store.links import LinkKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.measurement.result import Length
+    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision_greenhouse.rounds.from_store import RoundContent
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.store.records import ArtifactRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+
+_UNKNOWN_SD = 0.08  # relative, of a length without interval
+
+
+def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> DetectionRates:
+    """Return which share of the fruit the forecast sees, from how often each was seen.
+
+    Parameters
+    ----------
+    rows : sequence of RowReport
+        The round's rows; unmerged rows are ignored, and without any nothing is taken to be missed.
+    table : sequence of RoundFruit
+        The round's fruit: those without a length are as good as missed.
+    """
+    merged = [row.count for row in rows if row.merged and row.fruit]
+    found, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
+    hanging = [line.view.record.length_m for line in table if line.view.picked_s is None]
+    measured = sum(length is not None for length in hanging)
+    share = measured / len(hanging) if measured else 1.0
+    return DetectionRates(found * share, found_sd * share, false)
+
+
+def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
+    """Return the relative standard deviation of the error that all lengths of a round share.
+
+    That of the camera's depth scale where each stop was measured with a calibration that holds
+    one, from captures of a bar of known length; otherwise that of an uncalibrated camera.
+
+    Parameters
+    ----------
+    artifacts : iterable of sequences of ArtifactRecord
+        What each stop was measured with.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import ArtifactRecord
+    >>> scale = {"value": 1.02, "standard_error": 0.00204}
+    >>> site = ArtifactRecord("calibration", "bench", details={"depth_scale": scale})
+    >>> shared_scale_sd([[site]]), shared_scale_sd([[site], []])
+    (0.002, 0.01)
+    """
+    found = []
+    for own in artifacts:
+        scales = [one.details.get("depth_scale") for one in own if one.kind == "calibration"]
+        known = [one["standard_error"] / one["value"] for one in scales if one]
+        found.append(max(known, default=SCALE_SD))
+    return max(found, default=SCALE_SD)
+
+
+def fruit_states(
+    table: Sequence[RoundFruit],
+    day: float,
+    profile: CropProfile,
+    picked_before_s: float = math.inf,
+) -> list[FruitState]:
+    """Return a round's measured fruit as the forecast takes them; picked ones are marked.
+
+    Those that were picked at `picked_before_s` or later count as hanging.
+    """
+    states = []
+    for view in (line.view for line in table):
+        length = view.record.length
+        if view.doubtful or length is None or not length.value_m > 0:
+            continue
+        length_m, sd_m = _median_and_sd(length)
+        graded = grade(view.record, profile)
+        states.append(
+            FruitState(
+                view.key,
+                view.row or "",
+                view.along_m or 0.0,
+                length_m,
+                sd_m,
+                day,
+                view.side or "",
+                graded.best_class,
+                view.picked_s is not None and view.picked_s < picked_before_s,
+                graded.possible,
+                view.record.at_least,
+            )
+        )
+    return states
+
+
+def _median_and_sd(length: Length) -> tuple[float, float]:
+    """Return the median of a measured length and its standard deviation, metres."""
+    if length.sides is None:
+        return length.value_m, _UNKNOWN_SD * length.value_m
+    median_m, *sides = length.sides
+    return median_m, max(median_m * math.hypot(*sides) / math.sqrt(2), 1e-3)
+
+
+def growth_links(store: Store, round_key: str, content: RoundContent | None = None) -> list[Link]:
+    """Return what is known of growth up to a round: its fruit followed back through earlier ones.
+
+    Links count that are sure enough (`day_linking.SURE`), and all that were made by hand. Lengths
+    are the fruit's, of all their views (`fruit_table`).
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    round_key : str
+        The round.
+    content : RoundContent, optional
+        What `from_store.read_round` gave of the round, where it was read already.
+    """
+    days = {one.key: one.walked_s / DAY_S for one in store.rounds()}
+    rounds = {round_key: _Measured(content or read_round(store, round_key))}
+    # A fruit has one name in all rounds: the key of the representative view in the last one.
+    names = {key: view.group for key, view in rounds[round_key].views.items()}
+    found: list[Link] = []
+    queue = [round_key]
+    for later in queue:
+        for link in store.links(later, LinkKind.GROWTH):
+            known = link.second in rounds[later].views and link.second in names
+            if not known or not (link.by_hand or (link.score or 0.0) >= SURE):
+                continue
+            for key, day in days.items():
+                if day < days[later] and key not in rounds:
+                    rounds[key] = _Measured(read_round(store, key))
+            home = next((key for key, own in rounds.items() if link.first in own.views), None)
+            if home is None:
+                continue
+            before = rounds[home].views[link.first]
+            name = names[link.second]
+            for one in rounds[home].views.values():
+                if one.group == before.group:
+                    names.setdefault(one.key, name)
+            first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
+            before_m, after_m = first.record.length, last.record.length
+            if before_m is not None and after_m is not None and days[home] < days[later]:
+                ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
+                found.append(Link(name, last.row or "", days[home], *ends))
+            if home not in queue:
+                queue.append(home)
+    return found
+
+
+class _Measured:
+    """A round's views by key, and its fruit with the lengths of all their views."""
+
+    def __init__(self, content: RoundContent) -> None:
+        self.views = {view.key: view for view in content.views}
+        self._content = content
+
+    @cached_property
+    def _table(self) -> dict[str, DetectionView]:
+        return {line.view.group: line.view for line in fruit_table(self._content)}
+
+    def fruit(self, key: str) -> DetectionView:
+        """Return the fruit of a view; where it was rejected, its best view."""
+        group = self.views[key].group
+        return self._table.get(group) or self.views.get(group, self.views[key])
+
+
+_FRESH_DAYS, _USEFUL_DAYS = 2, 7
+
+
+class Age(StrEnum):
+    """What a round is worth by its age."""
+
+    FRESH = "fresh"  # its lengths are those of today, or nearly so
+    OLD = "old"  # aged by the growth that is expected
+    USELESS = "useless"  # what hung then is picked, or far too long
+
+
+@dataclass(frozen=True)
+class RowPicks:
+    """What is to be picked in one row, in walking order.
+
+    Parameters
+    ----------
+    row : str
+        The row.
+    picks : tuple of Pick
+        All of them.
+    """
+
+    row: str
+    picks: tuple[Pick, ...]
+
+    def of(self, kind: PickKind) -> tuple[Pick, ...]:
+        """Return those of a kind."""
+        return tuple(pick for pick in self.picks if pick.kind is kind)
+
+
+@dataclass(frozen=True, eq=False)
+class Today:
+    """A round today.
+
+    Parameters
+    ----------
+    age_days : int
+        Days of the calendar since it was walked.
+    age : Age
+        What it is worth by that.
+    forecast : Forecast, optional
+        Of today alone; None where the round is too old, or holds nothing to forecast.
+    rows : tuple of RowPicks
+        What is to be picked, in the order of the walk; fruit picked today are still in it.
+    best : mapping of str to str
+        The representative view of each fruit, by the keys of all views.
+    simulated : frozenset of str
+        Views of simulated captures.
+    """
+
+    age_days: int
+    age: Age
+    forecast: Forecast | None
+    rows: tuple[RowPicks, ...]
+    best: Mapping[str, str]
+    simulated: frozenset[str] = frozenset()
+
+    def of(self, kind: PickKind) -> tuple[Pick, ...]:
+        """Return all fruit of the pick list of a kind."""
+        return tuple(pick for row in self.rows for pick in row.of(kind))
+
+    def left(self, picked: set[str]) -> Today:
+        """Return the same without the fruit that were picked meanwhile, by their keys."""
+        rows = [
+            RowPicks(row.row, tuple(p for p in row.picks if p.fruit.fruit_id not in picked))
+            for row in self.rows
+        ]
+        return replace(self, rows=tuple(row for row in rows if row.picks))
+
+    def by_class(self) -> dict[str, dict[str, int]]:
+        """Return how many fruit are on the pick list, by row and class.
+
+        Those that may be ready and too long ones are classes of their own; one that no row has is
+        left out.
+        """
+        found: dict[str, dict[str, int]] = {}
+        for row in self.rows:
+            own = found.setdefault(row.row, {})
+            for pick in row.picks:
+                name = pick.name if pick.kind is PickKind.READY else str(pick.kind)
+                own[name] = own.get(name, 0) + 1
+        return found
+
+
+def midnight_s(now_s: float) -> float:
+    """Return when the day of a moment began here, seconds since 1970."""
+    here = datetime.datetime.fromtimestamp(now_s).astimezone()
+    return here.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+
+
+def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
+    """Return a round's age in days of the calendar, and what it is worth.
+
+    Examples
+    --------
+    >>> age_of(1_700_000_000.0, 1_700_000_000.0 + 3 * DAY_S)
+    (3, <Age.OLD: 'old'>)
+    """
+    days = round((midnight_s(now_s) - midnight_s(walked_s)) / DAY_S)
+    if days > _USEFUL_DAYS:
+        return days, Age.USELESS
+    return days, Age.OLD if days > _FRESH_DAYS else Age.FRESH
+
+
+def age_words(days: int) -> str:
+    """Return an age as text.
+
+    Examples
+    --------
+    >>> age_words(0), age_words(1), age_words(4), age_words(400)
+    ('of today', 'of yesterday', '4 days old', '1 year old')
+    """
+    if days < 2:
+        return "of yesterday" if days == 1 else "of today"
+    if days < 60:
+        return f"{days} days old"
+    many, what = (days // 365, "year") if days >= 365 else (days // 30, "month")
+    return f"{many} {what}{'' if many == 1 else 's'} old"
+
+
+def forecast_today(
+    store: Store,
+    one: RoundView,
+    profile: CropProfile,
+    now_s: float,
+    content: RoundContent | None = None,
+    *,
+    days: int = 7,
+    picked_before_s: float = math.inf,
+) -> Forecast:
+    """Forecast a round from today on: growth from its links, classes from a profile.
+
+    Today's numbers are those of the fruit as they are counted everywhere (`with_counts_today`).
+    Later missed fruit and false positives are allowed for as the round itself shows them
+    (`detection_rates`), the error that all lengths share as its calibration does
+    (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day of
+    its walk.
+
+    Parameters
+    ----------
+    store, one, profile, now_s, content
+        As `read_today` takes them.
+    days : int
+        Days ahead; 0 for today alone.
+    picked_before_s : float
+        Fruit that were picked later than that still count, as on the morning of a day.
+
+    Raises
+    ------
+    ForecastError
+        If nothing can be forecast.
+    """
+    content = content or read_round(store, one.key)
+    table = fruit_table(content)
+    found = forecast(
+        fruit_states(table, one.walked_s / DAY_S, profile, picked_before_s),
+        fit_growth(growth_links(store, one.key, content), GrowthPrior.of(profile)),
+        profile,
+        days,
+        today=day_0_s(one, now_s) / DAY_S,
+        detection=detection_rates(row_reports(content), table),
+        scale_sd=shared_scale_sd(store.artifacts(one.key).values()),
+    )
+    return with_counts_today(found)
+
+
+def with_counts_today(found: Forecast) -> Forecast:
+    """Return a forecast whose numbers of today are those of its fruit, each counted in its class.
+
+    The undecided are in no class. The ranges hold these numbers, and reach as far as the forecast's
+    for undecided, missed and mistaken fruit; of what is ready today they are the same.
+    """
+    counted = np.zeros(found.by_row.expected[:, 0].shape)
+    for one, possible in zip(found.fruit, found.possible, strict=True):
+        name = class_of(possible)
+        if name in found.classes:
+            counted[found.rows.index(one.row), found.classes.index(name)] += 1
+    picked = np.isin(found.classes, found.pick)
+    by_row = _counted_today(found.by_row, counted)
+    house = _counted_today(found.house, counted.sum(axis=0))
+    return replace(
+        found,
+        by_row=by_row,
+        house=house,
+        row_picks=_as_today(found.row_picks, by_row, picked),
+        picks=_as_today(found.picks, house, picked),
+    )
+
+
+def _counted_today(counts: Counts, counted: NDArray[np.float64]) -> Counts:
+    """Return numbers, shape (..., D, C), with those of today as counted, shape (..., C)."""
+    expected, low, high = counts.expected.copy(), counts.low.copy(), counts.high.copy()
+    expected[..., 0, :] = counted
+    low[..., 0, :] = np.minimum(low[..., 0, :], counted)
+    high[..., 0, :] = np.maximum(high[..., 0, :], counted)
+    return Counts(expected, low, high)
+
+
+def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Counts:
+    """Return what becomes ready, with today what stands ready in the classes that are picked."""
+    values = []
+    for name in ("expected", "low", "high"):
+        value = getattr(counts, name).copy()
+        value[..., 0, picked] = getattr(standing, name)[..., 0, picked]
+        values.append(value)
+    return Counts(*values)
+
+
+def day_0_s(one: RoundView, now_s: float) -> float:
+    """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
+    days, age = age_of(one.walked_s, now_s)
+    return one.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+
+
+def read_today(
+    store: Store,
+    one: RoundView,
+    profile: CropProfile,
+    now_s: float,
+    content: RoundContent | None = None,
+) -> Today:
+    """Return today's figures of a round.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is.
+    one : RoundView
+        The round.
+    profile : CropProfile
+        Its classes, and the growth that is expected.
+    now_s : float
+        Now, seconds since 1970.
+    content : RoundContent, optional
+        What `from_store.read_round` gave of the round, where it was read already.
+    """
+    days, age = age_of(one.walked_s, now_s)
+    content = content or read_round(store, one.key)
+    best = {view.key: view.group for view in content.views}
+    if age is Age.USELESS:
+        return Today(days, age, None, (), best)
+    try:
+        found = forecast_today(
+            store, one, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
+        )
+    except ForecastError:
+        return Today(days, age, None, (), best)
+    simulated = frozenset(view.key for view in content.views if view.simulated)
+    return Today(days, age, found, _by_row(pick_list(found)), best, simulated)
+
+
+def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:
+    rows = dict.fromkeys(pick.fruit.row for pick in picks)
+    return tuple(RowPicks(row, tuple(p for p in picks if p.fruit.row == row)) for row in rows)

@@ -1,0 +1,298 @@
+"""Read rows from the store as arrays, and write results back."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.errors import RoundError
+from cucumbervision.measurement.matching import ALONG, DEPTH, UP
+from cucumbervision.measurement.result import LengthDefinition, Method
+from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
+from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
+from cucumbervision_greenhouse.rounds.row_fruit import USUAL, FalseShare
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
+from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
+from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.views import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from cucumbervision_greenhouse.rounds.row_views import Bools, Ints
+    from cucumbervision_greenhouse.store.links import LinkRecord
+    from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import CameraAt, DetectionView, RoundView, StopView
+
+_CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
+_REACH = (0.687, 0.384)  # a D435's colour camera, where a stop has no camera
+_UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
+_DIAMETER_SD = 0.05
+_MOST_VIEWS = 5  # of one fruit, the best: each further one costs more than it tells
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRow:
+    """One row of a round.
+
+    Parameters
+    ----------
+    name : str
+        The row; empty where it has no name.
+    stops : RowStops
+        Its stops with a position.
+    views : RowViews
+        Their detections with a place, rejected ones left out.
+    stop_keys, fruit_keys : tuple of str
+        Keys of both, in order.
+    sides : tuple of str
+        Names of the sides: 0, and 1 where there is one.
+    unplaced : int
+        Detections that cannot be merged: no position, or no depth.
+    accepted : ndarray of bool
+        Views that a person accepted as fruit.
+    false : FalseShare
+        Prior of the share of false detections, from the house's verdicts.
+    """
+
+    name: str
+    stops: RowStops
+    views: RowViews
+    stop_keys: tuple[str, ...]
+    fruit_keys: tuple[str, ...]
+    sides: tuple[str, ...]
+    unplaced: int
+    accepted: Bools
+    false: FalseShare
+
+
+@dataclass(frozen=True, eq=False)
+class RoundContent:
+    """What the store holds of a round: read once, used by all that ask for it.
+
+    Parameters
+    ----------
+    key : str
+        The round's.
+    stops : tuple of StopView
+        Its stops.
+    views : tuple of DetectionView
+        Its detections, in groups.
+    cameras : mapping
+        Poses and cameras by the stops' keys.
+    false : FalseShare
+        Prior of the share of false detections, from the house's verdicts.
+    joint : mapping of str to JointRecord
+        Joint measurements of the fruit, by the keys of `joint_groups`.
+    """
+
+    key: str
+    stops: tuple[StopView, ...]
+    views: tuple[DetectionView, ...]
+    cameras: Mapping[str, CameraAt]
+    false: FalseShare = USUAL
+    joint: Mapping[str, JointRecord] = field(default_factory=dict)
+
+    @cached_property
+    def rows(self) -> tuple[StoredRow, ...]:
+        """Its rows as arrays, laid out once."""
+        return tuple(_load_rows(self))
+
+
+def find_round(store: Store, name: str = "") -> RoundView:
+    """Find a round by its key, the start of it, or its name; the newest without one.
+
+    Raises
+    ------
+    RoundError
+        If there is none, or several begin so.
+    """
+    rounds = store.rounds()
+    wanted = name.strip().lower()
+    named = [one for one in rounds if one.record.name == name or one.key == wanted]
+    # A short number is never the start of a key: it may be a mistyped name.
+    is_start = not wanted.isdecimal() or len(wanted) > 5
+    found = named or [one for one in rounds if is_start and one.key.startswith(wanted)]
+    if not wanted:
+        found = rounds[:1]
+    if len(found) == 1:
+        return found[0]
+    problem = "several rounds are" if found else "no round is"
+    raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
+
+
+def read_round(store: Store, round_key: str) -> RoundContent:
+    """Read a round.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    stops, views = store.stops(round_key), store.detections(round_key)
+    cameras, judged = store.cameras(round_key), store.judged(round_key)
+    stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
+    false, joint = FalseShare.learnt(*judged), store.joint(round_key)
+    return RoundContent(round_key, tuple(stops), tuple(views), cameras, false, joint)
+
+
+def counted_fruit(views: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit of a round, each by its representative view; rejected ones are left out."""
+    return [view for view in views if view.best and view.verdict is not Verdict.REJECTED]
+
+
+def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
+    """Return the views of each fruit that several stops show, by the key of their measurement.
+
+    Only views that M6 measured count, of the aisle from which the best was taken, the best first
+    and no more than five.
+    """
+    stops = {stop.key: stop for stop in content.stops}
+    groups = defaultdict(list)
+    for view in content.views:
+        if view.record.method == Method.M6 and view.verdict is not Verdict.REJECTED:
+            groups[view.group].append(view)
+    found = {}
+    for views in groups.values():
+        views.sort(key=lambda one: (not one.best, -one.record.view_score, one.key))
+        own = [one for one in views if one.side == views[0].side and one.stop_key in stops]
+        own = own[:_MOST_VIEWS]
+        if len({one.stop_key for one in own}) > 1:
+            found[_key(own, stops)] = own
+    return found
+
+
+def _key(views: Iterable[DetectionView], stops: Mapping[str, StopView]) -> str:
+    return key_of(
+        "joint",
+        *sorted(
+            f"{one.key} {one.record.length_m} {one.record.mask_px} {stops[one.stop_key].position_m}"
+            for one in views
+        ),
+    )
+
+
+def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
+    """Yield a round's rows as arrays.
+
+    Raises
+    ------
+    RoundError
+        If a row has more than two sides.
+    """
+    known = {stop.key for stop in content.stops}  # a stop may be saved while we read
+    kept = [v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in known]
+    for name in sorted({stop.row or "" for stop in content.stops}):
+        stops = [stop for stop in content.stops if (stop.row or "") == name]
+        views = [view for view in kept if (view.row or "") == name]
+        yield _row(name, stops, views, content)
+
+
+def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
+    size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
+    if not all(isinstance(one, int | float) and one > 0 for one in size):
+        return _REACH
+    width, fx, height, fy = (float(one) for one in size if one is not None)
+    return width / 2 / fx, height / 2 / fy
+
+
+def _row(
+    name: str,
+    stops: Sequence[StopView],
+    fruit: Sequence[DetectionView],
+    content: RoundContent,
+) -> StoredRow:
+    cameras = content.cameras
+    sides = tuple(sorted({stop.side or "" for stop in stops}))
+    if len(sides) > 2:
+        raise RoundError(
+            f"row '{name}' has {len(sides)} sides: {', '.join(sides)}",
+            remedy="call the two sides of a row by two names",
+        )
+    placed = [stop for stop in stops if stop.position_m is not None]
+    index = {stop.key: k for k, stop in enumerate(placed)}
+    poses = {stop.key: stored_pose(cameras[stop.key].pose, stop.side) for stop in stops}
+    known, places = [], []
+    for view in fruit:
+        place = offset_of(view.record, poses[view.stop_key])
+        if view.stop_key in index and place is not None:
+            known.append(view)
+            places.append(place)
+    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
+    side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
+    reach = np.array([_reach(cameras[stop.key].camera) for stop in placed]).reshape(-1, 2)
+    at_stop = np.array([index[view.stop_key] for view in known], np.int64)
+    offset, offset_sd = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
+    records = [view.record for view in known]
+    length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
+    views = RowViews(
+        at_stop,
+        np.array([cameras[v.stop_key].captures[v.capture] for v in known], np.int64),
+        offset,
+        offset_sd,
+        length[:, 0],
+        length[:, 1],
+        np.array([record.diameter_max_m or np.nan for record in records], np.float64),
+        np.full(len(known), _DIAMETER_SD),
+        np.array([record.partial for record in records], bool),
+        np.array([record.score for record in records], np.float64),
+        np.array([record.view_score for record in records], np.float64),
+    )
+    keys = tuple(view.key for view in known)
+    stops_of_row = RowStops(at_m, sd_m, side, reach)
+    accepted = np.array([view.verdict is Verdict.ACCEPTED for view in known], bool)
+    unplaced = len(fruit) - len(known)
+    return StoredRow(
+        name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, content.false
+    )
+
+
+def _length(record: DetectionRecord) -> tuple[float, float]:
+    """Return the length and its relative standard deviation."""
+    length = record.length
+    if length is None or not length.value_m > 0:
+        return np.nan, _UNKNOWN_SD
+    # Lengths of another kind may differ by more than any of them errs.
+    least = _LEAST_SD if length.kind in set(LengthDefinition) else _UNKNOWN_SD
+    return length.value_m, max(length.relative_sd or _UNKNOWN_SD, least)
+
+
+def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
+    """Return the pairs of a row's views that were decided by hand."""
+    index = {key: k for k, key in enumerate(row.fruit_keys)}
+
+    def pairs(kind: LinkKind) -> Ints:
+        chosen = [
+            (index[one.first], index[one.second])
+            for one in links
+            if one.by_hand and one.kind is kind and one.first in index and one.second in index
+        ]
+        return np.array(chosen, np.int64).reshape(-1, 2) if chosen else NO_PAIRS
+
+    return ByHand(pairs(LinkKind.SAME), pairs(LinkKind.APART))
+
+
+def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
+    """Return a row as it was merged and saved, what was done by hand included."""
+    groups = {view.key: view.group for view in content.views}
+    names = [groups[key] for key in row.fruit_keys]
+    _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
+    stops = {stop.key: stop for stop in content.stops}
+    at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
+    for k, key in enumerate(row.stop_keys):
+        stop = stops[key]
+        if stop.fitted_m is not None:
+            at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
+    fitted = prior_stops(replace(row.stops, at_m=at_m, sd_m=sd_m))
+    pairs = np.column_stack(cluster_pairs(cluster))
+    return Merged(cluster, fitted, pairs, np.ones(len(pairs)))

@@ -1,0 +1,317 @@
+"""A round's fruit, each once, with the length of all its views; and the context of one fruit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.measurement.matching import pooled_length
+from cucumbervision.measurement.result import INTERVAL_Z
+from cucumbervision_greenhouse.agronomy.forecast import natural_key
+from cucumbervision_greenhouse.rounds.from_store import (
+    RoundContent,
+    counted_fruit,
+    joint_groups,
+    stored_merging,
+)
+from cucumbervision_greenhouse.rounds.merge_and_link import earlier_round, later_rounds
+from cucumbervision_greenhouse.rounds.row_fruit import joint_tube_is_used
+from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.views import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cucumbervision_greenhouse.store.links import LinkRecord
+    from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+
+
+# Fields from a joint tube fit; all others are those of the best view.
+_OF_ALL_VIEWS = (
+    *("reason", "fallback", "flags", "length", "raw_length"),
+    *("centreline_m", "thread_m", "chord_m", "inner_arc_m"),
+    *("diameter_max_m", "diameter_mean_m", "volume_m3", "tilt_deg", "hidden_share"),
+)
+
+
+@dataclass(frozen=True)
+class RoundFruit:
+    """One fruit of a round.
+
+    Parameters
+    ----------
+    number : int
+        Its number in the table, from 1, by row and position.
+    view : DetectionView
+        The representative view, with its measurement. Where two or more views show the whole fruit,
+        its length and interval are those of all of them together: of one tube fitted to all of
+        them where there is one, and else their lengths pooled.
+    joint : JointRecord, optional
+        The tube fitted to all views, where its length is used.
+    """
+
+    number: int
+    view: DetectionView
+    joint: JointRecord | None = None
+
+
+@dataclass(frozen=True)
+class RoundFigures:
+    """The figures of a round, the same on all pages and in all files. Deleted fruit count not.
+
+    Parameters
+    ----------
+    fruit, measured, picked : int
+        Fruit, each once; those with a length; and those that were picked.
+    detections : int
+        Finds that these are made of.
+    mean_m, sd_m, shortest_m, longest_m : float, optional
+        Of the lengths of the fruit on the plant, metres; lower bounds are left out.
+    """
+
+    fruit: int
+    measured: int
+    picked: int
+    detections: int
+    mean_m: float | None
+    sd_m: float | None
+    shortest_m: float | None
+    longest_m: float | None
+
+
+def on_the_plant(fruit: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit that count today: neither deleted, picked nor doubtful."""
+    return [
+        view
+        for view in fruit
+        if view.picked_s is None and view.verdict is not Verdict.REJECTED and not view.doubtful
+    ]
+
+
+def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
+    """Return the lengths of the fruit on the plant, metres; lower bounds are left out."""
+    return [
+        view.record.length_m
+        for view in on_the_plant(fruit)
+        if view.record.length_m is not None and not view.record.at_least
+    ]
+
+
+def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFigures:
+    """Return the figures of a round from its content and its `fruit_table`."""
+    lengths_m = hanging_lengths_m(line.view for line in table)
+    return RoundFigures(
+        len(table),
+        sum(line.view.record.length_m is not None for line in table),
+        sum(line.view.picked_s is not None for line in table),
+        sum(view.verdict is not Verdict.REJECTED for view in content.views),
+        fmean(lengths_m) if lengths_m else None,
+        stdev(lengths_m) if len(lengths_m) > 1 else None,
+        min(lengths_m, default=None),
+        max(lengths_m, default=None),
+    )
+
+
+def fruit_table(content: RoundContent) -> list[RoundFruit]:
+    """Return a round's fruit, each once, by row and position; rejected ones are left out."""
+    pooled, joint = _pooled(content), _joint(content)
+    best = counted_fruit(content.views)
+    best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
+    return [
+        _fruit(number, view, joint.get(view.key), pooled.get(view.key))
+        for number, view in enumerate(best, 1)
+    ]
+
+
+def _joint(content: RoundContent) -> dict[str, JointRecord]:
+    """Return joint measurements of fruit that several stops show whole, by the best views' keys."""
+    found = {}
+    for key, views in joint_groups(content).items():
+        one = content.joint.get(key)
+        if one is not None and one.reason == "ok":
+            found[views[0].group] = one
+    return found
+
+
+def _fruit(
+    number: int,
+    view: DetectionView,
+    joint: JointRecord | None,
+    pooled: tuple[float, float, int] | None,
+) -> RoundFruit:
+    """Return a fruit's line, with the length of all views where they give one."""
+    tube = None if joint is None else joint.record
+    if tube is not None and tube.length is not None:
+        others = _own_length(view.record) if pooled is None else pooled[:2]
+        if joint_tube_is_used(tube.length, others):
+            values = {name: getattr(tube, name) for name in _OF_ALL_VIEWS}
+            return RoundFruit(number, _measured(view, **values), joint)
+    if pooled is not None and pooled[2] > 1 and view.record.length is not None:
+        length_m, sd_m, _ = pooled
+        length = replace(view.record.length, value_m=length_m)
+        if length.low_m is not None:
+            spread = math.exp(INTERVAL_Z * sd_m / length_m)
+            length = replace(length, low_m=length_m / spread, high_m=length_m * spread)
+        return RoundFruit(number, _measured(view, length=length))
+    return RoundFruit(number, view)
+
+
+def _measured(view: DetectionView, **values: Any) -> DetectionView:
+    return replace(view, record=replace(view.record, **values))
+
+
+def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
+    """Return the length of a view and its standard deviation; None where it is a lower bound."""
+    length = record.length
+    if record.at_least or length is None or not length.relative_sd:
+        return None
+    return length.value_m, length.value_m * length.relative_sd
+
+
+def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
+    """Return the pooled length of each fruit by all keys of its views, and how many gave it.
+
+    Whole views of which one is a thread and another a chord count as one: the best.
+    """
+    found = {}
+    kind = {view.key: view.record.length and view.record.length.kind for view in content.views}
+    for row in content.rows:
+        if not len(row.views):
+            continue
+        cluster = stored_merging(content, row).cluster
+        views = row.views
+        order = np.argsort(cluster, kind="stable")
+        for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
+            length = pooled_length(views.length_m[own], views.length_sd[own], views.partial[own])
+            if length is None:
+                continue
+            whole = own[np.isfinite(views.length_m[own]) & ~views.partial[own]]
+            kinds = {kind[row.fruit_keys[k]] for k in whole.tolist()}
+            count = len(whole) if len(kinds) == 1 else 1
+            keys = (row.fruit_keys[k] for k in own.tolist())
+            found.update(dict.fromkeys(keys, (*length, count)))
+    return found
+
+
+_NEAR_M, _FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class OtherDay:
+    """A fruit on another day.
+
+    Parameters
+    ----------
+    round : RoundView
+        The round of that day.
+    linked : DetectionView, optional
+        The fruit that it is taken to be there.
+    near : tuple of DetectionView
+        Others that it might be, the nearest first.
+    """
+
+    round: RoundView
+    linked: DetectionView | None
+    near: tuple[DetectionView, ...]
+
+
+@dataclass(frozen=True)
+class FruitContext:
+    """A fruit and its context.
+
+    Parameters
+    ----------
+    fruit : DetectionView
+        The representative view.
+    views : tuple of DetectionView
+        All its views, the representative one first.
+    near : tuple of DetectionView
+        Other fruit of the same row, the nearest first.
+    earlier, later : OtherDay, optional
+        The same on the day before and after, where a round of it is there.
+    """
+
+    fruit: DetectionView
+    views: tuple[DetectionView, ...]
+    near: tuple[DetectionView, ...]
+    earlier: OtherDay | None = None
+    later: OtherDay | None = None
+
+
+def around(store: Store, round_key: str, key: str) -> FruitContext | None:
+    """Return a fruit with its context; None if it is no longer there.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is.
+    round_key : str
+        Its round.
+    key : str
+        Any of its views.
+    """
+    every = store.detections(round_key)
+    group = next((view.group for view in every if view.key == key), None)
+    if group is None:
+        return None
+    views = sorted((v for v in every if v.group == group), key=lambda v: not v.best)
+    fruit = next(view for view in views if view.best)
+    others = [v for v in every if v.best and v.group != group and v.verdict is not Verdict.REJECTED]
+    links = store.links(round_key, LinkKind.GROWTH)
+    keys = {view.key for view in views}
+    before, after = earlier_round(store, round_key), later_rounds(store, round_key)[:1]
+    return FruitContext(
+        fruit,
+        tuple(views),
+        nearest(fruit, others, _NEAR_M),
+        None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
+        _other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
+    )
+
+
+def _ends(links: Iterable[LinkRecord], keys: set[str]) -> set[str]:
+    """Return the other ends of the links of some detections."""
+    found = set()
+    for link in links:
+        if link.first in keys:
+            found.add(link.second)
+        elif link.second in keys:
+            found.add(link.first)
+    return found
+
+
+def _other_day(store: Store, one: RoundView, fruit: DetectionView, ends: set[str]) -> OtherDay:
+    every = store.detections(one.key)
+    group = next((view.group for view in every if view.key in ends), None)
+    best = counted_fruit(every)
+    linked = next((view for view in best if view.group == group), None)
+    others = [view for view in best if view.group != group]
+    return OtherDay(one, linked, nearest(fruit, others, _FAR_M))
+
+
+def nearest(
+    fruit: DetectionView, others: Sequence[DetectionView], reach_m: float
+) -> tuple[DetectionView, ...]:
+    """Return the few fruit of the same row that hang nearest along it, within a reach."""
+    if fruit.along_m is None:
+        return ()
+    at_m = fruit.along_m
+    placed = [
+        (abs(view.along_m - at_m), view.key, view)
+        for view in others
+        if view.row == fruit.row and view.along_m is not None
+    ]
+    return tuple(view for gap, _, view in sorted(placed)[:_SHOWN] if gap <= reach_m)
+
+
+def least_sure_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:
+    """Return unjudged fruit with a single view, the least certain first."""
+    once = [view for view in fruit if view.views == 1 and view.verdict is None]
+    return sorted(once, key=lambda view: (view.record.score, view.key))

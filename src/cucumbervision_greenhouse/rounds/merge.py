@@ -1,0 +1,396 @@
+"""Find which views of a row show the same fruit, alternating assignment and stop positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.measurement.matching import ALONG, DEPTH, position_ratio
+from cucumbervision_greenhouse.rounds.row_views import (
+    RowStops,
+    RowViews,
+    crowd_of,
+    pairs_within,
+    shape_ratio,
+)
+from cucumbervision_greenhouse.rounds.stop_alignment import (
+    FittedStops,
+    fit_stops,
+    prior_stops,
+    vote_pairs,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision.measurement.matching import Crowd
+    from cucumbervision_greenhouse.rounds.row_views import Floats, Ints
+
+_UNLIKE = -8.0  # log likelihood ratio of a pair that is no candidate
+
+_HELD = 40.0  # log likelihood ratio of a pair that was merged by hand
+
+
+def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
+    """Assign the views of each capture in turn to the fruit that the other captures show.
+
+    One to one, by the least sum of costs (`scipy.optimize.linear_sum_assignment`; Crouse 2016).
+    What a view costs at a fruit is minus the mean log ratio with that fruit's views; to be a fruit
+    of its own costs nothing.
+
+    Parameters
+    ----------
+    views : RowViews
+        The detections.
+    i, j : ndarray of intp, shape (K,)
+        Pairs that may be one fruit.
+    ratio : ndarray of float64, shape (K,)
+        Their log likelihood ratios.
+    cluster : ndarray of intp, shape (N,)
+        Each view's fruit.
+
+    Returns
+    -------
+    ndarray of intp, shape (N,)
+        Each view's fruit, from now on.
+    """
+    cluster = cluster.copy()
+    of = np.concatenate([i, j])
+    other = np.concatenate([j, i])
+    both = np.concatenate([ratio, ratio])
+    order = np.argsort(of, kind="stable")
+    of, other, both = of[order], other[order], both[order]
+    starts = np.searchsorted(of, np.arange(len(views) + 1))
+    sizes = np.bincount(cluster, minlength=len(views)).astype(np.intp)
+    members = _members(views)
+    free = np.flatnonzero(sizes == 0).tolist()
+    for own in members:
+        np.subtract.at(sizes, cluster[own], 1)
+        picked = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in own.tolist()])
+        target = cluster[other[picked]]
+        candidates, column = np.unique(target, return_inverse=True)
+        row = np.searchsorted(own, of[picked])
+        at = _assign(own, row, column, both[picked], sizes[candidates])
+        left = [int(c) for c in cluster[own] if sizes[c] == 0]
+        for k, found in zip(own.tolist(), at.tolist(), strict=True):
+            if found >= 0:
+                cluster[k] = candidates[found]
+            else:
+                cluster[k] = left.pop() if left else free.pop()
+        free += left
+        np.add.at(sizes, cluster[own], 1)
+    return cluster
+
+
+def _members(views: RowViews) -> list[Ints]:
+    order = np.argsort(views.capture, kind="stable")
+    ordered = views.capture[order]
+    cuts = np.flatnonzero(np.diff(ordered)) + 1
+    return [np.sort(part) for part in np.split(order, cuts) if len(part)]
+
+
+def _assign(own: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> Ints:
+    """Return for each of a capture's views the column of its fruit, or -1."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = len(own), len(sizes)
+    if not columns:
+        return np.full(rows, -1)
+    total, count = np.zeros((rows, columns)), np.zeros((rows, columns))
+    np.add.at(total, (row, column), ratio)
+    np.add.at(count, (row, column), 1)
+    mean = (total + _UNLIKE * (sizes - count)) / np.maximum(sizes, 1)
+    mean[:, sizes == 0] = -1e6
+    # A column of its own for each view: to be no known fruit costs nothing.
+    cost = np.hstack([-mean, np.where(np.eye(rows, dtype=bool), 0.0, 1e6)])
+    _, at = linear_sum_assignment(cost)
+    return np.where(at < columns, at, -1).astype(np.intp)
+
+
+def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
+    """Join fruit whose views are alike on average and never of one capture, the most alike first.
+
+    A view at a time cannot do that: of four views, two and two may have found each other.
+    """
+    groups = {c: np.flatnonzero(cluster == c).tolist() for c in np.unique(cluster).tolist()}
+    apart = cluster[i] != cluster[j]
+    sums: dict[tuple[int, int], float] = {}
+    for a, b, value in zip(
+        cluster[i][apart].tolist(), cluster[j][apart].tolist(), ratio[apart].tolist(), strict=True
+    ):
+        key = (min(a, b), max(a, b))
+        sums[key] = sums.get(key, 0.0) + value - _UNLIKE
+    means = {
+        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + _UNLIKE
+        for key, value in sums.items()
+    }
+    joined: set[int] = set()
+    cluster = cluster.copy()
+    for (a, b), mean in sorted(means.items(), key=lambda item: -item[1]):
+        if mean <= 0:
+            break
+        captures = views.capture[groups[a] + groups[b]]
+        if joined.isdisjoint((a, b)) and len(np.unique(captures)) == len(captures):
+            cluster[groups[b]] = a
+            joined |= {a, b}
+    return cluster
+
+
+def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
+    """Return all pairs of views of one fruit, each once.
+
+    Examples
+    --------
+    >>> i, j = cluster_pairs(np.array([5, 2, 5, 5]))
+    >>> sorted(zip(i.tolist(), j.tolist()))
+    [(0, 2), (0, 3), (2, 3)]
+    """
+    order = np.argsort(cluster, kind="stable")
+    ordered = cluster[order]
+    first, second = [], []
+    for step in range(1, int(np.bincount(cluster).max()) if len(cluster) else 0):
+        same = np.flatnonzero(ordered[:-step] == ordered[step:])
+        first.append(order[same])
+        second.append(order[same + step])
+    none: Ints = np.zeros(0, np.intp)
+    i, j = np.concatenate([none, *first]), np.concatenate([none, *second])
+    return np.minimum(i, j), np.maximum(i, j)
+
+
+NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
+
+_NEVER = -1e3  # log likelihood ratio of a pair that was separated by hand
+
+_GATE_SD = 4.0
+_PASSES = 4  # of assignment and estimation
+_SEEN_AGAIN = 0.9  # share of a fruit's views that the captures which could show it do show
+_SEEN_ACROSS = 0.3  # the same for captures from the other aisle, most of whose view leaves hide
+# Between the cameras of the two aisles, into the row: the sum of both distances to the same fruit.
+_ACROSS_M, _ACROSS_SD_M = 1.4, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class ByHand:
+    """Pairs of views that were decided by hand.
+
+    Parameters
+    ----------
+    same, apart : ndarray of int64, shape (K, 2)
+        One fruit, and two.
+    """
+
+    same: Ints = field(default_factory=lambda: NO_PAIRS)
+    apart: Ints = field(default_factory=lambda: NO_PAIRS)
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """A row, merged.
+
+    Parameters
+    ----------
+    cluster : ndarray of int64, shape (N,)
+        Number of each view's fruit, from 0 in the order along the row.
+    stops : FittedStops
+        Where the stops were.
+    pairs : ndarray of int64, shape (K, 2)
+        All pairs of views of one fruit.
+    probability : ndarray of float64, shape (K,)
+        How likely each pair is one fruit, by itself.
+    mirrored : tuple of int
+        Sides whose views fit together far better when turned round: there positions seem to
+        count the other way.
+    """
+
+    cluster: Ints
+    stops: FittedStops
+    pairs: Ints
+    probability: Floats
+    mirrored: tuple[int, ...] = ()
+
+    def place_m(self, views: RowViews) -> Floats:
+        """Return each view's place in the row's frame, shape (N, 3), metres."""
+        return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
+
+
+def merge_row(
+    stops: RowStops,
+    views: RowViews,
+    by_hand: ByHand | None = None,
+) -> Merged:
+    """Merge the views of one row into fruit.
+
+    First pairs come from shifts that are tried between each two stops (`vote_pairs`). Then the
+    stops are estimated from all pairs, each capture's views are assigned again to the fruit of the
+    others, and so on in turn.
+
+    Parameters
+    ----------
+    stops : RowStops
+        The stops of both sides.
+    views : RowViews
+        Their detections.
+    by_hand : ByHand, optional
+        Corrections by hand, which are kept.
+
+    Returns
+    -------
+    Merged
+
+    Examples
+    --------
+    >>> at_m = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
+    >>> stops = RowStops(at_m, np.full((2, 3), 0.03), np.zeros(2, int), np.full((2, 2), 0.6))
+    >>> two, one = np.arange(2), np.ones(2)
+    >>> offset_m = np.array([[0.2, 0.1, 0.7], [-0.2, 0.1, 0.7]])  # one fruit, seen from both
+    >>> views = RowViews(two, two, offset_m, np.full((2, 3), 0.006), 0.2 * one, 0.015 * one,
+    ...     0.04 * one, 0.03 * one, one < 0, 0.9 * one, 0.9 * one)
+    >>> merge_row(stops, views).cluster.tolist()
+    [0, 0]
+    """
+    by_hand = by_hand or ByHand()
+    crowd = crowd_of(views, _views_per_m(stops, views))
+    start = prior_stops(stops)
+    i, j = _candidates(start, views)
+    one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]
+    first, second = i[one_side], j[one_side]
+    apart = views.stop[first] != views.stop[second]
+    voted = vote_pairs(stops, views, first[apart], second[apart], crowd)
+    mirrored = _mirrored(stops, views, crowd)
+    fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+    if len(np.unique(stops.side)) > 1:
+        stops = _set_across(stops, _vote_across(fitted, stops, views, crowd))
+        fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+    cluster: Ints = np.arange(len(views))
+    for _ in range(_PASSES):
+        i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
+        cluster = sweep(views, i, j, ratio, cluster)
+        cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
+        a, b = cluster_pairs(cluster)
+        m = np.bincount(cluster, minlength=len(views))[cluster[a]]
+        fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
+    i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
+    cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
+    along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
+    numbers = _numbered(cluster, along)
+    pairs = np.column_stack(cluster_pairs(numbers))
+    return Merged(numbers, fitted, pairs, _chance(pairs, i, j, ratio, len(views)), mirrored)
+
+
+def _views_per_m(stops: RowStops, views: RowViews) -> float:
+    """Return how many views a capture has per metre of row that it shows."""
+    if not len(views):
+        return 0.0
+    captures, at = np.unique(views.capture, return_index=True)
+    far = float(np.median(np.abs(views.offset_m[:, DEPTH])))
+    shown = 2 * stops.reach[views.stop[at], 0] * far
+    return len(views) / max(float(shown.sum()), 1e-6 * len(captures))
+
+
+def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
+    """Return pairs of views of different captures that may be one fruit, by their place alone."""
+    along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
+    own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
+    i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * own)
+    other = views.capture[i] != views.capture[j]
+    return i[other], j[other]
+
+
+def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, Floats]:
+    """Return how far views j are from views i, shape (K, 3), and the variance of that."""
+    s, t = views.stop[i], views.stop[j]
+    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
+    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    return gap, variance
+
+
+def _rated(
+    fitted: FittedStops,
+    stops: RowStops,
+    views: RowViews,
+    crowd: Crowd,
+    by_hand: ByHand,
+) -> tuple[Ints, Ints, Floats]:
+    """Return the candidates and their log likelihood ratios."""
+    i, j = _candidates(fitted, views)
+    known = np.vstack([by_hand.same, by_hand.apart])
+    i, j = np.concatenate([i, known[:, 0]]), np.concatenate([j, known[:, 1]])
+    i, j = np.minimum(i, j), np.maximum(i, j)
+    _, once = np.unique(i * len(views) + j, return_index=True)
+    i, j = i[once], j[once]
+    gap, variance = _gaps(fitted, views, i, j)
+    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
+    ratio += np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
+    codes = i * len(views) + j
+    for pairs, value in ((by_hand.same, _HELD), (by_hand.apart, _NEVER)):
+        ordered = np.sort(pairs, axis=1)
+        ratio[np.isin(codes, ordered[:, 0] * len(views) + ordered[:, 1])] = value
+    return i, j, ratio
+
+
+def _vote_across(
+    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
+) -> tuple[float, float]:
+    """Estimate how far apart the two aisles' cameras are, from pairs alike in all but depth."""
+    i, j = _candidates(fitted, views)
+    across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
+    i, j = i[across], j[across]
+    gap, variance = _gaps(fitted, views, i, j)
+    found = np.abs(gap[:, DEPTH])
+    gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
+    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    tried = _ACROSS_M + _ACROSS_SD_M * np.linspace(-3, 3, 121)
+    fit = -0.5 * (found[:, None] - tried) ** 2 / depth_variance[:, None]
+    score = np.log1p(np.exp(np.minimum(ratio[:, None] + fit, 20.0))).sum(axis=0)
+    score -= 0.5 * ((tried - _ACROSS_M) / _ACROSS_SD_M) ** 2
+    weight = np.exp(score - score.max())
+    weight /= weight.sum()
+    middle = float(weight @ tried)
+    return middle, float(np.sqrt(weight @ (tried - middle) ** 2))
+
+
+def _set_across(stops: RowStops, across: tuple[float, float]) -> RowStops:
+    other = stops.side == 1
+    at_m, sd_m = stops.at_m.copy(), stops.sd_m.copy()
+    at_m[other, DEPTH] += across[0]
+    sd_m[other, DEPTH] = np.hypot(sd_m[other, DEPTH], across[1])
+    return replace(stops, at_m=at_m, sd_m=sd_m)
+
+
+def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]:
+    """Return the sides whose views agree far better if their offsets are mirrored."""
+    found = []
+    for side in np.unique(stops.side).tolist():
+        support = []
+        for sign in (1.0, -1.0):
+            turned = replace(views, offset_m=views.offset_m * [sign, 1.0, 1.0])
+            i, j = _candidates(prior_stops(stops), turned)
+            s, t = views.stop[i], views.stop[j]
+            kept = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
+            support.append(vote_pairs(stops, turned, i[kept], j[kept], crowd)[2])
+        if support[1] > 2 * max(support[0], 0.0) + 20:
+            found.append(int(side))
+    return tuple(found)
+
+
+def _numbered(cluster: Ints, along: Floats) -> Ints:
+    """Return the clusters numbered along the row, from 0."""
+    names, at = np.unique(cluster, return_inverse=True)
+    middle = np.bincount(at, along) / np.bincount(at)
+    rank = np.empty(len(names), np.int64)
+    rank[np.argsort(middle, kind="stable")] = np.arange(len(names))
+    return rank[at]
+
+
+def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats, size: int) -> Floats:
+    """Return the probability that each pair is one fruit; 0.5 where a pair was not rated."""
+    codes = i * size + j
+    order = np.argsort(codes)
+    wanted = pairs[:, 0] * size + pairs[:, 1]
+    at = np.minimum(np.searchsorted(codes[order], wanted), max(len(codes) - 1, 0))
+    value = np.zeros(len(wanted))
+    if len(codes):
+        rated = codes[order][at] == wanted
+        value[rated] = ratio[order][at][rated]
+    return 1.0 / (1.0 + np.exp(-np.clip(value, -30, 30)))

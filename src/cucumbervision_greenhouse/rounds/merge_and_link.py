@@ -1,0 +1,364 @@
+"""Merge the rows of a stored round, and link its fruit to those of other days."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.measurement.matching import ALONG
+from cucumbervision.names import house_key
+from cucumbervision_greenhouse.rounds.day_linking import link_days
+from cucumbervision_greenhouse.rounds.from_store import (
+    RoundContent,
+    by_hand_of,
+    counted_fruit,
+    read_round,
+    stored_merging,
+)
+from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged, merge_row
+from cucumbervision_greenhouse.rounds.poses import sign_of_side
+from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
+from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
+from cucumbervision_greenhouse.rounds.walking import refuse_taken
+from cucumbervision_greenhouse.store.corrections import STOP_EDITS, StopPlace
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.rounds.from_store import StoredRow
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import RoundView, StopView
+    from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+
+
+DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class RowReport:
+    """What merging found of one row.
+
+    Parameters
+    ----------
+    row : str
+        The row.
+    stops, views : int
+        Stops with a position, and detections.
+    fruit : int
+        The fruit that these are merged into, those included that have no place.
+    count : CountEstimate
+        How many there are of those that have a place.
+    merged : bool
+        Whether the row has been merged.
+    stop_sd_m : float, optional
+        How well the stops are known now, on average, metres.
+    mirrored : tuple of str
+        Sides where positions seem to be reversed; their captures should be added again.
+    unplaced : int
+        Detections that could not take part: without a position or without depth.
+    """
+
+    row: str
+    stops: int
+    views: int
+    fruit: int
+    count: CountEstimate
+    merged: bool = True
+    stop_sd_m: float | None = None
+    mirrored: tuple[str, ...] = ()
+    unplaced: int = 0
+
+    @property
+    def expected(self) -> float:
+        """How many fruit there are; of those without a place or row as many as were found."""
+        return self.fruit - len(self.count.seen) + self.count.expected
+
+
+@dataclass(frozen=True)
+class RowLinks:
+    """What linking found of one row between two rounds.
+
+    Parameters
+    ----------
+    row : str
+        The row.
+    earlier, later : int
+        Fruit of both rounds.
+    links, sure : int
+        Pairs likelier than not, and those sure enough to count for growth.
+    shift_m, shift_sd_m : float
+        How far the row was moved along, metres; the median of its stretches.
+    """
+
+    row: str
+    earlier: int
+    later: int
+    links: int
+    sure: int
+    shift_m: float
+    shift_sd_m: float
+
+
+def merge_round(store: Store, round_key: str) -> list[RowReport]:
+    """Merge all rows of a round again, and save the links and the fitted stop positions.
+
+    Corrections by hand are kept.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    round_key : str
+        The round.
+
+    Raises
+    ------
+    RoundError
+        If a row has more than two sides.
+    """
+    by_hand = store.links(round_key)
+    links: list[LinkRecord] = []
+    positions: dict[str, Position] = {}
+    reports = []
+    for row in read_round(store, round_key).rows:
+        merged = _merged(row, by_hand)
+        for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
+            first, second = row.fruit_keys[a], row.fruit_keys[b]
+            links.append(LinkRecord(LinkKind.SAME, first, second, chance))
+        along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
+        for key, at_m, sd_m in zip(row.stop_keys, *along, strict=True):
+            positions[key] = Position(at_m, sd_m)
+        fruit = len(np.unique(merged.cluster)) + row.unplaced
+        reports.append(_report(row, merged, fruit))
+    store.save_merging(round_key, links, positions)
+    return reports
+
+
+def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
+    if not len(row.views):
+        nothing = np.zeros(0)
+        return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
+    return merge_row(row.stops, row.views, by_hand=by_hand_of(row, links))
+
+
+def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowReport:
+    count = count_fruit(merged, row.stops, row.views, row.accepted, row.false)
+    return RowReport(
+        row.name,
+        len(row.stops),
+        len(row.views),
+        fruit,
+        # Without a row, pictures need not be of one place: nothing is said of what none shows.
+        count if row.name else CountEstimate.counted(len(count.seen)),
+        done,
+        float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
+        tuple(row.sides[side] for side in merged.mirrored),
+        row.unplaced,
+    )
+
+
+def row_reports(content: RoundContent) -> list[RowReport]:
+    """Return the rows of a round as they were merged last, what was done by hand included."""
+    fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
+    fruit = Counter(view.row or "" for view in counted_fruit(content.views))
+    return [
+        _report(
+            row,
+            stored_merging(content, row),
+            fruit[row.name],
+            done=not fitted.isdisjoint(row.stop_keys),
+        )
+        for row in content.rows
+    ]
+
+
+def link_rounds(
+    store: Store, earlier: str, later: str, profile: CropProfile | None = None
+) -> list[RowLinks]:
+    """Link the fruit of two merged rounds and save the links.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    earlier, later : str
+        Their keys.
+    profile : CropProfile, optional
+        Whose growth is expected; 3 cm a day, give or take 1, without.
+
+    Raises
+    ------
+    RoundError
+        If one of them is not there, or the later does not come later.
+    """
+    walked = {one.key: one.walked_s for one in store.rounds()}
+    if gone := {earlier, later} - walked.keys():
+        raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
+    days = (walked[later] - walked[earlier]) / DAY_S
+    if not days > 0:
+        raise RoundError(
+            "the later round was walked no later, by the times of its captures",
+            remedy="name the earlier one first",
+        )
+    growth: tuple[float, ...] = ()
+    if profile is not None:
+        of = profile.growth
+        growth = of.mean / 100, math.hypot(of.house_sd, of.row_sd, of.fruit_sd) / 100
+    contents = read_round(store, earlier), read_round(store, later)
+    first = {row.name: row for row in contents[0].rows if len(row.views)}
+    links, found = [], []
+    for row in contents[1].rows:
+        before = first.get(row.name)
+        if before is None or not len(row.views):
+            continue
+        fruit = [
+            row_fruit(stored_merging(content, one), one.views)
+            for content, one in zip(contents, (before, row), strict=True)
+        ]
+        linked = link_days(fruit[0], fruit[1], days, *growth)
+        for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
+            one = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
+            links.append(LinkRecord(LinkKind.GROWTH, *one, chance))
+        shift = float(np.median(linked.shift_m[:, ALONG]))
+        sd = float(np.median(linked.shift_sd_m[:, ALONG]))
+        sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
+        found.append(RowLinks(row.name, *sizes, shift, sd))
+    store.save_growth(earlier, later, links)
+    store.save_growth(later, earlier, ())  # as they were linked before captures of that day came
+    return found
+
+
+_SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
+_FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
+
+
+def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> str:
+    """Merge a round's views, and link its fruit to the neighbouring rounds of its house.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    round_key : str
+        The round.
+    profile : CropProfile, optional
+        Whose growth is expected between days.
+
+    Returns
+    -------
+    str
+        What could not be done, in one line; empty where all was.
+    """
+    try:
+        merge_round(store, round_key)
+        before, after = earlier_round(store, round_key), later_rounds(store, round_key)
+        for one in () if before is None else (before,):
+            link_rounds(store, one.key, round_key, profile)
+        for one in after[:1]:
+            link_rounds(store, round_key, one.key, profile)
+            if before is not None:  # they were neighbours while this round was not there
+                store.save_growth(before.key, one.key, ())
+    except (RoundError, StoreError) as error:  # a round or fruit may be deleted meanwhile
+        return str(error)
+    return ""
+
+
+def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
+    """Say where a stop was taken really; return the change's number in the log.
+
+    Where the side changes, what lay to the left of the camera lies to the right of it.
+
+    Raises
+    ------
+    RoundError
+        If it is moved to where another stop of the round is, of the same camera.
+    """
+    if (place.row, place.side, place.position_m) != (stop.row, stop.side, stop.position_m):
+        camera = store.cameras(stop.round_key)[stop.key]
+        refuse_taken(store, stop.round_key, place, camera, but=stop.key)
+    turned = sign_of_side(place.side) != sign_of_side(stop.side)
+    where = StopPlace(
+        place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
+    )
+    return store.place_stop(stop.key, where)
+
+
+def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list[str]:
+    """Take a round out of the list of rounds; return the rounds that have to be settled then.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is.
+    round_key : str
+        The round.
+    waiting : WaitingCaptures
+        What waits to be measured.
+
+    Raises
+    ------
+    RoundError
+        If captures wait to be measured into it.
+    StoreError
+        If it is not there.
+    """
+    waits = sum(one.round_key == round_key for one in waiting.captures())
+    if waits:
+        words = "1 capture waits" if waits == 1 else f"{waits} captures wait"
+        raise RoundError(f"{words} to be measured into it", remedy="delete it afterwards")
+    after = later_rounds(store, round_key)[:1]
+    store.delete_round(round_key)
+    return [one.key for one in after]  # its fruit are those of the round before now
+
+
+def undo(store: Store, round_key: str | None = None, *, number: int | None = None) -> str:
+    """Undo a correction, as `Store.undo` does.
+
+    Returns
+    -------
+    str
+        The round whose stop has moved, so that it has to be merged again; empty for none.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to undo, or a later action depends on it.
+    """
+    done = store.undo(round_key, number=number)
+    line = next(one for one in store.log(round_key, limit=None) if one.number == done)
+    return (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
+
+
+def earlier_round(store: Store, round_key: str) -> RoundView | None:
+    """Return the last round of the same house of an earlier day; None where there is none.
+
+    Days are those of the captures (`RoundView.walked_s`), whenever a round was begun.
+    """
+    one, others = _neighbours(store, round_key)
+    near = [x for x in others if _SAME_DAY_S < one.walked_s - x.walked_s < _FARTHEST_S]
+    return near[0] if near else None
+
+
+def later_rounds(store: Store, round_key: str) -> list[RoundView]:
+    """Return the rounds of the same house of later days, the nearest first."""
+    one, others = _neighbours(store, round_key)
+    return [x for x in others[::-1] if _SAME_DAY_S < x.walked_s - one.walked_s < _FARTHEST_S]
+
+
+def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:
+    """Return a round, and the others of its house that hold fruit, the one walked last first."""
+    rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
+    one = next((x for x in rounds if x.key == round_key), None)
+    if one is None:
+        raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
+    house = house_key(one.record.house)
+    others = (x for x in rounds if x.key != round_key and x.fruit)
+    return one, [x for x in others if house_key(x.record.house) == house]

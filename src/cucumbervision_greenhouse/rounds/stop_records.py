@@ -1,0 +1,339 @@
+"""Convert measurements to records of the store."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision._version import __version__
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.files import json_value
+from cucumbervision.capture.frames import Capture, Doubt, Stop
+from cucumbervision.capture.readers.native import MANIFEST
+from cucumbervision.errors import InstancesError
+from cucumbervision.geometry.curve import arc_positions
+from cucumbervision.measurement.flags import SHOWS_LESS
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.mask_codes import decode_rle, encode_rle
+from cucumbervision.pipeline.fields import si_values
+from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
+from cucumbervision.pipeline.stages import Stage
+from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
+from cucumbervision_greenhouse.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    DetectionRecord,
+    MethodRecord,
+    Point,
+    StopRecord,
+    new_key,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+    from cucumbervision.pipeline.fields import NumberedFruit
+    from cucumbervision.pipeline.measurer import CaptureResult, Measurer
+    from cucumbervision.pipeline.stages import StageHashes
+    from cucumbervision_greenhouse.store.images import ImageStore
+
+_PATH_POINTS = 48  # enough to draw a fruit by
+
+AS_READ = (
+    *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
+    "gravity",
+)
+_STORED = frozenset(column.name for column in fields(DetectionRecord))
+
+
+def stop_record(
+    round_key: str,
+    results: Sequence[CaptureResult],
+    measurer: Measurer | None = None,
+    *,
+    key: str | None = None,
+    position_sd_m: float | None = None,
+    images: ImageStore | None = None,
+) -> StopRecord:
+    """Return a stop of what was measured there; its pictures are put into `images`.
+
+    Parameters
+    ----------
+    round_key : str
+        The round's key.
+    results : sequence of CaptureResult
+        The captures.
+    measurer : Measurer, optional
+        What measured them: its software, options, networks and calibration are kept.
+    key : str, optional
+        The stop's own key, kept for sending it again; a new one by default.
+    position_sd_m : float, optional
+        How sure the position is; place and time are the first capture's. The time of a capture
+        that does not say it is when its file was written, so that two programs that save the same
+        files save the same stop.
+    images : ImageStore, optional
+        None keeps no pictures.
+    """
+    first = results[0].capture if results else None
+    taken_s = first and (first.timestamp_s or _written_s(first.source))
+    return StopRecord(
+        key=key or new_key(),
+        round_key=round_key,
+        **asdict(first.stop if first else Stop()),
+        position_sd_m=position_sd_m,
+        taken_s=taken_s or time.time(),
+        captures=tuple(_capture_record(one, images) for one in results),
+        artifacts=() if measurer is None else _artifact_records(measurer, results),
+        failures=tuple(vars(failure) for one in results for failure in one.failures),
+    )
+
+
+def _written_s(source: str) -> float | None:
+    """Return when a capture's file, or the manifest of its folder, was written; None if unknown."""
+    if not source:
+        return None
+    path = Path(source)
+    try:
+        return (path / MANIFEST if path.is_dir() else path).stat().st_mtime
+    except (OSError, ValueError):  # in memory, in a bucket, or a frame of a recording
+        return None
+
+
+def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> CaptureRecord:
+    """Return a record of one capture; its pictures are put into `images`.
+
+    Parameters
+    ----------
+    result : CaptureResult
+        The capture.
+    images : ImageStore, optional
+        None keeps no pictures.
+
+    Raises
+    ------
+    StoreError
+        If a picture cannot be written.
+    """
+    capture = result.capture
+    return CaptureRecord(
+        **{name: getattr(capture, name) for name in AS_READ},
+        width_px=capture.width,
+        height_px=capture.height,
+        fill=round(capture.fill, 4),
+        camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
+        provenance=json_value(capture.provenance),
+        doubts=tuple(map(str, capture.doubts)) or None,
+        fruit=tuple(fruit_record(one) for one in result.seen),
+        **_pictures(capture, images),
+    )
+
+
+def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
+    """Return a capture of the store as a frame again.
+
+    Its depth is as it was measured from: already scaled by the site's calibration.
+
+    Raises
+    ------
+    StoredImageError
+        If a picture is missing or damaged.
+    InstancesError
+        If it was kept without pictures.
+    """
+    if record.color is None or record.depth is None:
+        raise InstancesError(
+            "the pictures of this capture were not kept",
+            source=record.name,
+            remedy="measure the capture again",
+        )
+    capture = Capture(
+        images.read_color(record.color),
+        images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
+        CameraModel.model_validate(dict(record.camera)).intrinsics,
+        stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
+        provenance=dict[str, Any](record.provenance),
+        doubts=tuple(map(Doubt, record.doubts or ())),
+        **{name: getattr(record, name) for name in AS_READ},
+    )
+    # Stores of 0.1.0 kept how the camera was held, and not the direction that follows from it.
+    return capture if capture.gravity else replace(capture, gravity=_gravity_by_option(stop))
+
+
+def _gravity_by_option(stop: StopRecord) -> tuple[float, float, float] | None:
+    """Return the direction of gravity that the options of a stop named; None without one."""
+    options = next((one.details for one in stop.artifacts if one.kind == "config"), {})
+    return GRAVITY_BY_EDGE.get(str(options.get("camera_up")))
+
+
+def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
+    if images is None:
+        return {}
+    return {
+        "color": images.put_color(capture.color),
+        "depth": images.put_depth(capture.depth_m),
+        "thumbnail": images.put_thumbnail(capture.color),
+        "depth_unit_m": DEPTH_UNIT_M,
+    }
+
+
+def fruit_record(seen: NumberedFruit) -> DetectionRecord:
+    """Return a record of one fruit.
+
+    The fruit's offset along the row is how far right of the camera its middle lies; who knows that
+    the row runs the other way, or the camera's pose, replaces it.
+    """
+    fruit = seen.fruit
+    keypoints = fruit.instance.keypoints
+    cells: dict[str, Any] = {k: v for k, v in si_values(seen).items() if k in _STORED}
+    centre = _centre(seen)
+    if centre is not None:
+        cells["centre_x_m"], cells["centre_y_m"], cells["centre_z_m"] = centre
+        cells["offset_m"] = centre[0]
+    return DetectionRecord(
+        number=seen.number,
+        view_score=view_score(fruit),
+        length=fruit.length,
+        raw_length=fruit.raw_length,
+        keypoints=() if keypoints is None else _rows_of(keypoints),
+        mask=None if fruit.mask is None else encode_rle(fruit.mask),
+        methods=tuple(_method_record(one) for one in fruit.measurements.values()),
+        **cells,
+    )
+
+
+def view_score(fruit: FruitMeasurement) -> float:
+    """Return how well a view shows its fruit, 0 to 1; 0 where nothing was measured.
+
+    The detector's confidence times the share of readings in the mask times the share that
+    nothing hides; half of that without a fitted tube, and half again for each flag that
+    questions it. An order among views of one fruit, and no probability.
+    """
+    if fruit.selected is None:
+        return 0.0
+    hidden = 0.0 if fruit.fit is None else fruit.fit.hidden_share
+    score = fruit.instance.confidence * (fruit.fill or 0.0) * (1.0 - hidden)
+    halved = len(SHOWS_LESS & set(fruit.flags)) + (fruit.fit is None)
+    return round(score * 0.5**halved, 6)
+
+
+def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
+    """Return a stored fruit as it was found, in a picture of this height and width."""
+    edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    return Instance(
+        np.array(edges),
+        record.score,
+        record.label,
+        mask=None if record.mask is None else decode_rle(record.mask, *shape),
+        mask_source=MaskSource(record.mask_source) if record.mask_source else None,
+        keypoints=np.array(record.keypoints) if record.keypoints else None,
+    )
+
+
+_MEASURED_FROM = "measured-from"
+
+
+def measured_from(
+    capture: Capture, stages: Iterable[Stage | str], hashes: StageHashes
+) -> ArtifactRecord:
+    """Return what the fruit of a capture depend on besides its pictures.
+
+    These are its intrinsics, the stages that they went through, what these depend on, and the
+    data set's masks where they are its own.
+    """
+    names = [str(stage) for stage in stages]
+    camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
+    own = capture.masks if Stage.DATASET in names else ()
+    masks = sorted(hashlib.sha256(np.packbits(mask).tobytes()).hexdigest() for mask in own)
+    text = json.dumps([hashes.of(names), camera, masks], sort_keys=True)
+    sha256 = hashlib.sha256(text.encode()).hexdigest()
+    return ArtifactRecord(_MEASURED_FROM, " ".join(names), sha256)
+
+
+def holds_still(artifacts: Iterable[ArtifactRecord], capture: Capture, measurer: Measurer) -> bool:
+    """Return whether a stop measured with these would be measured so again from this capture.
+
+    Raises
+    ------
+    CucumberVisionError
+        If a file that the options name cannot be read.
+    """
+    for one in artifacts:
+        if one.kind == _MEASURED_FROM:
+            names, hashes = one.name.split(), measurer.hashes
+            return names[0] in hashes.sources and one == measured_from(capture, names, hashes)
+    return False
+
+
+def _artifact_records(
+    measurer: Measurer, results: Sequence[CaptureResult]
+) -> tuple[ArtifactRecord, ...]:
+    """Return software, configuration, networks and calibration that a measurer measures with."""
+    options, site = measurer.options, measurer.site
+    records = [
+        ArtifactRecord("software", f"cucumbervision {__version__}"),
+        ArtifactRecord("config", "measure", options.sha256, options.as_json()),
+    ]
+    models = [model for result in results for model in result.models]
+    for model in [one for k, one in enumerate(models) if one not in models[:k]]:
+        rest = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
+        sha256 = str(model.get("sha256") or "")
+        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(rest)))
+    if site is not None:
+        sha256 = hashlib.sha256(site.as_text().encode()).hexdigest()
+        details = site.model_dump(mode="json")
+        records.append(ArtifactRecord("calibration", site.name, sha256, details))
+    kinds = [measured_from(r.capture, r.stages, measurer.hashes) for r in results if r.stages]
+    return (*records, *kinds[:1])
+
+
+def _method_record(measurement: Measurement) -> MethodRecord:
+    tube, fit, path = measurement.tube, measurement.fit, measurement.path_m
+    diameter: NDArray[np.float64] | None = None
+    if fit is not None:
+        path = fit.traits.axis_m
+        diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
+    kept = np.zeros(0, int)
+    if path is not None:
+        kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round())
+        kept = kept.astype(int)
+    return MethodRecord(
+        method=str(measurement.method),
+        length_m=measurement.length_m,
+        kind=measurement.kind and str(measurement.kind),
+        reason=str(measurement.reason),
+        fallback=" > ".join(measurement.fallback),
+        measured_by=measurement.measured_by and str(measurement.measured_by),
+        centreline_m=None if tube is None else tube.centreline_m,
+        thread_m=None if tube is None else tube.thread_m,
+        chord_m=None if tube is None else tube.chord_m,
+        centreline_sd_m=None if fit is None else fit.centreline_sd_m,
+        thread_sd_m=None if fit is None else fit.thread_sd_m,
+        path_m=() if path is None else _rows_of(np.round(path[kept], 6)),
+        diameter_m=() if diameter is None else tuple(np.round(diameter[kept], 6).tolist()),
+    )
+
+
+def _centre(seen: NumberedFruit) -> Point | None:
+    fruit = seen.fruit
+    path = None if fruit.selected is None else fruit.selected.path_m
+    if path is not None and len(path):
+        return tuple(np.round(path.mean(axis=0), 5).tolist())
+    z = fruit.distance_m
+    if z is None:
+        return None
+    left, top, right, bottom = fruit.instance.box
+    x, y = seen.capture.intrinsics.rays((left + right) / 2, (top + bottom) / 2)
+    return round(float(x) * z, 5), round(float(y) * z, 5), round(z, 5)
+
+
+def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:
+    return tuple(tuple(line) for line in values.tolist())

@@ -1,0 +1,207 @@
+"""Predict the next stop of a walk: its position, side and step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from cucumbervision.errors import RoundError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import CameraAt
+
+_STEP_M = 0.4
+_WIDEST_M = 5.0
+_SAME_M = 0.005  # positions are typed to the centimetre
+
+
+class _Placed(Protocol):
+    """A stop, taken or stored."""
+
+    @property
+    def row(self) -> str | None: ...
+    @property
+    def side(self) -> str | None: ...
+    @property
+    def position_m(self) -> float | None: ...
+    @property
+    def step(self) -> int | None: ...
+
+
+_T = TypeVar("_T", bound=_Placed)
+
+
+@dataclass(frozen=True)
+class NextPlace:
+    """Where the next stop of a walk will be.
+
+    Parameters
+    ----------
+    row, side : str
+        Row of the house, and side of the row.
+    position_m : float
+        Along the row.
+    step_m : float
+        From one stop to the next, positive.
+    back : bool
+        Whether positions fall along the walk.
+    """
+
+    row: str = "1"
+    side: str = "left"
+    position_m: float = 0.0
+    step_m: float = _STEP_M
+    back: bool = False
+
+    def onward(self) -> NextPlace:
+        """Return the place one step farther; no position is below 0.
+
+        Examples
+        --------
+        >>> NextPlace(position_m=0.8).onward().position_m
+        1.2
+        >>> NextPlace(position_m=0.8, back=True).onward().position_m
+        0.4
+        """
+        way = -self.step_m if self.back else self.step_m
+        at_m = max(round(self.position_m + way, 2), 0.0)
+        return NextPlace(self.row, self.side, at_m, self.step_m, self.back)
+
+
+def next_place(stops: Sequence[_Placed]) -> NextPlace:
+    """Return where a walk goes on: one step from its last stop, as its last two lie apart.
+
+    Parameters
+    ----------
+    stops : sequence of Stop or StopView
+        What was taken so far, in order.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> next_place([])
+    NextPlace(row='1', side='left', position_m=0.0, step_m=0.4, back=False)
+    >>> next_place([Stop("3", "right", 2.0, 5), Stop("3", "right", 1.5, 6)])
+    NextPlace(row='3', side='right', position_m=1.0, step_m=0.5, back=True)
+    """
+    placed = [one for one in stops if one.position_m is not None]
+    if not placed:
+        return NextPlace()
+    last = placed[-1]
+    row, side, at_m = last.row or "", last.side or "left", last.position_m or 0.0
+    own = [one.position_m or 0.0 for one in placed if (one.row, one.side) == (last.row, last.side)]
+    apart = own[-1] - own[-2] if len(own) > 1 else _STEP_M
+    known = 0.0 < abs(apart) <= _WIDEST_M
+    step_m = round(abs(apart), 2) if known else _STEP_M
+    return NextPlace(row, side, round(at_m, 2), step_m, known and apart < 0).onward()
+
+
+def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
+    """Return a stop where no other is: one whose place is taken goes on from the last of its row.
+
+    So two people who walk one round from one place never give the same place to two stops.
+
+    Parameters
+    ----------
+    stop : Stop
+        The position given by the operator.
+    taken : sequence of Stop or StopView
+        Where the others are, in order.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> others = [Stop("3", "left", 0.0), Stop("3", "left", 0.5), Stop("3", "right", 1.0)]
+    >>> unless_taken(Stop("3", "left", 0.5), others).position_m
+    1.0
+    >>> unless_taken(Stop("3", "left", 0.25), others).position_m
+    0.25
+    """
+    if not stops_at(stop, taken):
+        return stop
+    own = [one for one in taken if (one.row, one.side) == (stop.row, stop.side)]
+    on = next_place(own)
+    if on.back and on.position_m == 0.0:  # a row ends there: on from its other end
+        on = replace(on, position_m=max(one.position_m or 0.0 for one in own), back=False).onward()
+    while stops_at(moved := replace(stop, position_m=on.position_m), own):
+        on = replace(on, back=False).onward()
+    return moved
+
+
+def stops_at(stop: _Placed, others: Iterable[_T]) -> list[_T]:
+    """Return the stops that are where this one is; none where its place is not known."""
+    at_m = stop.position_m
+    if at_m is None:
+        return []
+    return [
+        one
+        for one in others
+        if (one.row, one.side) == (stop.row, stop.side)
+        and one.position_m is not None
+        and abs(one.position_m - at_m) < _SAME_M
+    ]
+
+
+def refuse_taken(
+    store: Store, round_key: str, stop: _Placed, camera: CameraAt, *, but: str = ""
+) -> None:
+    """Refuse a stop at a place that has one of the same camera: most likely a slip in typing.
+
+    Two cameras on one mast share every place. They are two where their intrinsics differ, or their
+    heights.
+
+    Parameters
+    ----------
+    store, round_key : Store, str
+        The round.
+    stop : Stop or StopView
+        Where it is to be.
+    camera : CameraAt
+        What takes it.
+    but : str
+        Key of a stop that does not count: the one that is moved.
+
+    Raises
+    ------
+    RoundError
+        If one is there.
+    """
+    near = [one for one in stops_at(stop, store.stops(round_key)) if one.key != but]
+    cameras = store.cameras(round_key) if near else {}
+    for one in near:
+        if camera.is_one_with(cameras[one.key]):
+            name = "a stop" if one.step is None else f"stop {one.step}"
+            raise RoundError(
+                f"{name} is at {one.position_m:.2f} m of that row and side",
+                remedy="choose another position, or move or delete that stop first",
+            )
+
+
+def last_step(*walks: Sequence[_Placed]) -> int:
+    """Return the highest number that a stop has; 0 without any.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> last_step([Stop(step=2), Stop(step=7)], [Stop()])
+    7
+    """
+    return max((one.step or 0 for stops in walks for one in stops), default=0)
+
+
+def sides_of(stops: Iterable[_Placed]) -> list[str]:
+    """Return the names of a house's row sides from its stops; otherwise left and right.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> sides_of([Stop(side="right")]), sides_of([Stop(side="B"), Stop(side="A")])
+    (['left', 'right'], ['A', 'B'])
+    """
+    usual = ["left", "right"]
+    found = sorted({one.side for one in stops if one.side})
+    return usual if set(found) <= set(usual) else found

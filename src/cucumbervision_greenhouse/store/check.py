@@ -1,0 +1,241 @@
+"""Verify a store: the hashes of its rows (`hashes.py`), and its pictures.
+
+Changes by another program and bit flips on the disk are found here, and before an export.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import or_, select
+
+from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision_greenhouse.store.cells import cells_of, columns_of, round_id_of
+from cucumbervision_greenhouse.store.hashes import HASHED_LINES, sha256_of, stop_hashes
+from cucumbervision_greenhouse.store.records import ImageRef
+from cucumbervision_greenhouse.store.schema import (
+    IMAGE_COLUMNS,
+    DetectionLine,
+    Image,
+    LinkLine,
+    Mark,
+    RoundLine,
+    StopLine,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.store.engine import Database
+
+_AT_ONCE = 100  # stops whose lines are read together
+
+
+def refuse_changed(store: Database, round_key: str) -> None:
+    """Raise if any part of a round differs from what was saved.
+
+    Raises
+    ------
+    StoreError
+        If it does; the message names the first difference.
+    """
+    if changed := changed_lines(store, round_key):
+        remedy = "copy the store back from a backup; `round check` names all that was changed"
+        raise StoreError(changed[0], source=store.name, remedy=remedy)
+
+
+def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
+    """Return descriptions of everything that differs from what was saved.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    round_key : str, optional
+        Of that round alone.
+
+    Raises
+    ------
+    StoreError
+        If the stored data cannot be read.
+    """
+    faults = []
+    with store.reading() as connection:
+        number = None if round_key is None else round_id_of(connection, round_key)
+        stops = select(StopLine.id, StopLine.key, StopLine.rows_sha256).order_by(StopLine.id)
+        if number is not None:
+            stops = stops.where(StopLine.round_id == number)
+        rows = cells_of(connection, stops)
+        for first in range(0, len(rows), _AT_ONCE):
+            chunk = rows[first : first + _AT_ONCE]
+            hashes = stop_hashes(connection, [row[0] for row in chunk])
+            faults += [
+                f"stop {key} is not as it was saved"
+                for stop_id, key, sha256 in chunk
+                if hashes[stop_id] != sha256
+            ]
+        for table, (noun, names) in HASHED_LINES.items():
+            lines = select(table.id, table.sha256, *columns_of(table, names)).order_by(table.id)
+            if number is not None and table is Mark:
+                lines = lines.join(DetectionLine, DetectionLine.id == Mark.fruit_id)
+            if number is not None:
+                lines = lines.where(_in_round(table, number))
+            for line, sha256, *cells in cells_of(connection, lines):
+                if sha256_of(*cells) != sha256:
+                    faults.append(f"{noun} {line} is not as it was saved")
+    return faults
+
+
+def _in_round(table: Any, number: int) -> Any:
+    """Return which lines of a table belong to a round, for a query."""
+    if table is RoundLine:
+        return RoundLine.id == number
+    if table is LinkLine:
+        return or_(LinkLine.first_round_id == number, LinkLine.second_round_id == number)
+    return (DetectionLine if table is Mark else table).round_id == number
+
+
+_GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
+
+_ASIDE = ".removing"
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What was found.
+
+    Parameters
+    ----------
+    pictures : int
+        How many the database names.
+    missing, damaged : tuple of Path
+        Pictures that are missing, or whose content differs from their name.
+    orphans : tuple of Path
+        Files that no stop names: a program ended between its pictures and its stop.
+    removed : tuple of Path
+        Which orphans were removed.
+    faults : tuple of str
+        Faults that SQLite reports in its file, and the result of `changed_lines`.
+    """
+
+    pictures: int
+    missing: tuple[Path, ...]
+    damaged: tuple[Path, ...]
+    orphans: tuple[Path, ...]
+    removed: tuple[Path, ...]
+    faults: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing that was saved is missing or damaged."""
+        return not (self.missing or self.damaged or self.faults)
+
+
+def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> CheckReport:
+    """Check a store against its hashes and pictures; files that a stop names are never removed.
+
+    Parameters
+    ----------
+    store : Store
+        The store; others may be writing to it.
+    remove : bool
+        Remove orphans.
+    grace_s : float
+        Newer files are kept: the stop that names them may not be saved yet.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read.
+    """
+    if remove:
+        _bring_back(store)
+    with store.reading() as connection:
+        rows = cells_of(connection, select(*IMAGE_COLUMNS))
+    refs = {row[0]: ImageRef(*row) for row in rows}
+    missing, damaged = [], []
+    for ref in refs.values():
+        path = store.images.path(ref)
+        if not path.exists():
+            missing.append(path)
+        elif not _whole(store, ref):
+            damaged.append(path)
+    orphans = _orphans(store, refs, time.time() - grace_s)
+    return CheckReport(
+        len(refs),
+        tuple(missing),
+        tuple(damaged),
+        tuple(orphans),
+        tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
+        (*_faults(store), *changed_lines(store)),
+    )
+
+
+def _whole(store: Database, ref: ImageRef) -> bool:
+    try:
+        store.images.read(ref)
+    except StoredImageError:
+        return False
+    return True
+
+
+def _orphans(store: Database, refs: dict[str, ImageRef], before_s: float) -> list[Path]:
+    named = {store.images.path(ref) for ref in refs.values()}
+    files = store.images.files()
+    return sorted(path for path in files if path not in named and _older(path, before_s))
+
+
+def _older(path: Path, before_s: float) -> bool:
+    try:
+        return path.stat().st_mtime < before_s
+    except FileNotFoundError:  # another program removed or finished it
+        return False
+
+
+def _removed(store: Database, path: Path, grace_s: float) -> bool:
+    """Remove one orphan, unless another program is about to use it.
+
+    The file is renamed first; then its time and the database are checked again. A writer of the
+    same picture either finds it before that and updates its time, so that it is restored, or
+    does not find it, and writes it again.
+    """
+    aside = path.with_name(path.name + _ASIDE)
+    try:
+        path.replace(aside)
+    except FileNotFoundError:
+        return False
+    if _older(aside, time.time() - grace_s) and not _is_named(store, path.stem):
+        aside.unlink(missing_ok=True)
+        return True
+    if path.exists():
+        aside.unlink(missing_ok=True)
+    else:
+        aside.replace(path)
+    return False
+
+
+def _bring_back(store: Database) -> None:
+    """Restore files that an interrupted check was removing."""
+    for aside in list(store.images.files()):
+        if aside.name.endswith(_ASIDE):
+            path = aside.with_name(aside.name.removesuffix(_ASIDE))
+            with suppress(FileNotFoundError):
+                aside.unlink() if path.exists() else aside.replace(path)
+
+
+def _is_named(store: Database, sha256: str) -> bool:
+    with store.reading() as connection:
+        query = select(Image.sha256).where(Image.sha256 == sha256)
+        return connection.execute(query).first() is not None
+
+
+def _faults(store: Database) -> tuple[str, ...]:
+    if store.engine.dialect.name != "sqlite":
+        return ()
+    with store.reading() as connection:
+        said = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
+        loose = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
+    faults = [str(line) for line in said if line != "ok"]
+    return (*faults, *(f"{row[0]} names a line of {row[2]} that is not there" for row in loose))

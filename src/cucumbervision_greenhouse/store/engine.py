@@ -1,0 +1,402 @@
+"""The database connection: safe settings for SQLite, PostgreSQL by URL, errors in one line.
+
+A new database gets its tables when it is opened; one of another version is refused untouched.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import time
+from contextlib import AbstractContextManager, contextmanager
+from copy import copy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+
+from cucumbervision.errors import (
+    DiskFullError,
+    MissingExtraError,
+    StoreError,
+    StoreVersionError,
+    wrap_os_errors,
+)
+from cucumbervision_greenhouse.store.images import ImageStore
+from cucumbervision_greenhouse.store.schema import Base
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import Self
+
+BUSY_TIMEOUT_S = 30.0
+SIGNED_BY = "cucumbervision_signed_by"
+"""Name of the connection option with the person who writes."""
+DEVICE = "cucumbervision_device"
+"""Name of the connection option with the device that the person writes from."""
+
+_WRITES = "cucumbervision_writes"
+_MAKE_ROOM = "make room on the disk"
+_COMES_BACK = "the server starts again after a fault; try again in a minute"
+_HINTS = (
+    ("is locked", "another program is writing to it for a long time; try again"),
+    ("not a database", "name another file; this one is left as it is"),
+    ("malformed", "copy the file away and run 'sqlite3 FILE .recover'"),
+    ("unable to open", "check the folder and its permissions"),
+    ("readonly", "check the file's permissions"),
+    ("attempt to write", "check the file's permissions"),
+    ("is full", _MAKE_ROOM),
+    ("No space left", _MAKE_ROOM),
+    ("could not extend file", _MAKE_ROOM),  # PostgreSQL, where half a page still fitted
+    ("in recovery mode", _COMES_BACK),
+    ("not yet accepting connections", _COMES_BACK),
+    ("is starting up", _COMES_BACK),
+    ("connection", "check that the PostgreSQL server runs, and the address and password"),
+)
+
+
+def database_url(where: str | Path) -> URL:
+    """Read a database's address: a URL, or the path of an SQLite file.
+
+    Parameters
+    ----------
+    where : str or Path
+        'house.db', 'sqlite:///house.db' or 'postgresql://user@host/name'.
+
+    Raises
+    ------
+    StoreError
+        If it is neither, or no file.
+
+    Examples
+    --------
+    >>> database_url("house.db").drivername, database_url("postgresql://u@h/d").drivername
+    ('sqlite', 'postgresql+psycopg')
+    """
+    text = str(where)
+    try:
+        url = make_url(text) if "://" in text else URL.create("sqlite", database=text)
+    except ArgumentError:
+        raise StoreError("is not a database address", source="--store", remedy=_USAGE) from None
+    backend = url.get_backend_name()
+    if backend == "postgresql":
+        return url.set(drivername="postgresql+psycopg")
+    if backend != "sqlite":
+        raise StoreError(f"'{backend}' is not supported", source=named(url), remedy=_USAGE)
+    if not url.database or url.database == ":memory:":
+        raise StoreError("names no file", source=named(url), remedy=_USAGE)
+    return url.set(drivername="sqlite")
+
+
+_USAGE = "give the path of a file, or postgresql://user@host/database"
+
+
+def named(url: URL) -> str:
+    """Return a database's name for errors, without its password.
+
+    Examples
+    --------
+    >>> named(database_url("postgresql://u:secret@h/d"))
+    'postgresql+psycopg://u:***@h/d'
+    """
+    if url.get_backend_name() == "sqlite":
+        return url.database or "sqlite"
+    return url.render_as_string(hide_password=True)
+
+
+def make_engine(url: URL) -> Engine:
+    """Make the engine.
+
+    SQLite runs in WAL mode, so that readers never wait for writers; foreign keys are checked; a
+    commit is on the disk before it is acknowledged (`synchronous = FULL`); a writer waits for
+    another up to `BUSY_TIMEOUT_S`. A writing transaction begins with `BEGIN IMMEDIATE`: one that
+    begins by reading and writes later would fail at once where another has written in between
+    (SQLite, "Isolation", SQLITE_BUSY_SNAPSHOT).
+
+    A file that may not be written, or whose folder may not, is opened for reading alone.
+
+    Raises
+    ------
+    MissingExtraError
+        If PostgreSQL's driver is not installed.
+    StoreError
+        If the file's folder cannot be made.
+    """
+    if url.get_backend_name() != "sqlite":
+        try:
+            # A server whose databases have no encoding would give bytes for texts.
+            return create_engine(url, pool_pre_ping=True, connect_args={"client_encoding": "utf8"})
+        except ModuleNotFoundError:
+            raise MissingExtraError("psycopg", "postgres") from None
+    path = Path(url.database or "").absolute()
+    if path.exists() and not all(
+        os.access(one, os.W_OK, effective_ids=True) for one in (path, path.parent)
+    ):
+        engine = create_engine(url, creator=lambda: _open_read_only(path))
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    with wrap_os_errors("cannot be made", path.parent, "name another folder", StoreError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _open_read_only(path: Path) -> sqlite3.Connection:
+    """Open an SQLite file without write permission.
+
+    If no other program has it open, there is no WAL file, and SQLite cannot create one: it can
+    then be read only as an immutable file.
+    """
+    log = path.with_name(f"{path.name}-wal")
+    alone = not log.exists() or not log.stat().st_size
+    address = f"{path.as_uri()}?mode=ro{'&immutable=1' if alone else ''}"
+    return sqlite3.connect(
+        address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )
+
+
+def _prepare_sqlite(connection: Any, _record: Any) -> None:
+    connection.isolation_level = None  # transactions begin where _begin_sqlite begins them
+    cursor = connection.cursor()
+    _use_wal(cursor)
+    for pragma in ("synchronous = FULL", "foreign_keys = ON"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _use_wal(cursor: sqlite3.Cursor) -> None:
+    """Switch a file to WAL mode, which SQLite refuses without waiting while another opens it."""
+    until_s = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            cursor.execute("PRAGMA journal_mode = WAL")
+        except sqlite3.OperationalError as error:
+            is_busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # or a kind of it
+            if not is_busy or time.monotonic() > until_s:
+                raise
+            time.sleep(0.01)
+        else:
+            return
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writes = connection.get_execution_options().get(_WRITES, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+@contextmanager
+def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
+    """Open one transaction: committed at the end, rolled back by any error.
+
+    A read-only transaction sees the database as it was at its start.
+
+    Raises
+    ------
+    StoreError
+        If the database reports an error.
+    """
+    with _store_errors(engine.url), engine.connect() as connection:
+        options: dict[str, Any] = {_WRITES: write}
+        if not write and connection.dialect.name == "postgresql":
+            options["isolation_level"] = "REPEATABLE READ"
+        connection = connection.execution_options(**options)
+        with connection.begin():
+            yield connection
+
+
+@contextmanager
+def _store_errors(url: URL) -> Iterator[None]:
+    """Convert database errors to one line with a remedy.
+
+    Raises
+    ------
+    StoreError
+        For any error of SQLAlchemy or the driver.
+    """
+    try:
+        yield
+    except UnicodeError as error:  # SQLite names what is damaged with its damaged bytes
+        raise StoreError(
+            "the file is damaged",
+            source=named(url),
+            remedy="copy the file away and run 'sqlite3 FILE .recover'",
+        ) from error
+    except SQLAlchemyError as error:
+        cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
+        fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
+        remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
+        kind = DiskFullError if remedy == _MAKE_ROOM else StoreError
+        raise kind(fault, source=named(url), remedy=remedy) from error
+
+
+class Database:
+    """An open database and the folder of its pictures. Any number of threads may use one.
+
+    Parameters
+    ----------
+    engine : sqlalchemy.Engine
+        The connection, as `make_engine` makes it.
+    images : Path, optional
+        Folder of the pictures, where it is known.
+    """
+
+    def __init__(self, engine: Engine, images: Path | None) -> None:
+        self.engine = engine
+        self._images = images
+        self._signed_by = self._device = ""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}>"
+
+    def signed(self, by: str, device: str = "") -> Self:
+        """Return the same database, with this person's name in the log of manual actions.
+
+        `device` tells people apart who have no names: a browser's own random name.
+        """
+        one = copy(self)
+        one._signed_by, one._device = by, device
+        return one
+
+    @property
+    def name(self) -> str:
+        """The database's name, without its password."""
+        return named(self.engine.url)
+
+    @property
+    def has_images(self) -> bool:
+        """Whether the folder of the pictures is known."""
+        return self._images is not None
+
+    @property
+    def images(self) -> ImageStore:
+        """The pictures beside the database."""
+        if self._images is None:
+            raise StoreError(
+                "the folder of the pictures is not known",
+                source=self.name,
+                remedy="open the store with images=FOLDER",
+            )
+        return ImageStore(self._images)
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Open a transaction that only reads."""
+        return begin(self.engine)
+
+    @contextmanager
+    def writing(self) -> Iterator[Connection]:
+        """Open a transaction that writes."""
+        with begin(self.engine, write=True) as connection:
+            yield connection.execution_options(**{SIGNED_BY: self._signed_by, DEVICE: self._device})
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+VERSION = "3"
+"""Of the tables; a change that is more than a new column of a record raises it."""
+
+VERSION_TABLE = "cucumbervision_version"
+
+_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of those who make the tables
+
+
+def prepare(engine: Engine) -> None:
+    """Make the tables of a new store, and add columns that records have gained since.
+
+    All in one transaction: two programs that open a new store at once wait for each other, and
+    one that is killed meanwhile leaves the database as it was.
+
+    Raises
+    ------
+    StoreVersionError
+        If another version of the software wrote it; nothing is changed.
+    StoreError
+        If the database holds another program's tables under our names.
+    """
+    with begin(engine) as connection:
+        if stored_version(connection) == VERSION and not _missing_columns(connection):
+            return
+    with begin(engine, write=True) as connection:
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
+        found = stored_version(connection)
+        if found is None:
+            _check_free(connection, named(engine.url))
+            _make_tables(connection)
+        elif found != VERSION:
+            raise StoreVersionError(
+                f"has schema {found}, and this software reads schema {VERSION}",
+                source=named(engine.url),
+                remedy="use the version of cucumbervision that wrote it; nothing was changed",
+            )
+        for table, column in _missing_columns(connection):
+            kind = column.type.compile(connection.dialect)
+            connection.execute(text(f"ALTER TABLE {table} ADD COLUMN {column.name} {kind}"))
+
+
+def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
+    """Return the columns of records that the tables do not have yet, such as a new trait's.
+
+    They may be empty, so that older software can still use such a database.
+    """
+    inspector = inspect(connection)
+    found = []
+    for name in ("captures", "fruit", "measurements"):
+        there = {column["name"] for column in inspector.get_columns(name)}
+        columns = Base.metadata.tables[name].columns
+        found += [(name, one) for one in columns if one.nullable and one.name not in there]
+    return found
+
+
+def stored_version(connection: Connection) -> str | None:
+    """Return the version of a database's tables; None where there is no store yet."""
+    if not inspect(connection).has_table(VERSION_TABLE):
+        return None
+    found = connection.execute(text(f"SELECT version FROM {VERSION_TABLE}")).scalar()
+    return None if found is None else str(found)
+
+
+def _check_free(connection: Connection, source: str) -> None:
+    taken = set(inspect(connection).get_table_names()) & set(Base.metadata.tables)
+    if taken:
+        raise StoreError(
+            f"holds tables of another program ({', '.join(sorted(taken))})",
+            source=source,
+            remedy="name another database; nothing was changed",
+        )
+
+
+def _make_tables(connection: Connection) -> None:
+    Base.metadata.create_all(connection, checkfirst=False)
+    dialect = connection.dialect.name
+    for statement in _KEEP_LOG[dialect]:
+        connection.execute(text(statement))
+    connection.execute(text(f"CREATE TABLE {VERSION_TABLE} (version TEXT NOT NULL)"))
+    connection.execute(text(f"INSERT INTO {VERSION_TABLE} VALUES (:v)"), {"v": VERSION})
+
+
+_KEEP_LOG = {
+    "sqlite": [
+        f"CREATE TRIGGER actions_no_{what.lower()} BEFORE {what} ON actions "
+        "BEGIN SELECT RAISE(ABORT, 'the log is only added to'); END"
+        for what in ("UPDATE", "DELETE")
+    ],
+    "postgresql": [
+        "CREATE FUNCTION cucumbervision_keep_log() RETURNS trigger LANGUAGE plpgsql AS "
+        "$$ BEGIN RAISE EXCEPTION 'the log is only added to'; END $$",
+        "CREATE TRIGGER actions_keep BEFORE UPDATE OR DELETE ON actions "
+        "FOR EACH ROW EXECUTE FUNCTION cucumbervision_keep_log()",
+    ],
+}
+"""The database itself keeps lines of the log from being changed or removed."""

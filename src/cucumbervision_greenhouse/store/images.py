@@ -1,0 +1,223 @@
+"""Pictures beside the database, named by the hash of their content and written atomically."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import time
+import uuid
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from cucumbervision.capture.files import sync_folder
+from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
+from cucumbervision_greenhouse.store.records import ImageRef
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
+THUMBNAIL_PX = 320
+_THUMBNAIL_QUALITY = 80
+_STARTED_S = 5.0  # a file that is younger may not be locked yet
+
+
+class ImageStore:
+    """A folder of pictures.
+
+    A file is written under a temporary name, flushed to the disk and then renamed, so that a power
+    failure leaves a complete file or none. Existing files are never overwritten, and the content
+    is compared with the name when it is read.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when the first picture is put.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = ImageStore(Path(folder))
+    ...     ref = store.put_depth(np.full((48, 64), 0.4545, np.float32))
+    ...     store.path(ref).relative_to(folder).parts[0] == ref.sha256[:2]
+    ...     round(float(store.read_depth(ref)[0, 0]), 6)
+    True
+    0.4545
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put_color(self, color: NDArray[np.uint8]) -> ImageRef:
+        """Store a colour picture as PNG, from which can be measured again to the same length.
+
+        Parameters
+        ----------
+        color : ndarray of uint8, shape (H, W, 3)
+            RGB.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written.
+        """
+        return self._put_picture(color, ".png")
+
+    def put_thumbnail(self, color: NDArray[np.uint8]) -> ImageRef:
+        """Store a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
+        import cv2
+
+        scale = min(1.0, THUMBNAIL_PX / max(color.shape[:2]))
+        size = (max(1, round(color.shape[1] * scale)), max(1, round(color.shape[0] * scale)))
+        small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
+        quality = (cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY)
+        return self._put_picture(cast("NDArray[Any]", small), ".jpg", quality)
+
+    def put_depth(self, depth_m: NDArray[np.float32]) -> ImageRef:
+        """Store a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
+
+        Parameters
+        ----------
+        depth_m : ndarray of float32, shape (H, W)
+            Metres; what is not finite or beyond 16 bits becomes 0, which is no reading either.
+        """
+        steps = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT_M)
+        kept = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
+        return self._put_picture(kept.astype(np.uint16), ".png")
+
+    def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
+        """Store an encoded picture.
+
+        Parameters
+        ----------
+        data : bytes
+            The file's content.
+        suffix : str
+            '.png' or '.jpg'.
+        width_px, height_px : int
+            The picture's size.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written.
+        """
+        sha256 = hashlib.sha256(data).hexdigest()
+        ref = ImageRef(sha256, suffix, len(data), width_px, height_px)
+        path = self.path(ref)
+        remedy = "check the folder's permissions, then send the stop again"
+        with wrap_os_errors("cannot be written", path, remedy, StoreError):
+            if not self._has(path, sha256):
+                self._write_whole(path, data)
+        return ref
+
+    def path(self, ref: ImageRef) -> Path:
+        """Return a picture's file: two levels of folders, then the whole hash."""
+        return self.folder / ref.sha256[:2] / ref.sha256[2:4] / f"{ref.sha256}{ref.suffix}"
+
+    def read(self, ref: ImageRef) -> bytes:
+        """Read a picture's file and compare it with its hash.
+
+        Raises
+        ------
+        StoredImageError
+            If it is missing, or its content does not match its name.
+        """
+        path = self.path(ref)
+        remedy = "copy it back from a backup; its name is the hash of its content"
+        with wrap_os_errors("cannot be read", path, remedy, StoredImageError):
+            data = path.read_bytes()
+        if hashlib.sha256(data).hexdigest() != ref.sha256:
+            raise StoredImageError(
+                "its content does not match its name", source=path, remedy=remedy
+            )
+        return data
+
+    def read_color(self, ref: ImageRef) -> NDArray[np.uint8]:
+        """Read a colour picture or thumbnail: RGB, uint8, shape (H, W, 3)."""
+        import cv2
+
+        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_COLOR)
+        return cast("NDArray[np.uint8]", cv2.cvtColor(_decoded(image), cv2.COLOR_BGR2RGB))
+
+    def read_depth(self, ref: ImageRef, unit_m: float = DEPTH_UNIT_M) -> NDArray[np.float32]:
+        """Read a depth picture: metres, float32, shape (H, W), 0 where there is no reading."""
+        import cv2
+
+        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_UNCHANGED)
+        return (_decoded(image).astype(np.float64) * unit_m).astype(np.float32)
+
+    def files(self) -> Iterator[Path]:
+        """Return every picture in the folder, named by a hash or not."""
+        yield from self.folder.glob("??/??/*")
+
+    def clean(self) -> None:
+        """Remove partial files of killed runs; files that are being written stay."""
+        for path in self._half_written.glob("*"):
+            with suppress(OSError), path.open("rb") as stream:
+                if time.time() - path.stat().st_mtime > _STARTED_S:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    path.unlink()
+
+    @property
+    def _half_written(self) -> Path:
+        return self.folder / "writing"
+
+    def _put_picture(
+        self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...] = ()
+    ) -> ImageRef:
+        import cv2
+
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, data = cv2.imencode(suffix, image, parameters)
+        return self.put(data.tobytes(), suffix, int(image.shape[1]), int(image.shape[0]))
+
+    def _has(self, path: Path, sha256: str) -> bool:
+        """Return whether the picture is there and whole; its time of change becomes now.
+
+        The time of change is what keeps `check` from removing a picture as an orphan between
+        this and the transaction that names it.
+        """
+        try:
+            os.utime(path)
+            found = hashlib.sha256(path.read_bytes()).hexdigest()
+        except FileNotFoundError:
+            return False
+        if found == sha256:
+            return True
+        # Kept, so that what happened to it can be looked into.
+        path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))
+        return False
+
+    def _write_whole(self, path: Path, data: bytes) -> None:
+        new_folders = [folder for folder in path.parents[:3] if not folder.exists()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._half_written.mkdir(exist_ok=True)
+        temporary = self._half_written / uuid.uuid4().hex
+        try:
+            with temporary.open("xb") as stream:
+                fcntl.flock(stream, fcntl.LOCK_EX)  # until it has its name; a kill ends it
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+                temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        for folder in (path.parent, *(new.parent for new in new_folders)):
+            sync_folder(folder)
+
+
+def _decoded(image: Any) -> NDArray[Any]:
+    if image is None:  # the hash is right, so it was no picture when it was put
+        raise StoredImageError("is not a readable picture", remedy="measure the capture again")
+    return cast("NDArray[Any]", image)

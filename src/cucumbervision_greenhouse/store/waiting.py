@@ -1,0 +1,314 @@
+"""The queue of captures to measure, written to disk atomically when they are taken.
+
+Each is a native capture folder, or a folder of raw frames of a burst, with a file `waiting.json`
+that names its future stop and round. It is written under a temporary name, flushed to the disk and
+then renamed, so that a killed program leaves no partial capture. Raw frames are linked, not copied:
+saving a press codes nothing. They are fused and coded when there is time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cucumbervision.capture.files import sync_folder
+from cucumbervision.capture.frames import Stop, fuse_burst
+from cucumbervision.capture.raw_frames import SUFFIX, read_frame
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import MANIFEST, write_native
+from cucumbervision.errors import CaptureError, StoreError, wrap_os_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cucumbervision.capture.frames import Capture
+
+MOST_TRIES = 3  # limits how often a capture can crash the program
+
+_WHERE = "waiting.json"
+_TRIES = "tries"
+_TEMPORARY = ".unfinished-"
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A capture in the queue.
+
+    Parameters
+    ----------
+    key, round_key : str
+        Of the stop that it will be, and of the stop's round.
+    stop : Stop
+        Where it was taken.
+    pressed_s : float
+        When, seconds since 1970 (UTC).
+    folder : Path
+        Where it lies.
+    source : str
+        What it was taken from.
+    tries : int
+        How often its measuring was begun and not ended.
+    """
+
+    key: str
+    round_key: str
+    stop: Stop
+    pressed_s: float
+    folder: Path
+    source: str = ""
+    tries: int = 0
+
+    def load(self) -> Capture:
+        """Return the capture as it was kept.
+
+        Raises
+        ------
+        CaptureError
+            If it was damaged since.
+        """
+        for _ in range(2):  # it may be coded just then
+            paths = _raw_frames(self.folder)
+            if (self.folder / MANIFEST).exists() or not paths:
+                capture = next(iter(open_source(self.folder))).load()
+                return replace(capture, source=self.source or capture.source)
+            fused = _fused(paths)
+            if fused is not None:
+                return replace(
+                    fused, stop=self.stop, timestamp_s=self.pressed_s, source=self.source
+                )
+        raise CaptureError("its frames are damaged", source=self.folder, remedy="take it again")
+
+
+def waiting_folder(store: str) -> Path:
+    """Return the folder of a store's queue: beside an SQLite file, otherwise in the user's folder.
+
+    Examples
+    --------
+    >>> waiting_folder("house.db").name
+    'house.waiting'
+    """
+    if "://" not in store:
+        return Path(store).with_suffix(".waiting")
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "waiting"
+
+
+class WaitingCaptures:
+    """A folder of captures to measure, in the order in which they were taken.
+
+    Parameters
+    ----------
+    folder : Path
+        Made with the first capture.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> import numpy as np
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_greenhouse.store.records import key_of
+    >>> depth, color = np.full((48, 64), 0.5, np.float32), np.zeros((48, 64, 3), np.uint8)
+    >>> capture = Capture(color, depth, Intrinsics(64, 48, 60, 60, 32, 24), "a", stop=Stop("3"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     queue = WaitingCaptures(pathlib.Path(folder) / "house.waiting")
+    ...     kept = queue.put(capture, key_of("stop"), key_of("round"), 1_700_000_000.0)
+    ...     [one] = queue.captures()
+    ...     print(one == kept, one.stop.row, one.load().name)
+    ...     queue.done(one)
+    ...     queue.captures()
+    True 3 a
+    []
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._read: dict[Path, Waiting] = {}
+
+    def put(self, capture: Capture, key: str, round_key: str, pressed_s: float) -> Waiting:
+        """Save a capture durably, so that it survives a kill or a power failure after this returns.
+
+        Raises
+        ------
+        StoreError, CaptureError
+            If it cannot be written; nothing is left behind.
+        """
+        one = self._new(capture.stop, key, round_key, pressed_s, capture.source)
+        self._put(one, lambda half: write_native(capture, half))
+        return one
+
+    def put_frames(
+        self,
+        frames: Sequence[Path],
+        stop: Stop,
+        key: str,
+        round_key: str,
+        pressed_s: float,
+        source: str = "",
+    ) -> Waiting:
+        """Save the raw frames of a burst durably by linking them, whoever else removes theirs.
+
+        Raises
+        ------
+        StoreError
+            If one is gone, or they cannot be written; nothing is left behind.
+        """
+        one = self._new(stop, key, round_key, pressed_s, source)
+
+        def link(half: Path) -> None:
+            for frame in frames:
+                _link(frame, half / frame.name)
+
+        self._put(one, link)
+        return one
+
+    def code(self, one: Waiting) -> None:
+        """Fuse and code the raw frames of a capture, which then takes a fifth of the room.
+
+        It stays whole if this is killed: its manifest is written last, and the frames go after it.
+
+        Raises
+        ------
+        CucumberVisionError
+            If it cannot be read or written; it stays as it was.
+        """
+        paths = _raw_frames(one.folder)
+        if not paths or one.tries:  # it is coded, or is being measured
+            return
+        half = self.folder / f"{_TEMPORARY}coded-{one.folder.name}"
+        shutil.rmtree(half, ignore_errors=True)
+        try:
+            manifest = write_native(one.load(), half)
+            _sync(half)
+            with suppress(FileNotFoundError):  # it was measured meanwhile
+                for path in half.iterdir():
+                    if path != manifest:
+                        path.rename(one.folder / path.name)
+                sync_folder(one.folder)
+                manifest.rename(one.folder / MANIFEST)
+                sync_folder(one.folder)
+                for path in paths:
+                    path.unlink()
+        finally:
+            shutil.rmtree(half, ignore_errors=True)
+
+    def _new(self, stop: Stop, key: str, round_key: str, pressed_s: float, source: str) -> Waiting:
+        name = f"{round(1e6 * pressed_s):016d}-{key}"
+        return Waiting(key, round_key, stop, pressed_s, self.folder / name, source)
+
+    def _put(self, one: Waiting, fill: Callable[[Path], object]) -> None:
+        half = self.folder / f"{_TEMPORARY}{one.folder.name}"
+        about = {
+            "key": one.key,
+            "round": one.round_key,
+            "pressed_s": one.pressed_s,
+            "stop": asdict(one.stop),
+            "source": one.source,
+        }
+        remedy = "free some space on the disk, and check its rights"
+        try:
+            with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
+                half.mkdir(parents=True)
+                fill(half)
+                (half / _WHERE).write_text(json.dumps(about), encoding="utf-8")
+                _sync(half)
+                half.rename(one.folder)
+                sync_folder(self.folder)
+        except BaseException:
+            shutil.rmtree(half, ignore_errors=True)
+            raise
+
+    def captures(self) -> list[Waiting]:
+        """Return the queued captures, the oldest first, without those that failed too often."""
+        return [one for one in self._all() if one.tries < MOST_TRIES]
+
+    def set_aside(self) -> list[Waiting]:
+        """Return the captures that failed too often; they are kept for inspection."""
+        return [one for one in self._all() if one.tries >= MOST_TRIES]
+
+    def holds(self, key: str) -> bool:
+        """Return whether a capture of this key waits, or was set aside."""
+        return any(self.folder.glob(f"[0-9]*-{key}/{_WHERE}"))
+
+    def begin(self, one: Waiting) -> None:
+        """Record the start of a measurement, to recognise captures that crash the program."""
+        with (one.folder / _TRIES).open("ab") as tries:
+            tries.write(b".")
+            tries.flush()
+            os.fsync(tries.fileno())
+
+    def done(self, one: Waiting) -> None:
+        """Remove a capture whose stop is in the store."""
+        half = one.folder.with_name(f"{_TEMPORARY}{one.folder.name}")
+        with suppress(FileNotFoundError):
+            one.folder.rename(half)
+        shutil.rmtree(half, ignore_errors=True)
+
+    def clean(self) -> None:
+        """Remove partial folders of a killed program; call it at the start."""
+        for half in self.folder.glob(f"{_TEMPORARY}*"):
+            shutil.rmtree(half, ignore_errors=True)
+
+    def _all(self) -> list[Waiting]:
+        found, known = [], self._read
+        for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
+            # Another thread may just be done with it.
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                one, tries = known.get(path) or _read(path), path.with_name(_TRIES)
+                found.append(replace(one, tries=tries.stat().st_size if tries.exists() else 0))
+        self._read = {one.folder / _WHERE: one for one in found}
+        return found
+
+
+def _raw_frames(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{SUFFIX}"))
+
+
+def _fused(paths: Sequence[Path]) -> Capture | None:
+    """Return the capture that raw frames make together, called by the first; None without any.
+
+    A frame that a power failure cut off costs only itself.
+    """
+    frames: list[Capture] = []
+    for path in paths:
+        with suppress(CaptureError):
+            frames.append(read_frame(path))
+    if len(frames) < 2:
+        return frames[0] if frames else None
+    fused = fuse_burst([one.color for one in frames], [one.depth_m for one in frames])
+    first = frames[0]
+    return replace(frames[fused.burst_frame], **vars(fused), name=first.name, frame=first.frame)
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        target.hardlink_to(source)
+    except OSError:  # on another disk, or on one that knows no links
+        shutil.copyfile(source, target)
+
+
+def _read(path: Path) -> Waiting:
+    about = json.loads(path.read_text(encoding="utf-8"))
+    stop = Stop(**about["stop"])
+    place = about["key"], about["round"], stop, about["pressed_s"]
+    return Waiting(*place, path.parent, about["source"])
+
+
+def _sync(folder: Path) -> None:
+    """Flush a folder and its content to the disk."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_dir():
+            sync_folder(path)
+        else:
+            handle = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+    sync_folder(folder)

@@ -1,0 +1,304 @@
+"""A real Chromium walks the pages of a real server on a fresh machine.
+
+Each test stands by itself: any of them may be the first that the server sees.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse.store.repository import open_store
+
+REDRAWS = 40  # what each of them would leave behind is found by the second
+NEWS = 300  # of an hour, on the capture page, where every one is drawn
+TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
+
+# One server and one browser, and no limit that a busy machine could reach.
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
+
+
+@dataclass
+class Dashboard:
+    """A browser's page on a running server."""
+
+    page: Any
+    address: str
+    store: Path
+    artefacts: Path | None
+    hosts: set[str]
+    faults: list[str]
+
+    def go(self, name: str) -> None:
+        self.page.locator(".st-key-nav a").filter(has_text=name).click()
+        self.quiet()
+
+    def quiet(self) -> None:
+        """Wait until nothing is being drawn any more."""
+        still = 0
+        for _ in range(1500):
+            drawing = self.page.locator('[data-testid="stSkeleton"]').count()
+            still = 0 if drawing else still + 1
+            if still == 3:
+                return
+            self.page.wait_for_timeout(200)
+        raise AssertionError("the page is still being drawn")
+
+    def stops(self) -> int:
+        with open_store(self.store) as store:
+            return sum(one.stops for one in store.rounds())
+
+    def shot(self, name: str) -> None:
+        """Keep a picture of the whole page, at both ways of holding a tablet, where asked to."""
+        if self.artefacts is None:
+            return
+        for way, size in (("wide", TABLET), ("upright", UPRIGHT)):
+            self.page.set_viewport_size(size)
+            self.page.wait_for_timeout(400)
+            self.page.screenshot(path=self.artefacts / f"dashboard-{name}-{way}.png")
+        self.page.set_viewport_size(TABLET)
+
+
+@pytest.fixture(scope="module")
+def served(
+    tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., str]
+) -> tuple[str, Path]:
+    """The address of a server on a fresh machine, and its store."""
+    folder = tmp_path_factory.mktemp("browser")
+    store, replay = folder / "house.db", example_captures()
+    return start_server(folder, "--store", str(store), "--replay", str(replay)), store
+
+
+@pytest.fixture
+def dashboard(served: tuple[str, Path], new_page: Callable[[], Any]) -> Iterator[Dashboard]:
+    """The results of the bundled captures; asks that nothing failed, nor left this machine."""
+    named = os.environ.get("CUCUMBERVISION_ARTEFACTS")
+    artefacts = Path(named) if named else None
+    if artefacts is not None:
+        artefacts.mkdir(parents=True, exist_ok=True)
+    (address, store), page, hosts, faults = served, new_page(), set[str](), list[str]()
+    page.on("request", lambda r: hosts.add(r.url.split("/")[2]) if "//" in r.url else None)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(f"{address}/results")
+    opened = Dashboard(page, address, store, artefacts, hosts, faults)
+    # Eight fruit in the three bundled captures; the page follows while they are being measured.
+    shown = page.get_by_test_id("stMetricValue").first
+    shown.filter(has_text=re.compile(r"^([89]|[1-9]\d+)$")).wait_for()
+    page.get_by_text("tap one to open it").wait_for()
+    opened.quiet()
+    yield opened
+    assert {host.split(":")[0] for host in hosts} == {"127.0.0.1"}
+    assert faults == []
+
+
+def test_a_fresh_machine_shows_a_round(dashboard: Dashboard) -> None:
+    page = dashboard.page
+    shown = page.get_by_test_id("stMetricValue").first.inner_text()
+    # Other tests may have added stops.
+    assert shown == "8" if dashboard.stops() == 3 else int(shown) >= 8
+    dashboard.shot("results")
+
+
+def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: Dashboard) -> None:
+    page = dashboard.page
+    metric = page.get_by_test_id("stMetric").filter(has_text="Picked")
+    picked = metric.get_by_test_id("stMetricValue")
+    before, nodes = int(picked.inner_text()), list[int]()
+    with open_store(dashboard.store) as store:
+        shown = store.rounds()[0].key
+        left = next(x.key for x in store.detections(shown) if x.best and x.picked_s is None)
+        for _ in range(REDRAWS // 2):
+            for change, number in ((store.pick, before + 1), (store.unpick, before)):
+                change([left])
+                picked.filter(has_text=re.compile(f"^{number}$")).wait_for()
+            dashboard.quiet()
+            nodes.append(page.evaluate("document.querySelectorAll('*').length"))
+    assert max(nodes[1:]) == nodes[0]
+    page.locator(".fruit button").first.click()
+    page.locator("svg.view").wait_for()
+
+
+def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:
+    page, news = dashboard.page, list[Any]()
+    walk: dict[str, Any] = {}
+
+    def renamed(route: Any) -> None:
+        if not walk:
+            walk.update(route.fetch().json())
+        walk["now_s"] += 1.0
+        walk["last"]["name"] = f"Stop {walk['now_s']}"  # so that all of it is drawn again
+        route.fulfill(json=walk)
+
+    page.route("**/api/walk?*", renamed)
+    page.route_web_socket("**/api/news?*", lambda line: news.append(line))
+    page.goto(f"{dashboard.address}/capture")
+    page.locator("svg.view").first.wait_for()
+    nodes = list[int]()
+    for number in range(NEWS):
+        known = page.locator("#where").inner_text()
+        told = {"version": str(number), "now_s": 0.0, "work": {"words": "", "waiting": 0}}
+        news[-1].send(json.dumps(told))
+        page.wait_for_function(
+            "known => document.getElementById('where').textContent !== known", arg=known
+        )
+        if number in (1, NEWS - 1):
+            page.wait_for_timeout(500)
+            nodes.append(page.evaluate("document.querySelectorAll('*').length"))
+    assert nodes[0] == nodes[1]
+    page.unroute_all()
+    page.locator("button.take:enabled").click()
+    page.get_by_label("Presses").get_by_text("saved").first.wait_for()
+
+
+def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> None:
+    page = dashboard.page
+    page.locator(".fruit button").first.click()
+    page.get_by_role("button", name="Accept", exact=True).wait_for()
+    picture = page.locator("svg.view")
+    picture.wait_for()
+    assert picture.locator("polygon").count() == 3  # its own, and those of the other two
+    page.get_by_role("button", name="Details", exact=True).click()
+    page.get_by_role("button", name="M3", exact=True).click()
+    assert picture.locator("polyline").count() >= 4
+    page.get_by_role("button", name="Depth").click()
+    page.get_by_role("button", name="Colour").click()
+
+    page.get_by_role("button", name="Ruler").click()
+    box = picture.bounding_box()
+    page.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.45 * box["height"])
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.45 * box["height"])
+    page.get_by_text("Ruler:").wait_for()
+    dashboard.shot("fruit")
+
+    page.get_by_role("button", name="Accept", exact=True).click()
+    page.get_by_role("button", name="Accepted").wait_for()
+    page.get_by_role("tab", name="3D").click()
+    scene = page.get_by_test_id("stDeckGlJsonChart").locator("canvas").first
+    scene.wait_for()
+    dashboard.quiet()
+    before = scene.screenshot()
+    box = scene.bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.6 * box["height"], steps=5)
+    page.mouse.up()
+    page.wait_for_timeout(1000)
+    assert scene.screenshot() != before
+    dashboard.shot("cloud")
+    page.get_by_role("button", name="All fruit").click()
+
+
+def test_a_capture_from_the_replay_is_measured_in_place(dashboard: Dashboard) -> None:
+    page, stops = dashboard.page, dashboard.stops()
+    dashboard.go("Capture")
+    page.locator("button.take:enabled").wait_for()
+    page.wait_for_function("document.getElementById('color').naturalWidth > 0")
+    for _ in range(2):
+        page.locator("button.take").click()
+    page.locator("#where").get_by_text(f"Stop {stops + 2}: row", exact=False).wait_for()
+    dashboard.shot("capture")
+    assert dashboard.stops() == stops + 2
+
+
+def test_an_upload_is_measured_and_what_is_no_capture_is_told(
+    dashboard: Dashboard, tmp_path: Path
+) -> None:
+    page = dashboard.page
+    packed = tmp_path / "row.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for path in sorted((example_captures() / "simulated-row-a").glob("*.*")):
+            # At a place of its own: where it was drawn, the same camera has a stop already.
+            text = path.read_text().replace('"demo"', '"7"') if path.suffix == ".json" else None
+            archive.writestr(f"row-a/{path.name}", text or path.read_bytes())
+    (tmp_path / "odd.png").write_bytes(b"MZ no picture")
+    dashboard.go("Upload")
+    page.locator("input[type=file]").set_input_files([packed, tmp_path / "odd.png"])
+    page.get_by_role("button", name="Measure these files").click()
+    page.get_by_text("1 capture saved, 1 not.").wait_for()
+    dashboard.shot("upload")
+
+
+def by_hand(page: Any, values: list[str], first: int = 0, pause_ms: int = 0) -> Any:
+    """Type a column of lengths as somebody does who types fast; return its fields."""
+    fields = page.get_by_label("By hand, fruit")
+    fields.nth(7).wait_for()
+    fields.nth(first).click()
+    for value in values:  # the page is drawn anew after each
+        page.keyboard.press("Control+a")
+        page.keyboard.type(value, delay=pause_ms)
+        page.keyboard.press("Enter")
+        page.wait_for_timeout(pause_ms)
+    return fields
+
+
+def save_by_hand(dashboard: Dashboard, page: Any, values: list[str]) -> None:
+    """Save them, and wait until all of these stand in the file."""
+    sure = page.get_by_text("Yes, these lengths are right")
+    page.get_by_text(f"{values[-1]} cm by hand").wait_for()  # the page has all of them
+    while sure.count() > 1:  # one of before goes
+        page.wait_for_timeout(100)
+    sure.click()
+    page.get_by_role("button", name="Save these lengths", disabled=False).click()
+    lines = [f",{float(value):.2f},," for value in values]
+    for _ in range(500):
+        written = "".join(x.read_text() for x in dashboard.store.parent.glob("house.truth/*.csv"))
+        if all(line in written for line in lines):
+            return
+        page.wait_for_timeout(200)
+    raise AssertionError(written)
+
+
+@pytest.mark.parametrize("pause_ms", [0, 60])
+def test_lengths_typed_one_after_the_other_are_all_kept(
+    dashboard: Dashboard, new_page: Callable[[], Any], pause_ms: int
+) -> None:
+    page = dashboard.page
+    dashboard.go("Accuracy")
+    second = new_page()  # of somebody who looks at the same fruit
+    second.goto(page.url)
+    typed = [f"{70 + line}.{1 + pause_ms % 7}" for line in range(7)]
+    fields = by_hand(page, typed, pause_ms=pause_ms)
+    dashboard.quiet()
+    assert [fields.nth(line).input_value() for line in range(7)] == typed
+    save_by_hand(dashboard, page, typed)
+    # What is saved by somebody else since does not take it away.
+    last = f"99.{1 + pause_ms % 7}"
+    by_hand(second, [last], first=7)
+    save_by_hand(dashboard, second, [*typed, last])
+    for one in (page, second):
+        one.reload()
+        fields = one.get_by_label("By hand, fruit")
+        fields.nth(7).wait_for()
+        assert [fields.nth(line).input_value() for line in range(8)] == [*typed, last]
+    second.close()
+    dashboard.shot("hand")
+
+
+@pytest.mark.parametrize(
+    ("page", "words", "name"),
+    [
+        ("Row map", "One mark per fruit", "map"),
+        ("Today", "Pick list", "today"),
+        ("Forecast", "if nothing is picked", "forecast"),
+        ("Accuracy", "Measured by hand", "accuracy"),
+        ("Settings", "Networks", "settings"),
+    ],
+)
+def test_every_page_is_drawn(dashboard: Dashboard, page: str, words: str, name: str) -> None:
+    dashboard.go(page)
+    dashboard.page.get_by_text(words).first.wait_for()
+    dashboard.quiet()
+    dashboard.page.wait_for_timeout(500)
+    assert dashboard.page.get_by_role("link", name="About").count() == 1
+    dashboard.shot(name)

@@ -1,0 +1,247 @@
+"""Every page on a desktop, a tablet and a phone: readable, in reach of a thumb, nothing cut off."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("axe_playwright_python")
+
+from axe_playwright_python.sync_playwright import Axe
+
+from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import open_store
+
+WALK, TODAY = key_of("walk"), key_of("today")
+SIZES = {"desktop": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
+# Each with words that are there once it is drawn.
+PAGES = {
+    "today": ("/", "Pick list"),
+    "capture": ("/capture", "press as fast as you walk"),
+    "upload": ("/upload", "Measure these files"),
+    "results": ("/results", "tap one to open it"),
+    "fruit": ("/results?fruit={fruit}", "Details"),
+    "map": ("/map?fruit={fruit}", "This is a fruit"),
+    "stop": ("/map?stop={stop}", "Delete this stop"),
+    "forecast": ("/forecast", "if nothing is picked"),
+    "accuracy": ("/accuracy", "Measured by hand"),
+    "settings": ("/settings", "Networks"),
+    "about": ("/about", "Source code"),
+}
+LEAST_PX = 40
+
+# What reaches beyond the screen, words that end in '…', and what is too small for a thumb.
+LOOK = """(least) => {
+  const every = (root) => [...root.querySelectorAll('*')].flatMap(
+    (node) => [node, ...(node.shadowRoot ? every(node.shadowRoot) : [])]);
+  const words = (node) => `${node.tagName.toLowerCase()} '${
+    (node.getAttribute('aria-label') || node.innerText || node.value || '').trim().slice(0, 40)}'`;
+  const found = { cut: [], small: [] };
+  if (document.documentElement.scrollWidth > innerWidth) found.cut.push('the page');
+  for (const node of every(document.body)) {
+    const box = node.getBoundingClientRect(), style = getComputedStyle(node);
+    if (box.width < 2 || box.height < 2 || style.visibility === 'hidden') continue;
+    if (node.closest('canvas, svg, [data-testid=stDataFrame], .quiet, footer')) continue;
+    const own = [...node.childNodes].some((one) => one.nodeType === 3 && one.data.trim());
+    const hides = style.overflowX !== 'visible' && style.textOverflow === 'ellipsis';
+    const beyond = box.right > innerWidth + 1 || (hides && node.scrollWidth > node.clientWidth + 1);
+    if (own && beyond && node.innerText) found.cut.push(words(node));
+    const tapped = 'button, a[href], input, select, summary, [role=button], [role=tab]';
+    if (!node.matches(tapped) || node.disabled || node.closest('[aria-hidden=true]')) continue;
+    // A link in a sentence is text; what is tapped for a field is all that surrounds it.
+    if (style.display === 'inline' && node.tagName === 'A') continue;
+    const around = 'label, [data-baseweb=select], [data-testid=stSelectbox]';
+    const at = (node.closest('[data-testid=stTooltipIcon]') ? node : node.closest(around) || node)
+      .getBoundingClientRect();
+    if (at.height < least - 0.5 || at.width < least - 0.5)
+      found.small.push(`${words(node)} ${Math.round(at.width)} x ${Math.round(at.height)}`);
+  }
+  return found;
+}"""
+
+# One server and one browser, and no limit that a busy machine could reach.
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
+
+
+@pytest.fixture(scope="module")
+def address(
+    made: Path, tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., str]
+) -> tuple[str, dict[str, str]]:
+    """A server with a round of today, and what the addresses of its pages name."""
+    folder = tmp_path_factory.mktemp("sizes")
+    path = folder / "house.db"
+    shutil.copyfile(made, path)
+    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    with open_store(path) as store:
+        today = Round(TODAY, "morning", "house 1", profile="long-cucumber")
+        store.save_round(today)
+        for number, stop in enumerate(store.stops(WALK)):
+            record = replace(store.stop(stop.key), key=key_of("today", number), round_key=TODAY)
+            store.save_stop(replace(record, taken_s=today.started_s + number))
+        fruit = next(view for view in store.detections(TODAY) if view.record.length_m)
+    server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
+    return server, {"fruit": fruit.key, "stop": fruit.stop_key}
+
+
+def test_back_and_reload_come_to_the_same_place(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    listed, picture = page.locator(".fruit button").first, page.locator("svg.view")
+    page.goto(f"{address[0]}/?round={TODAY}")
+    page.get_by_text("Pick list").first.wait_for()
+    page.wait_for_url("**row=demo**")
+    page.goto(f"{address[0]}/results?round={TODAY}")
+    listed.tap()
+    picture.wait_for()
+    assert "fruit=" in page.url
+    # At once, within the first screen.
+    box = picture.bounding_box()
+    assert box["y"] + box["height"] < SIZES["phone"][1]
+    page.reload()
+    picture.wait_for()
+    page.locator(".st-key-nav a").filter(has_text="Row map").click()
+    page.get_by_text("One mark per fruit").wait_for()
+    page.go_back()
+    picture.wait_for()
+    page.go_back()
+    listed.wait_for()
+    page.go_forward()
+    picture.wait_for()
+    page.context.close()
+
+
+def test_a_keyboard_is_three_stops_from_the_list(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["desktop"])
+    page.goto(f"{address[0]}/?round={TODAY}")
+    first = page.locator(".fruit button").first
+    first.wait_for()
+    for _ in range(3):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.className") == "skip":
+            break
+    page.keyboard.press("Enter")
+    page.keyboard.press("Space")
+    page.locator('.fruit button[aria-pressed="true"]').first.wait_for()
+    # The way there works a second time.
+    page.locator(".skip").focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("Space")
+    # The first list is of the fruit that are ready; one of those to look at may follow.
+    page.get_by_text(re.compile(r"^0 of \d+ picked")).first.wait_for()
+
+
+def middle(place: Any) -> tuple[float, float]:
+    box = place.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_a_tap_on_the_map_is_answered_beside_the_finger(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    page.goto(f"{address[0]}/map?round={TODAY}")
+    marks, card = page.locator("svg.map path"), page.locator(".card:visible")
+    marks.first.wait_for()
+    before, size = marks.count(), marks.first.bounding_box()
+    assert min(size["width"], size["height"]) >= 24
+    marks.first.tap()
+    card.locator("img").wait_for()
+    x, y = middle(marks.first)
+    box = card.bounding_box()
+    assert box["x"] <= x <= box["x"] + box["width"]
+    assert min(abs(box["y"] - y), abs(box["y"] + box["height"] - y)) < 40
+    assert 0 <= box["y"] <= box["y"] + box["height"] <= SIZES["phone"][1]
+    card.get_by_role("button", name="Not a fruit").tap()
+    card.get_by_text("Marked: not a fruit.").wait_for()
+    assert marks.count() == before - 1
+    page.get_by_role("button", name="Undo").tap()
+    card.get_by_text("Marked: not a fruit.").wait_for(state="hidden")
+    assert marks.count() == before
+    card.get_by_role("button", name="Open").tap()
+    page.get_by_role("button", name="All fruit").wait_for()
+    assert "/results?" in page.url
+
+
+def test_two_fingers_zoom_the_map_and_one_moves_it(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["phone"], has_touch=True)
+    page.goto(f"{address[0]}/map?round={TODAY}")
+    drawn = page.locator("svg.map").first
+    drawn.locator("path").first.wait_for()
+    touch = page.context.new_cdp_session(page)
+
+    def fingers(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def view() -> list[float]:
+        return [float(part) for part in drawn.get_attribute("viewBox").split()]
+
+    whole, (x, y) = view(), middle(drawn)
+    fingers("touchStart", (x - 30, y), (x + 30, y))
+    for apart in (40, 50, 60):
+        fingers("touchMove", (x - apart, y), (x + apart, y))
+    fingers("touchEnd")
+    zoomed = view()
+    assert zoomed[2] == pytest.approx(whole[2] / 2, rel=0.1)
+    fingers("touchStart", (x, y))
+    for moved in (10, 20, 30):
+        fingers("touchMove", (x + moved, y))
+    fingers("touchEnd")
+    assert view()[0] < zoomed[0]
+    assert view()[2] == zoomed[2]
+    assert page.locator(".card:visible").count() == 0
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_for_everybody(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any], name: str, size: str
+) -> None:
+    server, named = address
+    path, words = PAGES[name]
+    width, height = SIZES[size]
+    page, said = new_page(width, height, has_touch=size != "desktop"), list[str]()
+    page.on("console", lambda line: said.append(line.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    query = "&" if "?" in path else "?"
+    page.goto(f"{server}{path.format(**named)}{query}round={TODAY}")
+    page.get_by_text(words).first.wait_for()
+    if name == "capture":  # with a stop, its picture and its fruit
+        page.locator("button.take:enabled").click()
+        page.locator("#where").get_by_text("saved").wait_for()
+        page.locator("svg.view").first.wait_for()
+    page.locator('[data-testid="stSkeleton"]').first.wait_for(state="hidden")
+    page.wait_for_timeout(1500)
+    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
+        # Streamlit's pages scroll within: as high as all that is on them.
+        within = "(document.querySelector('.stMain') || document.body).scrollHeight"
+        page.set_viewport_size({"width": width, "height": max(page.evaluate(within), height)})
+        page.wait_for_timeout(1000)
+        page.screenshot(path=Path(folder) / f"{name}-{size}.png")
+        page.set_viewport_size({"width": width, "height": height})
+    rules = Axe().run(page).response["violations"]
+    grave = [
+        f"{rule['id']}: {node['target']} {node['html'][:200]} {node['failureSummary']}"
+        for rule in rules
+        if rule["impact"] in ("serious", "critical")
+        for node in rule["nodes"]
+    ]
+    seen = page.evaluate(LOOK, LEAST_PX)
+    page.context.close()
+    assert grave == []
+    assert said == []
+    assert seen == {"cut": [], "small": []}

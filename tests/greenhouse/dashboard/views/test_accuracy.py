@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.truth import read_truth
+from cucumbervision.calibration.site_calibration import calibrate_lengths
+from cucumbervision.capture.source import example_captures
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_greenhouse.dashboard.views.accuracy import (
+    hand_file,
+    hand_lengths,
+    measured_round,
+    write_hand_lengths,
+)
+from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.repository import Store
+
+WALK = key_of("walk")
+
+
+def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path) -> None:
+    fruit = store.detections(WALK)
+    true = {}
+    for view in fruit:
+        said = json.loads((example_captures() / view.capture / "truth.json").read_text())
+        thread_m = said[view.record.number - 1]["thread_m"]
+        true[view.key] = (thread_m - 0.0005, thread_m + 0.0005)
+    path = hand_file(str(house), WALK)
+    assert write_hand_lengths(path, fruit, true, LengthDefinition.THREAD) == 8
+    read = hand_lengths(path, fruit)
+    for key, (first, _) in true.items():
+        assert read[key][0] == pytest.approx(first, abs=6e-5)
+
+    measured = measured_round(store, WALK, store.measurements(WALK))
+    found = evaluate_lengths(measured, read_truth(path))
+    scores = {score.method: score for score in found.scores}
+    assert scores["M6 thread"].fruit == 8
+    assert scores["M6 thread"].metrics.mape_percent < 5 < scores["M1"].metrics.mape_percent
+    # Twice by hand, 1 mm apart: a spread of 1 mm / sqrt(2).
+    assert found.floor is not None
+    assert found.floor.sd_mm == pytest.approx(0.71, abs=0.01)
+    site = calibrate_lengths(measured, read_truth(path), "house")
+    assert site.entry("M6 thread", LengthDefinition.THREAD) is not None
+
+
+def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Path) -> None:
+    fruit = store.detections(WALK)
+    path = tmp_path / "a.csv"
+    written = write_hand_lengths(path, fruit, {fruit[0].key: (0.2, None)}, LengthDefinition.CHORD)
+    assert written == 1
+    assert hand_lengths(path, fruit) == {fruit[0].key: (0.2, None)}
+    assert hand_lengths(tmp_path / "none.csv", fruit) == {}

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.simulated_rows import SimulatedRow, Walk, simulate_row
+
+from cucumbervision_greenhouse.rounds.merge import (
+    ByHand,
+    cluster_pairs,
+    join_clusters,
+    merge_row,
+    sweep,
+)
+from cucumbervision_greenhouse.rounds.row_fruit import best_views, count_fruit, row_fruit
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
+
+GIVEN = SimulatedRow(per_m=10)
+HARDER = SimulatedRow(per_m=14, operator_sd_m=0.06, missed=0.10)
+
+
+def pair_codes(cluster: NDArray[np.integer]) -> set[int]:
+    i, j = cluster_pairs(np.unique(cluster, return_inverse=True)[1])
+    return set((i * len(cluster) + j).tolist())
+
+
+def shares(walk: Walk, cluster: NDArray[np.integer]) -> tuple[float, float]:
+    invented = walk.of_fruit < 0
+    truth = np.where(invented, 10**6 + np.arange(len(invented)), walk.of_fruit)
+    found, true = pair_codes(cluster), pair_codes(truth)
+    return len(found & true) / len(found), len(found & true) / len(true)
+
+
+@pytest.mark.parametrize("settings", [GIVEN, replace(GIVEN, per_m=12), replace(GIVEN, sides=2)])
+def test_pairs_and_counts_of_simulated_rows(settings: SimulatedRow) -> None:
+    found, errors = [], []
+    for seed in range(3):
+        walk = simulate_row(settings, seed)
+        merged = merge_row(walk.stops, walk.views)
+        found.append(shares(walk, merged.cluster))
+        errors.append(count_fruit(merged, walk.stops, walk.views).expected / walk.in_view - 1)
+    precision, recall = np.mean(found, axis=0)
+    assert precision >= 0.98
+    assert recall >= 0.98
+    # Each row's count has a standard deviation of 1.5 % or so: invented fruit come by chance.
+    assert abs(np.mean(errors)) < 0.02
+
+
+def test_dense_rows_with_worse_positions() -> None:
+    walk = simulate_row(HARDER, 5)
+    precision, recall = shares(walk, merge_row(walk.stops, walk.views).cluster)
+    assert precision > 0.97
+    assert recall > 0.95
+
+
+@pytest.mark.parametrize("sides", [1, 2])
+def test_no_fruit_twice_from_one_capture(sides: int) -> None:
+    walk = simulate_row(replace(HARDER, sides=sides, fruit=80), 3)
+    cluster = merge_row(walk.stops, walk.views).cluster
+    both = np.column_stack([cluster, walk.views.capture])
+    assert len(np.unique(both, axis=0)) == len(both)
+
+
+def test_stops_are_found_better_than_they_were_given() -> None:
+    rng = np.random.default_rng(4)
+    walk = simulate_row(replace(GIVEN, operator_sd_m=1e-6, camera_sd_m=1e-6), 4)
+    error = rng.normal(0.0, 0.03, len(walk.stops))
+    given = walk.stops.at_m + np.stack([error, 0 * error, 0 * error], axis=1)
+    stops = replace(walk.stops, at_m=given, sd_m=np.full(given.shape, 0.03))
+    fitted = merge_row(stops, walk.views).stops
+    left = fitted.at_m[:, 0] - walk.stops.at_m[:, 0]
+    assert left.std() < 0.4 * error.std()
+    # The errors are those that the standard deviations promise.
+    assert 0.4 < np.sqrt(np.mean((left / fitted.sd_m[:, 0]) ** 2)) < 2.0
+
+
+def test_distance_between_aisles_is_found() -> None:
+    walk = simulate_row(replace(GIVEN, sides=2, distance_m=0.8), 1)
+    into_m = merge_row(walk.stops, walk.views).stops.at_m[:, 2]
+    apart_m = into_m[walk.stops.side == 1].mean() - into_m[walk.stops.side == 0].mean()
+    assert apart_m == pytest.approx(1.6, abs=0.03)
+
+
+def test_positions_that_count_the_other_way_are_noticed() -> None:
+    walk = simulate_row(replace(GIVEN, fruit=80), 1)
+    assert merge_row(walk.stops, walk.views).mirrored == ()
+    turned = replace(walk.views, offset_m=walk.views.offset_m * [-1.0, 1.0, 1.0])
+    assert merge_row(walk.stops, turned).mirrored == (0,)
+
+
+def test_what_was_decided_by_hand_stands() -> None:
+    walk = simulate_row(replace(GIVEN, fruit=60), 2)
+    merged = merge_row(walk.stops, walk.views)
+    apart = merged.pairs[:1]
+    sizes = np.bincount(merged.cluster)
+    alone = np.flatnonzero(sizes[merged.cluster] == 1)
+    captures = walk.views.capture[alone]
+    same = alone[[0, int((captures != captures[0]).argmax())]][None]
+    again = merge_row(walk.stops, walk.views, by_hand=ByHand(same=same, apart=apart)).cluster
+    assert again[apart[0, 0]] != again[apart[0, 1]]
+    assert again[same[0, 0]] == again[same[0, 1]]
+
+
+def few_views(captures: list[int]) -> RowViews:
+    n = len(captures)
+    at, ones = np.array(captures), np.ones(n)
+    return RowViews(
+        at, at, np.zeros((n, 3)), np.ones((n, 3)), ones, ones, ones, ones, ones > 2, ones, ones
+    )
+
+
+def test_sweep_takes_the_best_sum_and_not_the_best_pair() -> None:
+    # Views 0, 1 of one capture, 2, 3 of the next: 0-2 is the best pair, 0-3 and 1-2 the best sum.
+    i, j = np.array([0, 0, 1]), np.array([2, 3, 2])
+    ratio = np.array([5.0, 4.0, 4.5])
+    cluster = sweep(few_views([0, 0, 1, 1]), i, j, ratio, np.arange(4))
+    assert cluster[0] == cluster[3]
+    assert cluster[1] == cluster[2]
+    assert cluster[0] != cluster[1]
+
+
+def test_unlike_views_stay_alone() -> None:
+    cluster = sweep(few_views([0, 1]), np.array([0]), np.array([1]), np.array([-0.1]), np.arange(2))
+    assert cluster[0] != cluster[1]
+
+
+def test_two_halves_join_but_never_two_views_of_one_capture() -> None:
+    i, j = np.array([0, 0, 1, 1]), np.array([2, 3, 2, 3])
+    halves = np.array([0, 0, 1, 1])
+    ratio = np.full(4, 3.0)
+    joined = join_clusters(few_views([0, 1, 2, 3]), i, j, ratio, halves)
+    assert len(set(joined.tolist())) == 1
+    barred = join_clusters(few_views([0, 1, 1, 3]), i, j, ratio, halves)
+    assert len(set(barred.tolist())) == 2
+
+
+def test_best_view_shows_the_whole_fruit() -> None:
+    walk = simulate_row(replace(GIVEN, fruit=60, hidden=0.5), 2)
+    merged = merge_row(walk.stops, walk.views)
+    best = best_views(merged, walk.views)
+    whole = np.zeros(len(best), bool)
+    np.logical_or.at(whole, merged.cluster, ~walk.views.partial)
+    assert (walk.views.partial[best] == ~whole).all()
+    fruit = row_fruit(merged, walk.views)
+    assert (np.diff(fruit.place_m[:, 0]) > -0.2).all()
+
+
+def test_nothing_and_one_view() -> None:
+    stops = RowStops(np.zeros((1, 3)), np.full((1, 3), 0.03), np.zeros(1, int), np.ones((1, 2)))
+    one = few_views([0])
+    assert merge_row(stops, one).cluster.tolist() == [0]

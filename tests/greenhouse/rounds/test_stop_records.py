@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import CaptureError
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.pipeline.fields import NumberedFruit
+from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stop_record, view_score
+from cucumbervision_greenhouse.store.records import Round, record_json
+from cucumbervision_greenhouse.store.repository import Store, open_store
+
+OPTIONS = MeasureOptions(instances="dataset")
+
+
+@pytest.fixture(scope="module")
+def measured() -> CaptureResult:
+    """A bundled capture, measured."""
+    refs = {ref.name: ref for ref in open_source(example_captures())}
+    capture = refs["simulated-row-a"].load()
+    capture = replace(capture, stop=Stop("3", "left", 1.2, 4), timestamp_s=1234.5)
+    return Measurer(OPTIONS).measure(capture)
+
+
+def test_a_measured_capture_is_saved_and_comes_back_whole(
+    tmp_path: Path, measured: CaptureResult
+) -> None:
+    walk = Round(name="morning")
+    measurer = Measurer(OPTIONS)
+    networks = ({"name": "sam", "sha256": "ab"},)
+    failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))
+    with open_store(tmp_path / "house.db") as store:
+        store.save_round(walk)
+        stop = stop_record(
+            walk.key,
+            [replace(measured, failures=(failure,), models=networks)],
+            measurer,
+            position_sd_m=0.03,
+            images=store.images,
+        )
+        store.save_stop(stop)
+        assert store.stop(stop.key) == stop
+        _check_place(store, walk.key)
+        saved = store.stop(stop.key).captures[0]
+        assert saved.color is not None
+        assert saved.depth is not None
+        assert saved.thumbnail is not None
+        np.testing.assert_array_equal(store.images.read_color(saved.color), measured.capture.color)
+        depth = store.images.read_depth(saved.depth)
+        np.testing.assert_allclose(depth, measured.capture.depth_m, atol=6e-5)
+        assert store.images.read_color(saved.thumbnail).shape[1] == 320
+    assert stop.failures[0]["error"] == "CaptureError"
+    assert [(a.kind, a.name) for a in stop.artifacts[1:]] == [
+        ("config", "measure"),
+        ("model", "sam"),
+        ("measured-from", "dataset kept"),
+    ]
+    assert stop.artifacts[1].sha256 == OPTIONS.sha256
+
+
+def _check_place(store: Store, key: str) -> None:
+    [view] = store.stops(key)
+    assert (view.row, view.side, view.position_m, view.step) == ("3", "left", 1.2, 4)
+    assert (view.position_sd_m, view.taken_s, view.fruit, view.failures) == (0.03, 1234.5, 3, 1)
+
+
+def test_a_stop_of_a_file_without_a_time_has_the_files_time_whoever_saves_it(
+    measured: CaptureResult, tmp_path: Path
+) -> None:
+    folder = write_native(replace(measured.capture, timestamp_s=None), tmp_path / "a").parent
+    os.utime(folder / "capture.json", (1_700_000_000.0, 1_700_000_000.5))
+    capture = replace(measured.capture, timestamp_s=None, source=str(folder))
+    saved = [stop_record("r", [replace(measured, capture=capture)], key="k") for _ in range(2)]
+    assert saved[0] == saved[1]
+    assert saved[0].taken_s == 1_700_000_000.5
+    timed = replace(capture, timestamp_s=1_600_000_000.0)
+    assert stop_record("r", [replace(measured, capture=timed)]).taken_s == 1_600_000_000.0
+    elsewhere = replace(capture, source="s3://bucket/a")
+    assert stop_record("r", [replace(measured, capture=elsewhere)]).taken_s > 1_700_000_001
+
+
+def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None:
+    [stop] = stop_record("r", [measured]).captures
+    for record, row, fruit in zip(stop.fruit, measured.rows(), measured.fruit, strict=True):
+        for metres, column in (
+            ("length_m", "length_cm"),
+            ("thread_m", "thread_cm"),
+            ("distance_m", "distance_cm"),
+        ):
+            assert 100 * getattr(record, metres) == pytest.approx(row[column], abs=5.1e-4)
+        assert record.length == fruit.length is not None
+        assert 1000 * (record.diameter_max_m or 0) == pytest.approx(
+            row["diameter_max_mm"], abs=0.01
+        )
+        assert 1e6 * (record.volume_m3 or 0) == pytest.approx(row["volume_ml"], abs=0.06)
+        assert (record.method, record.flags, record.box_x1_px) == (
+            row["method"],
+            row["flags"],
+            row["box_x1_px"],
+        )
+        assert record.mask is not None
+        assert fruit.mask is not None
+        assert (decode_rle(record.mask, stop.height_px, stop.width_px) == fruit.mask).all()
+        assert [m.method for m in record.methods] == [str(m) for m in Method]
+
+
+def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> None:
+    # Of `SCENES`: the middles of the three fruit, camera coordinates.
+    drawn = [(-0.17, 0.52), (0.02, 0.55), (0.20, 0.50)]
+    [capture] = stop_record("r", [measured]).captures
+    found = sorted((f.centre_x_m, f.centre_z_m, f.offset_m) for f in capture.fruit if f.centre_x_m)
+    for (x, z), (x_m, z_m, offset_m) in zip(drawn, found, strict=True):
+        assert x_m == offset_m == pytest.approx(x, abs=0.015)
+        assert z_m == pytest.approx(z, abs=0.03)
+
+
+def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: CaptureResult) -> None:
+    record = fruit_record(measured.seen[0])
+    tube = next(m for m in record.methods if m.method == "M6")
+    assert tube.centreline_m is not None
+    assert len(tube.path_m) == len(tube.diameter_m) == 48
+    along = np.linalg.norm(np.diff(np.array(tube.path_m), axis=0), axis=1).sum()
+    assert along == pytest.approx(tube.centreline_m, rel=0.01)
+    assert max(tube.diameter_m) == pytest.approx(record.diameter_max_m or 0, rel=0.02)
+    # The thinned path still begins and ends where the fruit does.
+    fit = measured.fruit[0].measurements[Method.M6].fit
+    assert fit is not None
+    np.testing.assert_allclose(tube.path_m[-1], fit.traits.axis_m[-1], atol=1e-6)
+
+
+def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> None:
+    nothing = measure_fruit(measured.capture, Instance(np.array([0.5, 0.5, 9.5, 9.5])))
+    dark = replace(measured.capture, depth_m=np.zeros_like(measured.capture.depth_m))
+    nothing = measure_fruit(dark, nothing.instance)
+    record = fruit_record(NumberedFruit(dark, 1, nothing))
+    assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
+    assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
+    assert record_json(record)["methods"][0]["reason"] == "no-depth"
+
+
+def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
+    fruit = measured.fruit[0]
+
+    def seen(hidden: float, *flags: Flag) -> float:
+        assert fruit.fit is not None
+        assert fruit.selected is not None
+        selected = replace(fruit.selected, fit=replace(fruit.fit, hidden_share=hidden))
+        return view_score(replace(fruit, selected=selected, fill=0.9, flags=flags))
+
+    best = seen(0.0)
+    assert best == pytest.approx(0.9 * fruit.instance.confidence)
+    assert seen(0.25) == pytest.approx(0.75 * best)
+    assert seen(0.0, Flag.CUT_BY_FRAME) == pytest.approx(best / 2)
+    assert seen(0.0, Flag.CUT_BY_FRAME, Flag.END_HIDDEN) == pytest.approx(best / 4)
+    plain = replace(fruit, selected=fruit.measurements[Method.M3], fill=0.9, flags=())
+    assert view_score(plain) == pytest.approx(best / 2)
+
+
+def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: CaptureResult) -> None:
+    odd: Capture = replace(
+        measured.capture,
+        provenance={"gain": np.float32(0.5), "list": np.arange(2), "from": Path("a")},
+    )
+    [capture] = stop_record("r", [CaptureResult(odd)]).captures
+    assert capture.provenance == {"gain": 0.5, "list": [0, 1], "from": "a"}

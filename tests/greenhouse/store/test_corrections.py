@@ -1,0 +1,314 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from sqlalchemy import text
+
+from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.measurement.result import Length
+from cucumbervision_greenhouse.store.engine import begin
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import DetectionRecord, Round, key_of, new_key
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionView, Verdict
+
+if TYPE_CHECKING:
+    from tests.greenhouse.store.conftest import MakeStop
+
+WALK, NEXT_DAY = key_of("walk"), key_of("next day")
+
+
+@pytest.fixture
+def keys(store: Store, make_stop: MakeStop) -> list[str]:
+    """Four detections: two stops with two fruit each."""
+    for step in (1, 2):
+        store.save_stop(make_stop(step))
+    return [one.key for one in store.detections(WALK)]
+
+
+def said(store: Store) -> list[Any]:
+    """Everything that can be changed by hand."""
+    return [(one, store.links(WALK)) for one in store.detections(WALK)]
+
+
+def group(store: Store, key: str) -> set[str]:
+    views = store.detections(WALK)
+    best = next(one.group for one in views if one.key == key)
+    return {one.key for one in views if one.group == best}
+
+
+def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]) -> None:
+    store.signed("ana").set_verdict(keys[:2], Verdict.ACCEPTED)
+    store.signed("bo").set_verdict(keys[1:3], Verdict.REJECTED)
+    store.signed("bo").set_verdict(keys[2:3], None)
+    assert [one.verdict for one in store.detections(WALK)] == [
+        Verdict.ACCEPTED,
+        Verdict.REJECTED,
+        None,
+        None,
+    ]
+    log = [(line.kind, line.by, line.fruit) for line in store.log(WALK)]
+    assert log == [
+        ("clear", "bo", (keys[2],)),
+        ("reject", "bo", (keys[1], keys[2])),
+        ("accept", "ana", (keys[0], keys[1])),
+    ]
+    assert store.log(NEXT_DAY) == []
+    assert [line.kind for line in store.log(limit=1)] == ["clear"]
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda s, k: s.set_verdict(k, Verdict.REJECTED),
+        lambda s, k: s.set_verdict(k, None),
+        lambda s, k: s.pick(k, at_s=9.0),
+        lambda s, k: s.unpick(k),
+        lambda s, k: s.correct(k[0], DetectionRecord(1, length=Length(0.5))),
+        lambda s, k: s.merge(k[0], k[3]),
+        lambda s, k: s.unmerge(k[1]),
+    ],
+    ids=["reject", "clear", "pick", "unpick", "correct", "merge", "unmerge"],
+)
+def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any) -> None:
+    store.set_verdict(keys[:2], Verdict.ACCEPTED)
+    store.pick(keys[:1], at_s=4.0)
+    store.correct(keys[0], DetectionRecord(1, length=Length(0.4)))
+    store.save_merging(WALK, [LinkRecord(LinkKind.SAME, keys[1], keys[2], 0.8)])
+    before = said(store)
+    act(store, keys)
+    assert said(store) != before
+    store.signed("ana").undo(WALK)
+    assert said(store) == before
+    done, undone = store.log(WALK)[0], store.log(WALK)[1]
+    assert (done.kind, done.by, done.undone) == ("undo", "ana", False)
+    assert undone.undone
+
+
+def test_undo_goes_back_step_by_step_and_then_says_that_there_is_no_more(
+    store: Store, keys: list[str]
+) -> None:
+    store.set_verdict(keys[:1], Verdict.ACCEPTED)
+    store.set_verdict(keys[:1], Verdict.REJECTED)
+    verdicts = []
+    for _ in range(2):
+        store.undo(WALK)
+        verdicts.append(store.detections(WALK)[0].verdict)
+    assert verdicts == [Verdict.ACCEPTED, None]
+    with pytest.raises(StoreError, match="nothing to undo"):
+        store.undo(WALK)
+
+
+def test_an_earlier_action_is_taken_back_unless_a_later_one_stands_on_it(
+    store: Store, keys: list[str]
+) -> None:
+    first = store.set_verdict(keys[:1], Verdict.ACCEPTED)
+    other = store.set_verdict(keys[1:2], Verdict.ACCEPTED)
+    store.set_verdict(keys[:1], Verdict.REJECTED)
+    with pytest.raises(StoreConflictError, match=f"depends on action {first}; undo the later"):
+        store.undo(number=first)
+    store.undo(number=other)
+    assert [one.verdict for one in store.detections(WALK)[:2]] == [Verdict.REJECTED, None]
+    with pytest.raises(StoreError, match=f"no action {other}"):
+        store.undo(number=other)
+    undo = store.log(WALK)[0].number
+    with pytest.raises(StoreError, match=f"no action {undo}"):
+        store.undo(number=undo)
+
+
+def test_what_was_taken_away_does_not_come_back_over_something_newer(
+    store: Store, keys: list[str]
+) -> None:
+    store.set_verdict(keys[:1], Verdict.ACCEPTED)
+    cleared = store.set_verdict(keys[:1], None)
+    store.set_verdict(keys[:1], Verdict.REJECTED)
+    with pytest.raises(StoreConflictError, match="depends on"):
+        store.undo(number=cleared)
+    assert store.detections(WALK)[0].verdict is Verdict.REJECTED
+    assert len(store.log()) == 3
+
+
+def test_undo_is_of_the_round_that_was_named(store: Store, make_stop: MakeStop) -> None:
+    walks = (Round(key_of("walk"), started_s=1000.0), Round(NEXT_DAY))
+    for walk in walks:
+        store.save_stop(make_stop(1, round=walk))
+    for walk in walks:
+        store.set_verdict([store.detections(walk.key)[0].key], Verdict.ACCEPTED)
+    store.undo(WALK)
+    assert store.detections(WALK)[0].verdict is None
+    assert store.detections(NEXT_DAY)[0].verdict is Verdict.ACCEPTED
+
+
+@pytest.mark.parametrize("command", ["UPDATE actions SET at_s = 0", "DELETE FROM actions"])
+def test_the_log_is_only_added_to(store: Store, keys: list[str], command: str) -> None:
+    store.pick(keys)
+    with (
+        pytest.raises(StoreError, match="the log is only added to"),
+        begin(store.engine, write=True) as connection,
+    ):
+        connection.execute(text(command))
+    assert len(store.log()) == 1
+
+
+def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
+    store: Store, keys: list[str]
+) -> None:
+    original = store.detection(keys[1]).original
+    corrected = replace(original, length=Length(0.333), mask="45", offset_m=0.7, flags="by-hand")
+    store.signed("ana").correct(keys[1], corrected)
+    detail = store.detection(keys[1])
+    assert detail.view.record == corrected
+    assert detail.original == original
+    assert [line.kind for line in detail.log] == ["correct"]
+    listed = store.detections(WALK)[1]
+    assert listed.corrected
+    assert listed.record == replace(corrected, mask=None, keypoints=(), methods=())
+    assert listed.along_m == pytest.approx(0.4 + 0.7)
+    assert store.detections(WALK, DetectionFilter(min_length_m=0.33)) == [listed]
+
+
+def test_a_correction_is_of_the_fruit_whose_number_it_has(store: Store, keys: list[str]) -> None:
+    with pytest.raises(StoreConflictError, match="another number than 7"):
+        store.correct(keys[1], DetectionRecord(7))
+
+
+def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys: list[str]) -> None:
+    a, b, c, d = keys
+    assert [one.best for one in store.detections(WALK)] == [True] * 4
+    store.signed("ana").merge(a, c)
+    store.correct(c, DetectionRecord(1, length=Length(0.2), view_score=0.9))
+
+    def shown() -> list[DetectionView]:
+        return store.detections(WALK, DetectionFilter(best=True))
+
+    assert [(one.key, one.views) for one in shown()] == [(b, 1), (c, 2), (d, 1)]
+    assert store.detection(a).view.group == c
+    assert store.detection(a).links == (LinkRecord(LinkKind.SAME, a, c, None, True),)
+    # A rejected view does not stand, and a pick counts for every view.
+    store.set_verdict([c], Verdict.REJECTED)
+    store.pick([c], at_s=7.0)
+    assert [(one.key, one.picked_s) for one in shown()] == [(a, 7.0), (b, None), (d, None)]
+
+
+def test_a_view_is_parted_from_its_group_and_stays_so(store: Store, keys: list[str]) -> None:
+    a, b, c, d = keys
+    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, c), (a, c))]
+    store.save_merging(WALK, links)
+    store.unmerge(c)
+    assert group(store, a) == {a, b}
+    # An algorithm that goes another way about it does not bring them together either.
+    around = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, d), (d, c), (b, c))]
+    assert store.save_merging(WALK, around) == 3
+    assert c not in group(store, a)
+    with pytest.raises(StoreError, match="is merged with none"):
+        store.unmerge(next(k for k in keys if len(group(store, k)) == 1))
+
+
+def test_merging_by_hand_ends_what_parted_the_groups(store: Store, keys: list[str]) -> None:
+    a, b, c, _ = keys
+    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, c))]
+    store.save_merging(WALK, links)
+    store.unmerge(c)
+    store.merge(c, a)
+    assert group(store, b) == {a, b, c}
+
+
+def test_only_what_can_be_one_fruit_is_linked(
+    store: Store, keys: list[str], make_stop: MakeStop
+) -> None:
+    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
+    later = store.detections(NEXT_DAY)[0].key
+    wrongs: tuple[Callable[[], int], ...] = (
+        lambda: store.merge(keys[0], keys[0]),
+        lambda: store.merge(keys[0], later),
+        lambda: store.link_growth(keys[0], keys[1]),
+    )
+    for wrong in wrongs:
+        with pytest.raises(StoreError, match="not two fruit that can be linked so"):
+            wrong()
+    with pytest.raises(StoreError, match="is not in the store"):
+        store.merge(keys[0], new_key())
+    with pytest.raises(StoreError, match="no fruit was named"):
+        store.pick([])
+    assert store.log() == []
+
+
+def test_more_fruit_than_a_command_takes_are_picked_at_once(
+    store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cucumbervision_greenhouse.store.corrections._AT_ONCE", 3)
+    store.save_stop(make_stop(1, 8))
+    store.pick([one.key for one in store.detections(WALK)])
+    assert all(one.picked_s for one in store.detections(WALK))
+
+
+def test_growth_is_linked_and_unlinked_by_hand(
+    store: Store, keys: list[str], make_stop: MakeStop
+) -> None:
+    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
+    later = store.detections(NEXT_DAY)[0].key
+    store.link_growth(keys[0], later)
+    expected = LinkRecord(LinkKind.GROWTH, keys[0], later, None, True)
+    assert store.links(WALK) == store.links(NEXT_DAY, LinkKind.GROWTH) == [expected]
+    # A link between days makes no group within one.
+    assert store.detections(WALK)[0].views == 1
+    store.unlink_growth(keys[0], later)
+    assert [link.kind for link in store.links(WALK)] == [LinkKind.APART]
+    assert store.save_growth(WALK, NEXT_DAY, [replace(expected, by_hand=False)]) == 0
+    store.undo(NEXT_DAY)
+    assert store.links(WALK) == [expected]
+
+
+def test_two_pages_that_mark_one_fruit_both_are_heard(
+    store: Store, keys: list[str], tmp_path: Any
+) -> None:
+    address = store.engine.url.render_as_string(hide_password=False)
+    with open_store(address) as other:
+        for n in range(5):
+            store.signed(f"a{n}").set_verdict(keys[:1], Verdict.ACCEPTED)
+            other.signed(f"b{n}").set_verdict(keys[:1], Verdict.REJECTED)
+    assert store.detections(WALK)[0].verdict is Verdict.REJECTED
+    assert len(store.log()) == 10
+
+
+def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
+    store: Store, keys: list[str]
+) -> None:
+    before, stop = said(store), key_of(WALK, 1)
+    found = DetectionRecord(1, mask="abc", length=Length(0.3), mask_source="sam")
+    added = store.signed("ana").add_fruit(stop, "a", found)
+    *_, view = (one for one in store.detections(WALK) if one.stop_key == stop)
+    assert (view.key, view.record.number, view.verdict) == (added, 3, Verdict.ACCEPTED)
+    assert store.detection(added).original == replace(found, number=3)
+    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2, 3]
+    assert [one.fruit for one in store.rounds() if one.key == WALK] == [5]
+    assert [one.fruit for one in store.stops(WALK)] == [3, 2]
+    assert [(line.kind, line.by) for line in store.log(WALK)] == [("add", "ana")]
+    store.undo(WALK)
+    assert said(store) == before
+    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2]
+    assert [one.fruit for one in store.stops(WALK)] == [2, 2]
+    for ask in (store.detection, lambda key: store.pick([key])):
+        with pytest.raises(StoreError, match="is not in the store"):
+            ask(added)
+    again = store.add_fruit(stop, "a", found)
+    assert store.detection(again).original.number == 4
+
+
+def test_a_fruit_can_be_added_to_a_capture_without_any(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(1, fruit=0))
+    store.add_fruit(key_of(WALK, 1), "a", DetectionRecord(9))
+    assert [one.record.number for one in store.detections(WALK)] == [1]
+    with pytest.raises(StoreError, match="has no capture 'b'"):
+        store.add_fruit(key_of(WALK, 1), "b", DetectionRecord(1))
+
+
+def test_corrected_records_come_with_their_masks(store: Store, keys: list[str]) -> None:
+    corrected = replace(store.detection(keys[0]).original, mask="corrected")
+    store.correct(keys[0], corrected)
+    assert store.corrected(WALK) == {keys[0]: corrected}
+    store.undo(WALK)
+    assert store.corrected(WALK) == {}

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import os
+import sqlite3
+import tempfile
+from contextlib import closing
+from pathlib import Path
+from threading import Timer
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreError
+from cucumbervision_greenhouse.store.engine import begin, database_url, named
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import open_store
+
+
+@pytest.mark.parametrize("where", ["", ":memory:", "sqlite://", "mysql://u@h/d", "http://x", "://"])
+def test_what_is_no_place_for_a_store_is_refused(where: str) -> None:
+    with pytest.raises(StoreError, match="give the path of a file, or postgresql"):
+        database_url(where)
+
+
+def test_a_password_is_never_shown() -> None:
+    url = database_url("postgresql://u:secret@127.0.0.1:1/d")
+    assert "secret" not in named(url)
+    pytest.importorskip("psycopg")
+    with pytest.raises(StoreError) as refused:
+        open_store("postgresql://u:secret@127.0.0.1:1/d?connect_timeout=2")
+    assert "secret" not in str(refused.value)
+    assert "check that the PostgreSQL server runs" in str(refused.value)
+
+
+def test_sqlite_runs_as_safely_as_it_can(tmp_path: Path) -> None:
+    with open_store(tmp_path / "a.db") as store, begin(store.engine) as connection:
+
+        def pragma(name: str) -> object:
+            return connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+
+        assert pragma("journal_mode") == "wal"
+        assert pragma("synchronous") == 2  # FULL
+        assert pragma("foreign_keys") == 1
+        assert pragma("busy_timeout") == 30000
+
+
+def test_a_file_that_is_no_database_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a database, " * 100)
+    with pytest.raises(StoreError, match=r"notes\.txt: file is not a database; name another file"):
+        open_store(path)
+    assert path.read_text() == "not a database, " * 100
+
+
+def test_who_only_reads_makes_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"hous\.db: is not there; check the path"):
+        open_store(tmp_path / "hous.db", create=False)
+    assert list(tmp_path.iterdir()) == []
+    open_store(tmp_path / "hous.db").close()
+    open_store(tmp_path / "hous.db", create=False).close()
+
+
+def test_a_folder_is_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="unable to open database file; check the folder"):
+        open_store(tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StoreError, match=r"cannot be made .File exists.; name another folder"):
+        open_store(tmp_path / "file" / "house.db")
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "remedy"),
+    [
+        ("could not extend file: No space left on device", DiskFullError, "make room on the disk"),
+        ('could not extend file "b": wrote only 4096 of 8192 bytes', DiskFullError, "make room"),
+        ("connection failed: the database system is in recovery mode", StoreError, "try again"),
+        ("connection failed: the database system is not yet accepting connections", StoreError, ""),
+        ("connection failed: the database system is starting up", StoreError, "in a minute"),
+        ("connection failed: Connection refused", StoreError, "check that the PostgreSQL server"),
+    ],
+)
+def test_what_a_server_says_has_a_remedy(
+    said: str, kind: type[CucumberVisionError], remedy: str, tmp_path: Path
+) -> None:
+    with open_store(tmp_path / "a.db") as store:
+        with pytest.raises(kind, match=f"; .*{remedy}") as caught, begin(store.engine):
+            raise OperationalError("SELECT 1", None, Exception(said))
+        assert type(caught.value) is kind
+        assert "own words" not in str(caught.value)
+
+
+def test_who_writes_for_too_long_is_named_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.db"
+    open_store(path).close()
+    monkeypatch.setattr("cucumbervision_greenhouse.store.engine.BUSY_TIMEOUT_S", 0.1)
+    other = sqlite3.connect(path)
+    other.execute("BEGIN IMMEDIATE")
+    with open_store(path) as store:
+        assert store.rounds() == []  # who reads never waits
+        with (
+            pytest.raises(StoreError, match="is locked; another program is writing"),
+            begin(store.engine, write=True),
+        ):
+            pass
+    other.close()
+
+
+def test_a_file_that_another_writes_to_just_now_is_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "house.db"
+    with closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False)) as other:
+        # No WAL yet: SQLite refuses to switch to it now, and does not wait by itself.
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(sqlite3.OperationalError), closing(sqlite3.connect(path)) as eager:
+            eager.execute("PRAGMA journal_mode = WAL")
+        end = Timer(0.3, lambda: other.execute("COMMIT"))
+        end.start()
+        with open_store(path) as store:
+            assert store.rounds() == []
+        end.join()
+
+
+def test_a_file_that_another_never_leaves_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cucumbervision_greenhouse.store.engine.BUSY_TIMEOUT_S", 0.1)
+    with closing(sqlite3.connect(tmp_path / "house.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(StoreError, match="is locked; another program is writing"):
+            open_store(tmp_path / "house.db")
+
+
+def test_a_store_that_may_not_be_written_can_be_read() -> None:
+    with tempfile.TemporaryDirectory() as name:  # pytest's own are closed to others
+        folder = Path(name)
+        with open_store(folder / "house.db") as store:
+            store.save_round(Round(key_of("walk"), "morning"))
+        for path, mode in ((folder / "house.db", 0o444), (folder, 0o555)):
+            path.chmod(mode)
+        before, files = os.geteuid(), sorted(folder.iterdir())
+        if before == 0:  # whom modes do not stop
+            os.seteuid(65534)
+        try:
+            with open_store(folder / "house.db") as store:
+                assert [one.record.name for one in store.rounds()] == ["morning"]
+                with pytest.raises(StoreError, match="readonly database; check the file's perm"):
+                    store.rename_round(key_of("walk"), "noon")
+        finally:
+            os.seteuid(before)
+            folder.chmod(0o755)
+        assert sorted(folder.iterdir()) == files
+
+
+def test_damage_that_sqlite_cannot_say_in_utf_8_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "house.db"
+    open_store(path).close()
+    data = path.read_bytes()
+    at = data.index(b"CREATE TABLE rounds")
+    path.write_bytes(data[:at] + b"CREATE T\xc1BLE rounds" + data[at + 19 :])
+    with pytest.raises(StoreError, match="damaged"):
+        open_store(path)

@@ -333,9 +333,10 @@ async def _refuse(
     words: str,
     status: int = 403,
 ) -> None:
-    """Refuse a request, or a web socket before it is open."""
-    extensions = scope.get("extensions") or {}
-    if scope["type"] == "websocket" and "websocket.http.response" not in extensions:
+    """Refuse a request, or a web socket before it is open: by name where the server can."""
+    can_say = "websocket.http.response" in (scope.get("extensions") or {})
+    # Closing answers 403; of any other answer uvicorn logs that the handshake was not completed.
+    if scope["type"] == "websocket" and (status == 403 or not can_say):
         await send({"type": "websocket.close", "code": 1008})
         return
     answer = PlainTextResponse(words, status, {**_HEADERS, "connection": "close"})

@@ -36,6 +36,7 @@ HELD_S = 90.0  # how late a press may reach us, and how long a camera nobody loo
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
 _LOOK_S, _WATCH_S = 0.02, 0.5  # how often is looked for a frame; is said that somebody looks
 _END_S = 10.0  # how long the camera's process is waited for
+_MOST_LOOKS = 20  # for frames that leave the ring just when they are kept
 _MOST_CRASHES = 3  # of the camera's process in a row, which would be started for ever
 
 
@@ -148,7 +149,8 @@ class CameraBurst:
         StoreError
             If they cannot be kept.
         """
-        for _ in range(2):  # the ring may have let some go in between: then with what it still has
+        # The ring may have let some go in between: then with those that it still has.
+        for _ in range(_MOST_LOOKS):
             self._feed.wait_for(self)
             if self.nearest_s > FAR_S:
                 break

@@ -40,6 +40,7 @@ def ask(
     query: str = "",
     kind: str = "http",
     method: str = "GET",
+    extensions: tuple[str, ...] = (),
     **headers: str,
 ) -> tuple[bool, list[dict[str, Any]]]:
     """Send a request through the guard; return whether it went on, and the answer."""
@@ -56,6 +57,7 @@ def ask(
 
     scope: dict[str, Any] = {
         "type": kind,
+        "extensions": {name: {} for name in extensions},
         "path": path,
         "query_string": query.encode(),
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
@@ -177,6 +179,11 @@ def test_a_malformed_host_or_origin_is_refused_by_name_before_any_login(
             reached, sent = ask(login, path, kind="websocket", **headers)
             assert not reached
             assert sent == [{"type": "websocket.close", "code": 1008}]
+            can_say = ("websocket.http.response",)
+            reached, sent = ask(login, path, kind="websocket", extensions=can_say, **headers)
+            assert not reached
+            assert sent[0]["type"] == "websocket.http.response.start"
+            assert sent[0]["status"] == 400
 
 
 @pytest.mark.parametrize("login", LOGINS)

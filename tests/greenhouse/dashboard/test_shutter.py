@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from cucumbervision_greenhouse.dashboard.shutter import Press, Shutter
 from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 WALK = key_of("walk")
 
@@ -269,6 +270,30 @@ def test_what_waits_is_not_tried_while_nothing_can_be_measured(
     with pytest.raises(InstancesError):
         measure_waiting(waiting, measurer, store, lost, lambda _: "", Job(1, "measuring"))
     assert [one.tries for one in waiting.captures()] == [0]
+
+
+def test_a_press_gets_the_frame_that_stays_though_nearer_ones_leave_as_it_is_kept(
+    recording: Path, waiting: WaitingCaptures, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CameraFeed, "_begin_watched", lambda feed: None)
+    feed = CameraFeed(tmp_path / "frames", CameraConfig(playback=recording, warm_up=0, fps=15))
+    capture, now = Replay(example_captures()).take(1, Stop()), time.time() - 1.0
+    ring, put = FrameRing(tmp_path / "frames"), waiting.put_frames
+    for after_s in (0.0, 0.01, -0.02, 0.03, 0.1, 0.3):
+        ring.write(capture, now + after_s)
+    burst = feed.grab(1, now)
+    tries: list[Path] = []
+
+    def thinned(frames: list[Path], *about: Any) -> Waiting:
+        tries.extend(frames)
+        if len(tries) < 5:  # the ring thins what is older than 3 s
+            frames[0].unlink()
+        return put(frames, *about)
+
+    monkeypatch.setattr(waiting, "put_frames", thinned)
+    kept = burst.keep(waiting, key_of("stop"), WALK, Stop("1"))
+    assert [round((int(one.stem) / 1e6 - now), 2) for one in tries] == [0.0, 0.01, -0.02, 0.03, 0.1]
+    assert len(list(kept.folder.glob("*.frame"))) == 1
 
 
 def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(

@@ -118,9 +118,9 @@ def plantcv_length(
         if not segments:
             return None
         pcv.morphology.segment_path_length(picture, segments, label="fruit")
-    found = pcv.outputs.observations["fruit"]["segment_path_length"]["value"]
+    lengths = pcv.outputs.observations["fruit"]["segment_path_length"]["value"]
     pcv.outputs.clear()
-    loop = np.asarray(segments[int(np.argmax(found))], float).reshape(-1, 2)
+    loop = np.asarray(segments[int(np.argmax(lengths))], float).reshape(-1, 2)
     corner = [window[1].start - 2, window[0].start - 2]
     return lifted_length(_half(loop) + corner, depth_m, mask, intrinsics)
 
@@ -185,11 +185,11 @@ def lifted_length(
     if len(path_px) < _MIN_PATH_PX:
         return None
     z = _depth_along(path_px.astype(int), np.where(mask & valid_depth(depth_m), depth_m, np.nan))
-    known = np.isfinite(z)
-    if not known.any():
+    finite = np.isfinite(z)
+    if not finite.any():
         return None
     place = np.arange(len(z))
-    z = np.interp(place, place[known], z[known])
+    z = np.interp(place, place[finite], z[finite])
     x, y = intrinsics.rays(path_px[:, 0].astype(float), path_px[:, 1].astype(float))
     window = min(_SMOOTH_PX, len(z) - 1 + len(z) % 2)
     points = savgol_filter(np.stack([x * z, y * z, z], axis=1), window, 2, axis=0)
@@ -200,8 +200,8 @@ def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.
     half = _HALF_WINDOW_PX
     depth = np.full(len(path_px), np.nan)
     for k, (u, v) in enumerate(path_px):
-        near = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
-        valid = near[np.isfinite(near)]
+        window_m = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+        valid = window_m[np.isfinite(window_m)]
         if valid.size:
             depth[k] = np.median(valid)
     return depth
@@ -209,18 +209,18 @@ def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.
 
 def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
     """Join branches end to end; neighbouring branches share an end."""
-    rest = [np.asarray(branch, float) for branch in branches]
-    path = rest.pop(0)
-    while rest:
+    remaining = [np.asarray(branch, float) for branch in branches]
+    path = remaining.pop(0)
+    while remaining:
         # Find the smallest gap between either end of the path and either end of a remaining branch.
         gaps = [
             (float(np.linalg.norm(path[end] - branch[start])), end, k, start)
             for end in (0, -1)
-            for k, branch in enumerate(rest)
+            for k, branch in enumerate(remaining)
             for start in (0, -1)
         ]
         _, end, k, start = min(gaps)
-        branch = rest.pop(k)
+        branch = remaining.pop(k)
         onward = branch if start == 0 else branch[::-1]
         path = np.vstack([path, onward[1:]]) if end == -1 else np.vstack([onward[:0:-1], path])
     return path

@@ -143,7 +143,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
     # The paper's median radius is 42 cm; the radius is at least the length of the fruit.
     bend_m = float(np.exp(shape.normal(np.log(0.42), 0.35)))
     roll = float(pose.normal(-90, 15))
-    near = max(_PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
+    nearest = max(_PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
     return Case(
         name=f"{suite}-{k + 1:03d}",
         suite=suite,
@@ -153,7 +153,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
         length_m=length_m,
         by_thread=True,
         bend_radius_m=max(bend_m, length_m),
-        distance_m=float(pose.uniform(near, _PROTOCOL_DISTANCE_M[1])),
+        distance_m=float(pose.uniform(nearest, _PROTOCOL_DISTANCE_M[1])),
         tilt_deg=float(np.clip(pose.normal(0, 8), -20, 20)),
         roll_deg=roll,
         spin_deg=float(pose.uniform(0, 360)),
@@ -188,7 +188,7 @@ def _stress_case(k: int) -> Case:
     tightest = max(_TIGHTEST_BEND_M, 0.5 * length_m)
     bend_m = float(1 / rng.uniform(1 / 1.0, 1 / tightest))
     tilt, roll = float(rng.uniform(*_STRESS_TILT_DEG)), float(rng.uniform(-180, 180))
-    near = max(_STRESS_DISTANCE_M[0], nearest_m(length_m, roll, tilt))
+    nearest = max(_STRESS_DISTANCE_M[0], nearest_m(length_m, roll, tilt))
     hidden = rng.random() < _SHARE_HIDDEN
     share = float(rng.uniform(*_STRESS_HIDDEN))
     at_end = rng.random() < _SHARE_END_HIDDEN
@@ -201,7 +201,7 @@ def _stress_case(k: int) -> Case:
         length_m=length_m,
         by_thread=False,
         bend_radius_m=None if straight else bend_m,
-        distance_m=float(rng.uniform(near, max(near, _STRESS_DISTANCE_M[1]))),
+        distance_m=float(rng.uniform(nearest, max(nearest, _STRESS_DISTANCE_M[1]))),
         tilt_deg=tilt * float(rng.choice([-1, 1])),
         roll_deg=roll,
         spin_deg=float(rng.uniform(0, 360)),
@@ -223,9 +223,9 @@ def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
     """
     roll, tilt = np.deg2rad(roll_deg), np.deg2rad(tilt_deg)
     across = length_m * np.cos(tilt)
-    high = across * abs(np.sin(roll)) * CAMERA.fy_px / (_FRAME_SHARE * CAMERA.height)
-    wide = across * abs(np.cos(roll)) * CAMERA.fx_px / (_FRAME_SHARE * CAMERA.width)
-    return float(max(high, wide) + 0.5 * length_m * abs(np.sin(tilt)))
+    height_share = across * abs(np.sin(roll)) * CAMERA.fy_px / (_FRAME_SHARE * CAMERA.height)
+    width_share = across * abs(np.cos(roll)) * CAMERA.fx_px / (_FRAME_SHARE * CAMERA.width)
+    return float(max(height_share, width_share) + 0.5 * length_m * abs(np.sin(tilt)))
 
 
 _FRAMES = 5
@@ -359,12 +359,12 @@ def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
     half_view = 0.5 * CAMERA.width / CAMERA.fx_px
     for _ in range(_BACKGROUND_LEAVES):
         depth = case.distance_m + float(rng.uniform(0.12, _BACKDROP_M - 0.05))
-        at = np.array([*(rng.uniform(-1, 1, 2) * (half_view, 0.6 * half_view) * depth), depth])
+        place = np.array([*(rng.uniform(-1, 1, 2) * (half_view, 0.6 * half_view) * depth), depth])
         length, width = float(rng.uniform(0.05, 0.11)), float(rng.uniform(0.04, 0.08))
         turn = rotation(float(rng.uniform(0, 360)), *rng.uniform(-35.0, 35.0, 2))
         frame = (turn @ np.diag([1.0, 1.0, -1.0])).T
         bend = float(rng.uniform(-4, 4)), float(rng.uniform(-4, 4))
-        leaves.append(Leaf(at, frame, length, width, bend, float(rng.uniform(0, 0.2))))
+        leaves.append(Leaf(place, frame, length, width, bend, float(rng.uniform(0, 0.2))))
     return leaves
 
 
@@ -378,16 +378,18 @@ def _occluders(case: Case, fruit: Tube, rng: np.random.Generator) -> list[Leaf]:
     )
     if case.hidden_end and rng.random() < 0.5:
         middle = 1 - middle
-    at = axis[round(middle * (len(axis) - 1))]
+    center = axis[round(middle * (len(axis) - 1))]
     before = float(rng.uniform(0.03, 0.08)) + fruit.radii_m.max()
     # Scale towards the camera, so that the leaf covers the pixels of the part to occlude.
-    shrink = max(at[2] - before, 0.1) / at[2]
+    shrink = max(center[2] - before, 0.1) / center[2]
     run = axis[-1] - axis[0]
     along = np.array([run[0], run[1], 0.0])
-    seen = float(np.linalg.norm(along))
-    along = along / seen if seen > 1e-6 else np.array([1.0, 0.0, 0.0])
+    length = float(np.linalg.norm(along))
+    along = along / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
     across = np.array([-along[1], along[0], 0.0])
     frame = np.stack([across, along, np.array([0.0, 0.0, -1.0])])
-    wide = shrink * max(0.5 * share * seen, 0.004)
-    high = shrink * float(rng.uniform(2.2, 4.0)) * fruit.radii_m.max()
-    return [Leaf(at * shrink, frame, high, wide, (float(rng.uniform(-3, 3)), 0.0), 0.1)]
+    half_width = shrink * max(0.5 * share * length, 0.004)
+    half_height = shrink * float(rng.uniform(2.2, 4.0)) * fruit.radii_m.max()
+    return [
+        Leaf(center * shrink, frame, half_height, half_width, (float(rng.uniform(-3, 3)), 0.0), 0.1)
+    ]

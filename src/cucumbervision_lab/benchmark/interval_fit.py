@@ -153,12 +153,14 @@ def fit_interval_model(
     rows = [dict(zip(names, row[1:], strict=True)) for row in columns]
     groups = [feature_groups(edges, row) for row in rows]
     members = {
-        group: np.array([group in some for some in groups])
-        for group in sorted({one for some in groups for one in some})
+        group: np.array([group in members for members in groups])
+        for group in sorted({group for members in groups for group in members})
     }
     fold, sigma = _folds(np.asarray(fruit), seed), np.empty_like(error)
-    for own in (fold == k for k in range(_FOLDS)):
-        sigma[own] = _sigma(columns[own], _log_linear(_size(error[~own]), columns[~own]))
+    for held_out in (fold == k for k in range(_FOLDS)):
+        sigma[held_out] = _sigma(
+            columns[held_out], _log_linear(_size(error[~held_out]), columns[~held_out])
+        )
     bands = {
         group: _band(error[chosen], sigma[chosen], level)
         for group, chosen in members.items()
@@ -206,8 +208,8 @@ def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDAr
 
     start = np.zeros(columns.shape[1])
     start[0] = np.median(target)
-    found: NDArray[np.float64] = least_squares(residuals, start, loss="huber", f_scale=1.0).x
-    return found
+    coefficients: NDArray[np.float64] = least_squares(residuals, start, loss="huber", f_scale=1.0).x
+    return coefficients
 
 
 def write_interval_models(path: Path, models: IntervalModels) -> None:

@@ -73,10 +73,10 @@ def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.D
     0
     """
     method, true = readings["method"], readings[f"{truth}_m"]
-    others = tuple(
+    suffixes = tuple(
         f" {kind}" for kind in (LengthDefinition.THREAD, LengthDefinition.CHORD) if kind != truth
     )
-    fits = true.notna() & ~method.str.endswith(others)
+    fits = true.notna() & ~method.str.endswith(suffixes)
     if truth is LengthDefinition.CHORD:
         fits &= ~method.isin(["M6", "selector best"])
     scored = readings[fits].copy()
@@ -84,8 +84,10 @@ def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.D
     scored["error_cm"] = 100 * (scored["length_m"].fillna(0) - scored["true_m"]).abs()
     scored["error_percent"] = scored["error_cm"] / scored["true_m"]
     order = {name: k for k, name in enumerate(DESCRIPTIONS)}
-    found = sorted(scored["method"].unique(), key=lambda name: (order.get(name, len(order)), name))
-    scored["method"] = pd.Categorical(scored["method"], found, ordered=True)
+    methods = sorted(
+        scored["method"].unique(), key=lambda name: (order.get(name, len(order)), name)
+    )
+    scored["method"] = pd.Categorical(scored["method"], methods, ordered=True)
     return scored
 
 
@@ -218,11 +220,14 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
         True length of each row, metres.
     """
     tilt, hidden = frame["tilt_deg"].abs(), 100 * frame["hidden_share"]
-    far, radius = 100 * frame["distance_m"], (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM)
+    distance_cm, radius = (
+        100 * frame["distance_m"],
+        (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM),
+    )
     banded = (
         ("true length (cm)", 100 * true_m, _TRUE_CM, ""),
         ("tilt (°)", tilt, _TILTS_DEG, "Angle of the fruit's chord out of the picture plane. "),
-        ("distance (cm)", far, _DISTANCES_CM, "From the camera to the fruit's middle. "),
+        ("distance (cm)", distance_cm, _DISTANCES_CM, "From the camera to the fruit's middle. "),
         ("radius of the bend (cm)", radius, _RADII_CM, "The smaller, the more bent. "),
         ("hidden share of the fruit (%)", hidden, _HIDDEN_PERCENT, ""),
     )
@@ -255,10 +260,14 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
         Definition of length.
     """
     methods = shown_methods(scored, truth)
-    own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
+    m6_method = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
     heads = [factor.head, "captures", "fruit", *(f"{method} MAPE (%)" for method in methods)]
-    if own in methods:
-        heads += [f"{own} median (%)", f"{own} worst (%):.1", f"{own} measured (%):.1"]
+    if m6_method in methods:
+        heads += [
+            f"{m6_method} median (%)",
+            f"{m6_method} worst (%):.1",
+            f"{m6_method} measured (%):.1",
+        ]
     rows: list[tuple[Cell, ...]] = []
     for label, chosen in factor.groups.items():
         inside = scored[chosen]
@@ -267,8 +276,8 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
         mape = inside.groupby("method", observed=True)["error_percent"].mean()
         row: list[Cell] = [label, inside["case"].nunique(), inside["fruit"].nunique()]
         row += [float(mape[m]) if m in mape else None for m in methods]
-        if own in methods:
-            read = inside[inside["method"] == own]
+        if m6_method in methods:
+            read = inside[inside["method"] == m6_method]
             percent = read["error_percent"]
             worst: list[Cell] = [float(percent.median()), float(percent.max())]
             measured = 100 * float(read["length_m"].notna().mean())

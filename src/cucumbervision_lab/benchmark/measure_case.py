@@ -133,8 +133,8 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
 def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> Instance | None:
     truth = taken.truth
     rng = np.random.default_rng(case.capture_seed + 4)
-    seen = (truth.keypoint_visibility == 2).astype(float)
-    keypoints = np.column_stack([truth.keypoints_px, seen])
+    visible = (truth.keypoint_visibility == 2).astype(float)
+    keypoints = np.column_stack([truth.keypoints_px, visible])
     exact = Instance(
         box_of_mask(truth.visible),
         mask=truth.visible,
@@ -156,7 +156,7 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
 
 def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | None:
     """Return the detection that matches a box x1, y1, x2, y2 in pixels, or None."""
-    best = max(found, key=lambda one: box_iou(one.box, box), default=None)
+    best = max(found, key=lambda instance: box_iou(instance.box, box), default=None)
     return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
 
 
@@ -219,7 +219,7 @@ def fruit_lengths(
         Method selected by each selector.
     """
     lengths: dict[str, float | None] = {
-        str(method): one.length_m for method, one in fruit.measurements.items()
+        str(method): measurement.length_m for method, measurement in fruit.measurements.items()
     }
     tube = fruit.measurements[Method.M6].tube
     lengths["M6 thread"] = tube.thread_m if tube else None
@@ -230,24 +230,24 @@ def fruit_lengths(
         points = len(masked_points(capture.depth_m, mask, capture.intrinsics))
     by_paper, _, _ = choose(fruit.measurements, points, fruit.instance.box, Selector.PAPER)
     chosen: dict[Selector, str | None] = {}
-    for selector, one in ((Selector.BEST, fruit.selected), (Selector.PAPER, by_paper)):
-        lengths[f"selector {selector}"] = None if one is None else one.length_m
-        chosen[selector] = None if one is None else str(one.source)
+    for selector, measurement in ((Selector.BEST, fruit.selected), (Selector.PAPER, by_paper)):
+        lengths[f"selector {selector}"] = None if measurement is None else measurement.length_m
+        chosen[selector] = None if measurement is None else str(measurement.source)
     return lengths, chosen
 
 
 def interval_details(fruit: FruitMeasurement) -> dict[str, Any]:
     """Return the details of a measurement that interval models use as features."""
     m6 = fruit.measurements[Method.M6]
-    found: dict[str, Any] = {
+    details: dict[str, Any] = {
         "m6_reason": str(m6.reason),
         "mask_failure": fruit.instance.mask_failure,
         "mask_features": mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
     }
     if m6.fit is not None:
-        found["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
-        found["m6_flags"] = list(m6.fit.flags)
-    return found
+        details["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
+        details["m6_flags"] = list(m6.fit.flags)
+    return details
 
 
 def _chord_tilt_deg(axis_m: Sequence[NDArray[np.float64]] | NDArray[np.float64]) -> float:

@@ -116,9 +116,9 @@ def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
         for number, line in enumerate(lines, 1):
             if not line.strip():
                 continue
-            place, again = f"{path}, line {number}", "delete the line, or the file, and run again"
+            place, remedy = f"{path}, line {number}", "delete the line, or the file, and run again"
             try:
-                with wrap_reader_errors(place, remedy=again):
+                with wrap_reader_errors(place, remedy=remedy):
                     values = json.loads(line)
                 records.append(
                     parse_model(LengthRecord, values, source=place, error=CucumberVisionError)

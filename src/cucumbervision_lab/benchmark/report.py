@@ -64,17 +64,17 @@ def benchmark_tables(readings: pd.DataFrame) -> list[Table]:
     """
     if readings.empty:
         raise CucumberVisionError("nothing to report", remedy="measure at least one fruit first")
-    beside = paper_table(readings)
-    tables = [*([beside] if beside else ()), glance_table(readings)]
+    paper = paper_table(readings)
+    tables = [*([paper] if paper else ()), glance_table(readings)]
     for suite, masks, part in _parts(readings):
-        found = [accuracy_table(part, truth) for truth in truths_of(part)]
+        part_tables = [accuracy_table(part, truth) for truth in truths_of(part)]
         if part["case"].nunique() >= _GROUPED_CAPTURES:
             for truth in _TRUTHS[:1] if suite is Suite.STRESS else _TRUTHS:
                 scored = comparable_readings(part, truth)
                 factors = factors_of(scored, scored["true_m"])
-                found += [group_table(scored, factor, truth) for factor in factors]
+                part_tables += [group_table(scored, factor, truth) for factor in factors]
         where = f"{_SUITES[suite]}, {_MASK_WORDS[masks]}"
-        tables += [replace(table, title=f"{where}: {table.title}") for table in found]
+        tables += [replace(table, title=f"{where}: {table.title}") for table in part_tables]
     return tables
 
 
@@ -170,16 +170,16 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
 def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:
     if read.empty:
         return []
-    found = score(read["length_m"], read["true_m"])
+    scores = score(read["length_m"], read["true_m"])
     errors = (
-        found.mae_cm,
-        found.rmse_cm,
-        found.mape_percent,
+        scores.mae_cm,
+        scores.rmse_cm,
+        scores.mape_percent,
         span_text(estimate(read["error_percent"], resamples=10_000)),
         float(read["error_cm"].median()),
-        found.r2,
-        100 * found.measured,
-        found.median_percent,
+        scores.r2,
+        100 * scores.measured,
+        scores.median_percent,
     )
     return [(str(read["method"].iloc[0]), f"here, {masks} outlines", *errors)]
 

@@ -90,9 +90,9 @@ def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> Interval
     """
     models = {}
     by_networks = readings["masks"] == Masks.PERCEIVED
-    for own, behind in ((readings[~by_networks], ""), (readings[by_networks], PERCEIVED)):
-        for key, truth in TRUTH_OF.items() if len(own) else ():
-            rows = own[(own["method"] == key) & own[truth].notna()]
+    for part, behind in ((readings[~by_networks], ""), (readings[by_networks], PERCEIVED)):
+        for key, truth in TRUTH_OF.items() if len(part) else ():
+            rows = part[(part["method"] == key) & part[truth].notna()]
             models[key + behind] = _fitted_model(key + behind, rows, truth, level)
     return IntervalModels(level, models, readings["fruit"].nunique())
 
@@ -102,10 +102,14 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> Int
     if key.endswith(PERCEIVED):
         tube_edges = PERCEIVED_TUBE_EDGES
     names, edges = (TUBE_FEATURES, tube_edges) if tube else (RAW_FEATURES, RAW_EDGES)
-    known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
-    rows = rows.loc[[label for label, _ in known]]
+    entries = [
+        entry for entry in rows.apply(_reading_features, axis=1).items() if entry[1] is not None
+    ]
+    rows = rows.loc[[label for label, _ in entries]]
     errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
-    features = {name: np.array([said.get(name, 0.0) for _, said in known]) for name in names}
+    features = {
+        name: np.array([reading.get(name, 0.0) for _, reading in entries]) for name in names
+    }
     # Fruit of one picture are not independent samples.
     fruit = rows["case"].str.partition("#")[0].to_numpy()
     return fit_interval_model(key, errors, features, fruit, level, edges)
@@ -135,10 +139,10 @@ def with_intervals(
             scale = 1.0 if scale_known else reading["depth_scale"]
             length_m = reading["length_m"] * scale
             more_sd = 0.0 if scale_known else SCALE_SD
-            found = book.interval(reading["method"], length_m, features, more_sd)
-            ends[label] = found or (np.nan, np.nan)
-    found = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)
-    return readings.join(found)
+            interval = book.interval(reading["method"], length_m, features, more_sd)
+            ends[label] = interval or (np.nan, np.nan)
+    bounds = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)
+    return readings.join(bounds)
 
 
 def run_cases(
@@ -177,8 +181,8 @@ def run_cases(
     missing = [c for c in cases if not _measured(c, options, done)]
     if report is not None and len(missing) < len(cases):
         report(len(cases) - len(missing))
-    for found in ticked(each_done(partial(_measure, options), missing, workers), report):
-        for record in found:
+    for batch in ticked(each_done(partial(_measure, options), missing, workers), report):
+        for record in batch:
             append_record(records, record)
     names = {case.name for case in cases}
     return [r for r in read_records([records]) if r.case in names] if records.exists() else []
@@ -263,8 +267,8 @@ def run_benchmark(
         All readings from `readings_frame`.
     """
     protocol, stress = plan_cases(plan)
-    both = (Masks.EXACT, Masks.DISTURBED)
-    kinds = both if plan.quick else (*both, Masks.PERCEIVED)
+    exact_and_disturbed = (Masks.EXACT, Masks.DISTURBED)
+    kinds = exact_and_disturbed if plan.quick else (*exact_and_disturbed, Masks.PERCEIVED)
 
     def run(name: str, cases: list[Case], options: CaseOptions) -> pd.DataFrame:
         total = len(cases)
@@ -273,7 +277,7 @@ def run_benchmark(
 
     parts = [run("protocol", protocol, CaseOptions(kinds, baselines=not plan.quick))]
     if stress:
-        parts.append(run("stress", stress, CaseOptions(both)))
+        parts.append(run("stress", stress, CaseOptions(exact_and_disturbed)))
     return pd.concat(parts, ignore_index=True)
 
 

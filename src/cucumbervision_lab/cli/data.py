@@ -147,9 +147,9 @@ def split(
     written = write_coco(parted, out or dataset.folder, link=not copy)
     table = Table("split", "pictures", "scenes", "fruit", title=f"{written.folder}: splits")
     for name in SPLITS:
-        own = parted.in_split(name)
-        fruit = sum(not label.ignore for p in own for label in p.labels)
-        table.add_row(name, str(len(own)), str(len({p.scene for p in own})), str(fruit))
+        subset = parted.in_split(name)
+        fruit = sum(not label.ignore for p in subset for label in p.labels)
+        table.add_row(name, str(len(subset)), str(len({p.scene for p in subset})), str(fruit))
     screen().print(table)
     _finish(dataset)
 
@@ -246,8 +246,8 @@ def from_store(
         made = dataset_from_store(opened, out, licence=licence, link=not copy)
     columns = ("accepted", "corrected", "added", "rejected", "unjudged")
     table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
-    for split, said in made.judged.items():
-        counts = [str(getattr(said, column)) for column in columns]
+    for split, judgement in made.judged.items():
+        counts = [str(getattr(judgement, column)) for column in columns]
         table.add_row(split, str(len(made.dataset.in_split(split))), *counts)
     screen().print(table)
     if made.without_picture:

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
 
-def _folder(about: str) -> Any:
-    return typer.Option(help=about, exists=True, file_okay=False)
+def _folder(text: str) -> Any:
+    return typer.Option(help=text, exists=True, file_okay=False)
 
 
 def synth(

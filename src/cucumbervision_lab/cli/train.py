@@ -140,7 +140,7 @@ def recipe(
         minutes=minutes,
     )
     with TrainConsole() as console:
-        found = run_recipe(
+        networks = run_recipe(
             read,
             RecipeFolders(data, weights, out, test),
             tasks=(only,) if only else tuple(read.schedules),
@@ -149,7 +149,7 @@ def recipe(
             workers=os.cpu_count() or 1,
             log=console.log,
         )
-    for network in found.values():
+    for network in networks.values():
         console.close(network)
 
 
@@ -236,7 +236,7 @@ def ends(
     from cucumbervision_lab.training.ends import collect_strips, train_ends, write_ends_card
 
     opened = [open_dataset(folder) for folder in sets]
-    with ticking("extracting", sum(len(one.pictures) for one in opened)) as tick:
+    with ticking("extracting", sum(len(dataset.pictures) for dataset in opened)) as tick:
         strips = collect_strips(opened, seed, tick)
     with ticking("training", epochs) as tick:
         result = train_ends(
@@ -277,11 +277,11 @@ def crops(
     from cucumbervision_lab.training.crops import collect_crops, train_crops, write_crops_card
 
     opened = [open_dataset(folder) for folder in sets]
-    with ticking("detecting", sum(len(one.pictures) for one in opened)) as tick:
-        found = collect_crops(opened, tick)
+    with ticking("detecting", sum(len(dataset.pictures) for dataset in opened)) as tick:
+        crops_found = collect_crops(opened, tick)
     with ticking("training", epochs) as tick:
         result = train_crops(
-            found,
+            crops_found,
             init,
             out / f"{name}.onnx",
             ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
@@ -345,7 +345,7 @@ def look(
         )
         crops = EndCrops.joined([part for _, part in parts])
         result = train_look(crops, init, out / f"{name}.onnx", options)
-    measured = [one for fruit, _ in parts for one in fruit]
+    measured = [measurement for fruit, _ in parts for measurement in fruit]
     chosen, looks = looked_fruit(measured, crops, EndLooker(result.network).look)
     if len(chosen) >= LEAST_FRUIT:
         models = fit_look_intervals(chosen, looks)

@@ -70,9 +70,9 @@ def require_clean(findings: Sequence[Finding], source: object) -> None:
         With the first fault and the number of further ones.
     """
     if findings:
-        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        count = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
         raise DataSetError(
-            f"{findings[0]}{more}", source=source, remedy="list all: cucumbervision data check"
+            f"{findings[0]}{count}", source=source, remedy="list all: cucumbervision data check"
         )
 
 
@@ -158,14 +158,14 @@ def check_dataset(
     findings = [_refusal(error) for error in dataset.refused]
     bad: set[str] = set()
     for picture in dataset.pictures:
-        found = list(_picture_faults(dataset, picture))
-        if any(f.kind == "picture" for f in found):
+        faults = list(_picture_faults(dataset, picture))
+        if any(f.kind == "picture" for f in faults):
             bad.add(picture.file)
-        findings += found
+        findings += faults
     findings += [*_class_faults(dataset), *_split_faults(dataset), *_scene_leaks(dataset)]
     if duplicates:
-        whole = [p for p in dataset.pictures if p.file not in bad]
-        findings += _duplicate_leaks(dataset, whole, progress)
+        readable = [p for p in dataset.pictures if p.file not in bad]
+        findings += _duplicate_leaks(dataset, readable, progress)
     return findings
 
 
@@ -214,9 +214,9 @@ def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> It
     if points.shape != (5, 3) or not np.isfinite(points).all():
         yield "its keypoints are not 5 x 3 finite numbers"
     else:
-        seen = points[points[:, 2] > 0, :2]
+        visible = points[points[:, 2] > 0, :2]
         limit = np.array([picture.width, picture.height]) - 1 + _SLACK_PX
-        if (seen < -_SLACK_PX).any() or (seen > limit).any():
+        if (visible < -_SLACK_PX).any() or (visible > limit).any():
             yield "a labelled keypoint lies outside the picture"
 
 
@@ -246,12 +246,12 @@ def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
     for picture in dataset.pictures:
         if not picture.scene or not picture.split:
             continue
-        other = first.setdefault(picture.scene, picture)
-        if other.split != picture.split and (picture.scene, picture.split) not in reported:
+        earlier = first.setdefault(picture.scene, picture)
+        if earlier.split != picture.split and (picture.scene, picture.split) not in reported:
             reported.add((picture.scene, picture.split))
             fault = (
-                f"scene '{picture.scene}' is in {picture.split}, and with {other.file} in "
-                f"{other.split}"
+                f"scene '{picture.scene}' is in {picture.split}, and with {earlier.file} in "
+                f"{earlier.split}"
             )
             yield Finding("leak", picture.file, fault, "split by scene: cucumbervision data split")
 
@@ -278,10 +278,10 @@ def _duplicate_leaks(
     for pair in _views_across(readable, prints):
         pairs.setdefault(pair, "shows the same scene as")
     for (i, j), what in sorted(pairs.items()):
-        one, other = readable[j], readable[i]
-        fault = f"in {one.split} {what} {other.file} in {other.split}"
+        picture, copy = readable[j], readable[i]
+        fault = f"in {picture.split} {what} {copy.file} in {copy.split}"
         findings.append(
-            Finding("leak", one.file, fault, "split by scene: cucumbervision data split")
+            Finding("leak", picture.file, fault, "split by scene: cucumbervision data split")
         )
     return findings
 
@@ -293,8 +293,8 @@ def _copies_across(
     for a, b in (("train", "val"), ("train", "test"), ("val", "test")):
         pairs = copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
         for i, j in pairs:
-            one, other = sorted((index[a][i], index[b][j]))
-            yield one, other
+            picture, copy = sorted((index[a][i], index[b][j]))
+            yield picture, copy
 
 
 def _views_across(

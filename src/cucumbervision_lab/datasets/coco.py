@@ -84,8 +84,8 @@ def read_coco(path: Path) -> DataSet:
     for (file, split), data in zip(sources, files, strict=True):
         with wrap_reader_errors(file, DataSetError, "give COCO JSON"):
             ids = _category_indices(data, names)
-            found, bad = _read_pictures(data, ids, file, split, root)
-        pictures.extend(found)
+            loaded, bad = _read_pictures(data, ids, file, split, root)
+        pictures.extend(loaded)
         refused.extend(bad)
     return DataSet(root, tuple(pictures), tuple(names), tuple(refused))
 
@@ -95,20 +95,20 @@ def _find(path: Path) -> list[tuple[Path, str]]:
         return [(path, "")]
     if (path / ANNOTATIONS).is_file():
         return [(path / ANNOTATIONS, "")]
-    found = [
+    annotations = [
         (path / folder / ROBOFLOW, split)
         for folder, split in SPLIT_FOLDERS.items()
         if (path / folder / ROBOFLOW).is_file()
     ]
     if (path / ROBOFLOW).is_file():
-        found.append((path / ROBOFLOW, ""))
-    if not found:
+        annotations.append((path / ROBOFLOW, ""))
+    if not annotations:
         raise DataSetError(
             f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
             source=path,
             remedy="give a COCO file or a folder that holds one",
         )
-    return found
+    return annotations
 
 
 def _category_indices(data: Mapping[str, Any], names: list[str]) -> dict[int, int]:
@@ -141,9 +141,9 @@ def _read_pictures(
     pictures = []
     for i, image in enumerate(data["images"]):
         key = image.get("id") if isinstance(image, dict) else None
-        own = items.pop(key, [])
+        entries = items.pop(key, [])
         try:
-            picture, bad = picture_of(image, own, ids, file, split, root)
+            picture, bad = picture_of(image, entries, ids, file, split, root)
         except (CucumberVisionError, *_FAULTS) as error:
             refused.append(_fault(file, f"image {key if key is not None else i}", error))
         else:
@@ -511,7 +511,9 @@ def _json(data: Any) -> str:
     try:
         # `default` converts NumPy numbers and arrays.
         return (
-            json.dumps(data, ensure_ascii=False, allow_nan=False, default=lambda one: one.tolist())
+            json.dumps(
+                data, ensure_ascii=False, allow_nan=False, default=lambda array: array.tolist()
+            )
             + "\n"
         )
     except (AttributeError, TypeError, ValueError) as error:

@@ -95,8 +95,8 @@ def merge_datasets(
         prefix = dataset.folder.resolve().relative_to(root)
         title = dataset.folder.resolve().name
         scenes = {p.scene for p in dataset.pictures if p.scene}
-        again = {s: f"{title}-{number}/{s}" if s in taken else s for s in scenes}
-        taken |= set(again.values())
+        renamed = {s: f"{title}-{number}/{s}" if s in taken else s for s in scenes}
+        taken |= set(renamed.values())
         for picture in dataset.pictures:
             depth = picture.depth_file
             pictures.append(
@@ -104,7 +104,7 @@ def merge_datasets(
                     picture,
                     file=(prefix / picture.file).as_posix(),
                     depth_file=None if depth is None else (prefix / depth).as_posix(),
-                    scene=again.get(picture.scene, ""),
+                    scene=renamed.get(picture.scene, ""),
                     source=picture.source or title,
                     labels=tuple(
                         replace(x, category=names.index(dataset.categories[x.category]))
@@ -112,10 +112,10 @@ def merge_datasets(
                     ),
                 )
             )
-    whole = replace(
+    merged = replace(
         datasets[0], folder=root, pictures=tuple(pictures), categories=tuple(names), refused=()
     )
-    return write_coco(whole, out, link=link, progress=progress)
+    return write_coco(merged, out, link=link, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,18 +180,18 @@ def add_pseudo_masks(
 def _draw(
     dataset: DataSet, picture: LabelledPicture, segmenter: Segmenter
 ) -> tuple[tuple[Label, ...], list[str]]:
-    wanted = [k for k, x in enumerate(picture.labels) if x.mask_code is None and not x.ignore]
-    if not wanted:
+    missing = [k for k, x in enumerate(picture.labels) if x.mask_code is None and not x.ignore]
+    if not missing:
         return picture.labels, []
     color = read_color(dataset.path(picture))
-    boxes = [Instance(picture.labels[k].box) for k in wanted]
+    boxes = [Instance(picture.labels[k].box) for k in missing]
     labels, faults = list(picture.labels), []
-    for k, found in zip(wanted, segmenter.segment(color, boxes), strict=True):
-        if found.mask is None:
-            faults.append(found.mask_failure)
+    for k, outline in zip(missing, segmenter.segment(color, boxes), strict=True):
+        if outline.mask is None:
+            faults.append(outline.mask_failure)
             labels[k] = replace(labels[k], ignore=True)
         else:
-            labels[k] = replace(labels[k], mask_code=Rle.of(found.mask), pseudo=True)
+            labels[k] = replace(labels[k], mask_code=Rle.of(outline.mask), pseudo=True)
     return tuple(labels), faults
 
 
@@ -213,13 +213,13 @@ def parse_keep(words: Sequence[str]) -> dict[str, str]:
     >>> parse_keep(["0=cucumber", "zucchini=cucumber"])
     {'0': 'cucumber', 'zucchini': 'cucumber'}
     """
-    kept: dict[str, str] = {}
+    renames: dict[str, str] = {}
     for word in words:
         old, sign, new = word.partition("=")
         if not (sign and old.strip() and new.strip()):
             raise DataSetError(f"invalid class mapping {word!r}", remedy="give OLD=NEW")
-        kept[old.strip()] = new.strip()
-    return kept
+        renames[old.strip()] = new.strip()
+    return renames
 
 
 def convert_dataset(
@@ -360,8 +360,8 @@ def dataset_from_store(
     pictures: list[LabelledPicture] = []
     counts: dict[str, Counter[str]] = {}
     lost = 0
-    for one in store.rounds():
-        for picture, outcomes in _reviewed_captures(store, one, licence):
+    for round_view in store.rounds():
+        for picture, outcomes in _reviewed_captures(store, round_view, licence):
             if picture is None:
                 lost += 1
                 continue
@@ -402,19 +402,21 @@ def _position_name(house: str, stop: StopRecord) -> str:
 
 
 def _reviewed_captures(
-    store: Store, one: RoundView, licence: str
+    store: Store, round_view: RoundView, licence: str
 ) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
     """Yield the reviewed captures of a round with their counts; None if the picture is missing."""
-    corrected = store.corrected(one.key)
-    added = {key for a in store.log(one.key, limit=None) if a.kind == "add" for key in a.fruit}
+    corrected = store.corrected(round_view.key)
+    added = {
+        key for a in store.log(round_view.key, limit=None) if a.kind == "add" for key in a.fruit
+    }
     of_stops: dict[str, dict[str, list[DetectionView]]] = {}
-    for view in store.detections(one.key):
+    for view in store.detections(round_view.key):
         of_stops.setdefault(view.stop_key, {}).setdefault(view.capture, []).append(view)
     for stop_key, of_captures in of_stops.items():
         if not any(_is_reviewed(view) for views in of_captures.values() for view in views):
             continue
         stop = store.stop(stop_key)
-        place = _position_name(one.record.house, stop)
+        place = _position_name(round_view.record.house, stop)
         for capture in stop.captures:
             views = of_captures.get(capture.name, [])
             if not any(map(_is_reviewed, views)):
@@ -436,7 +438,7 @@ def _reviewed_captures(
                 labels,
                 scene=place,
                 split=split_of_position(place),
-                source="synth" if capture.simulated else one.record.house or "own house",
+                source="synth" if capture.simulated else round_view.record.house or "own house",
                 licence=licence,
                 depth_file=None if capture.depth is None else _file(store, capture.depth),
                 depth_unit_m=capture.depth_unit_m or DEPTH_UNIT_M,

@@ -109,8 +109,8 @@ class Label:
             If the mask is empty.
         """
         code = Rle.of(mask) if mask.any() else None
-        whole = None if amodal is None else Rle.of(amodal)
-        return cls(box_of_mask(mask), mask_code=code, amodal_code=whole, **rest)
+        amodal_code = None if amodal is None else Rle.of(amodal)
+        return cls(box_of_mask(mask), mask_code=code, amodal_code=amodal_code, **rest)
 
     @property
     def point_order(self) -> dict[str, Any]:
@@ -249,8 +249,8 @@ def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
             f"unknown class {', '.join(unknown)}", remedy=f"use one of {', '.join(names)}"
         )
     categories = tuple(dict.fromkeys(keep.values()))
-    kept = {k: keep.get(name, keep.get(str(k))) for k, name in enumerate(names)}
-    index = {k: categories.index(new) for k, new in kept.items() if new is not None}
+    new_names = {k: keep.get(name, keep.get(str(k))) for k, name in enumerate(names)}
+    index = {k: categories.index(new) for k, new in new_names.items() if new is not None}
     pictures = tuple(
         replace(
             p,
@@ -292,27 +292,27 @@ def picture_size(path: Path) -> tuple[int, int]:
     PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. An EXIF orientation is not applied.
     """
     data = read_bytes(path)
-    found = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
+    size = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
     if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
-        found = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if found is None:
+        size = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if size is None:
         height, width = read_color(path).shape[:2]
         return width, height
-    if found[0] * found[1] > MOST_PIXELS:  # masks are allocated with this size
+    if size[0] * size[1] > MOST_PIXELS:  # masks are allocated with this size
         fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
         raise CaptureError(fault, source=path, remedy="give a smaller picture")
-    return found
+    return size
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    at = 2
-    while at + 9 < len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
+    offset = 2
+    while offset + 9 < len(data) and data[offset] == 0xFF:
+        marker = data[offset + 1]
         if marker in _SOF:
-            height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
+            height, width = data[offset + 5 : offset + 7], data[offset + 7 : offset + 9]
             return int.from_bytes(width, "big"), int.from_bytes(height, "big")
         # Fill bytes may precede a marker.
-        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        offset += 1 if marker == 0xFF else 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
     return None
 
 

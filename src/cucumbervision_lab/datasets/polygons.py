@@ -34,9 +34,9 @@ def _outlines(mask: NDArray[np.bool_]) -> list[Array]:
     window = mask_window(mask)
     if window is None:
         return []
-    found, _ = cv2.findContours(_doubled(mask[window]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours, _ = cv2.findContours(_doubled(mask[window]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     corner = np.array([window[1].start, window[0].start], np.float64)
-    parts = [contour.reshape(-1, 2) / 2 + corner for contour in found]
+    parts = [contour.reshape(-1, 2) / 2 + corner for contour in contours]
     return sorted(parts, key=_area, reverse=True)
 
 
@@ -45,13 +45,13 @@ def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     height, width = mask.shape
     padded = np.zeros((height + 2, width + 2), np.uint8)
     padded[1:-1, 1:-1] = mask
-    beside, below = padded[:, 1:] + padded[:, :-1], padded[1:] + padded[:-1]
+    across, below = padded[:, 1:] + padded[:, :-1], padded[1:] + padded[:-1]
     grid = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
     grid[1::2, 1::2] = mask
-    grid[1::2, 0::2] = beside[1:-1] > 0
+    grid[1::2, 0::2] = across[1:-1] > 0
     grid[0::2, 1::2] = below[:, 1:-1] > 0
     # A corner that belongs to a single pixel stays outside: the outline cuts it off.
-    grid[0::2, 0::2] = beside[1:] + beside[:-1] > 1
+    grid[0::2, 0::2] = across[1:] + across[:-1] > 1
     return grid
 
 
@@ -65,8 +65,8 @@ def _simplified(points: Array) -> Array:
     after = np.roll(points, -1, axis=0) - points
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     _, which, times = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-    kept = (cross != 0) | ((before * after).sum(axis=1) < 0) | (times[which.ravel()] > 1)
-    straight: Array = points[kept]
+    corners = (cross != 0) | ((before * after).sum(axis=1) < 0) | (times[which.ravel()] > 1)
+    straight: Array = points[corners]
     return straight
 
 
@@ -98,14 +98,14 @@ def join_parts(parts: Sequence[Array]) -> Array:
     """
     from scipy.spatial import cKDTree
 
-    joined, rest = parts[0], list(parts[1:])
-    while rest:
+    joined, remaining = parts[0], list(parts[1:])
+    while remaining:
         tree = cKDTree(joined)
-        found = [tuple(np.asarray(one) for one in tree.query(part)) for part in rest]
-        nearest = int(np.argmin([gaps.min() for gaps, _ in found]))
-        gaps, at = found[nearest]
-        part, j = rest.pop(nearest), int(gaps.argmin())
-        i = int(at[j])
+        neighbours = [tuple(np.asarray(array) for array in tree.query(part)) for part in remaining]
+        nearest = int(np.argmin([gaps.min() for gaps, _ in neighbours]))
+        gaps, partner = neighbours[nearest]
+        part, j = remaining.pop(nearest), int(gaps.argmin())
+        i = int(partner[j])
         joined = np.concatenate([joined[: i + 1], part[j:], part[: j + 1], joined[i:]])
     return joined
 

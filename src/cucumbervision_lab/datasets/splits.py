@@ -107,8 +107,8 @@ def _hash(grey: NDArray[np.float32]) -> int:
     """Return the perceptual hash: low DCT frequencies above their median (Zauner 2010, pHash)."""
     import cv2
 
-    low = cv2.dct(grey)[:8, :8].ravel()[1:]
-    return int.from_bytes(np.packbits(low > np.median(low)).tobytes(), "big")
+    coefficients = cv2.dct(grey)[:8, :8].ravel()[1:]
+    return int.from_bytes(np.packbits(coefficients > np.median(coefficients)).tobytes(), "big")
 
 
 def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tuple[int, int]]:
@@ -122,13 +122,13 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     if not left or not right:
         return []
     turned = np.stack([f.hashes for f in right])
-    found = []
-    for i, one in enumerate(left):
-        bits = np.bitwise_count(turned ^ one.hashes[0]).min(axis=1)
+    pairs = []
+    for i, fingerprint in enumerate(left):
+        bits = np.bitwise_count(turned ^ fingerprint.hashes[0]).min(axis=1)
         for j in np.flatnonzero(bits <= _COPY_BITS).tolist():
-            if float(one.colors @ right[j].colors) >= 1 - _COPY_COLOR**2:
-                found.append((i, j))
-    return found
+            if float(fingerprint.colors @ right[j].colors) >= 1 - _COPY_COLOR**2:
+                pairs.append((i, j))
+    return pairs
 
 
 def _color_distances(prints: Sequence[Fingerprint]) -> NDArray[np.float32]:
@@ -185,7 +185,7 @@ def views_of_one_scene(
         return []
     distances = _color_distances(prints)
     np.fill_diagonal(distances, np.inf)
-    found = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances < color), strict=True) if i < j}
+    pairs = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances < color), strict=True) if i < j}
     nearest = np.argsort(distances, axis=1, kind="stable")[:, :_NEAREST]
     candidates = {
         (min(i, int(j)), max(i, int(j)))
@@ -194,12 +194,12 @@ def views_of_one_scene(
         if distances[i, j] < _FAR_COLOR
     }
     if wanted is not None:
-        found = {pair for pair in found if wanted(*pair)}
+        pairs = {pair for pair in pairs if wanted(*pair)}
         candidates = {pair for pair in candidates if wanted(*pair)}
-    for i, j in sorted(candidates - found):
+    for i, j in sorted(candidates - pairs):
         if _shared_corners(prints[i], prints[j]) >= corners:
-            found.add((i, j))
-    return sorted(found)
+            pairs.add((i, j))
+    return sorted(pairs)
 
 
 _SHARES = (0.70, 0.15, 0.15)
@@ -396,8 +396,8 @@ def _assign(
         scenes.setdefault(picture.scene, []).append(picture)
     # A scene shared by several sources belongs to the first one.
     sources: dict[str, list[str]] = {}
-    for scene, own in sorted(scenes.items()):
-        sources.setdefault(own[0].source, []).append(scene)
+    for scene, members in sorted(scenes.items()):
+        sources.setdefault(members[0].source, []).append(scene)
     split_of = {}
     for _, names in sorted(sources.items()):
         counts = {name: _content(scenes[name]) for name in names}

@@ -104,15 +104,15 @@ def _around(
     placed = []
     long_px = 0.0 if np.isnan(box[0]) else float(max(box[2] - box[0], box[3] - box[1]))
     side = max(side_px, round(_MARGIN * long_px))
-    for axis, whole in enumerate((picture.width, picture.height)):
-        size = min(side, whole)
-        first, last = 0, whole - size
+    for axis, length in enumerate((picture.width, picture.height)):
+        size = min(side, length)
+        first, last = 0, length - size
         if not np.isnan(box[0]):
             first = max(first, int(np.ceil(box[2 + axis] + 0.5)) - size)
             last = min(last, int(np.floor(box[axis] + 0.5)))
         placed.append((int(rng.integers(first, max(first, last) + 1)), size))
-    (left, width), (top, height) = placed
-    return Window(left, top, width, height)
+    (column, width), (top, height) = placed
+    return Window(column, top, width, height)
 
 
 def _inside(box: NDArray[np.float64], window: Window) -> float:
@@ -147,7 +147,7 @@ def crop_label(label: Label, window: Window) -> Label | None:
     ([-0.5, 4.5, 9.5, 9.5], True, False)
     """
     share = inside = _inside(label.box, window)
-    part = whole = None
+    part = amodal_part = None
     cut = label.cut_off or inside < 1
     if (mask := label.mask) is not None:
         part = mask[window.slices]
@@ -155,15 +155,15 @@ def crop_label(label: Label, window: Window) -> Label | None:
     if share == 0:
         return None
     if (amodal := label.amodal) is not None:
-        whole = amodal[window.slices]
-        cut = cut or bool(whole.sum() < amodal.sum())
-    high = np.array([window.width - 0.5, window.height - 0.5])
-    moved = (label.box.reshape(2, 2) - (window.left, window.top)).clip(-0.5, high).ravel()
+        amodal_part = amodal[window.slices]
+        cut = cut or bool(amodal_part.sum() < amodal.sum())
+    limit = np.array([window.width - 0.5, window.height - 0.5])
+    moved = (label.box.reshape(2, 2) - (window.left, window.top)).clip(-0.5, limit).ravel()
     return replace(
         label,
         box=moved if part is None else box_of_mask(part),
         mask_code=None if part is None else Rle.of(part),
-        amodal_code=None if whole is None else Rle.of(whole),
+        amodal_code=None if amodal_part is None else Rle.of(amodal_part),
         keypoints=_crop_keypoints(label.keypoints, window),
         cut_off=cut,
         ignore=label.ignore or share < _LEAST_SHARE,

@@ -102,22 +102,22 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     ...     read_yolo(Path(tmp), ["cucumber"]).pictures[0].labels[0].box.tolist()
     [19.5, 14.5, 59.5, 44.5]
     """
-    found = _find(path, names)
-    origins = _origins(found.folder)
+    layout = _find(path, names)
+    origins = _origins(layout.folder)
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
-    for file, split in found.pictures:
-        name = file.relative_to(found.folder).as_posix()
+    for file, split in layout.pictures:
+        name = file.relative_to(layout.folder).as_posix()
         try:
             width, height = picture_size(file)
         except CucumberVisionError as error:
             refused.append(error)
             continue
-        labels, bad = _read_labels(label_file(file), found, width, height)
+        labels, bad = _read_labels(label_file(file), layout, width, height)
         refused.extend(bad)
         origin = origins.get(name, {})
         pictures.append(LabelledPicture(name, width, height, tuple(labels), split=split, **origin))
-    return DataSet(found.folder, tuple(pictures), found.names, refused=tuple(refused))
+    return DataSet(layout.folder, tuple(pictures), layout.names, refused=tuple(refused))
 
 
 def _find(path: Path, names: Sequence[str] = ()) -> _YoloFolder:
@@ -210,10 +210,10 @@ def class_names(names: Any, yaml: Path) -> list[str]:
 def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
     """Return the pictures listed in `data.yaml` as folders, lists or text files."""
     base = folder / str(data.get("path") or "")
-    found: dict[Path, str] = {}
+    split_of: dict[Path, str] = {}
     for key, split in SPLIT_FOLDERS.items():
-        given = data.get(key)
-        for entry in given if isinstance(given, list) else [given] if given else []:
+        entries = data.get(key)
+        for entry in entries if isinstance(entries, list) else [entries] if entries else []:
             place = _resolve(str(entry), base, folder)
             if place.suffix == ".txt" and place.is_file():
                 lines = read_text(place, DataSetError).split("\n")
@@ -222,8 +222,8 @@ def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
                 files = list_pictures(place)
             for file in files:
                 if file.is_relative_to(folder):
-                    found.setdefault(file, split)
-    return sorted(found.items())
+                    split_of.setdefault(file, split)
+    return sorted(split_of.items())
 
 
 def _resolve(entry: str, base: Path, folder: Path) -> Path:
@@ -239,12 +239,12 @@ def _resolve(entry: str, base: Path, folder: Path) -> Path:
 
 
 def _pictures_in_images(folder: Path) -> list[tuple[Path, str]]:
-    found = []
+    files = []
     for file in list_pictures(folder):
         parts = file.relative_to(folder).parts[:-1]
         if "images" in parts:
-            found.append((file, next((SPLIT_FOLDERS[p] for p in parts if p in SPLIT_FOLDERS), "")))
-    return found
+            files.append((file, next((SPLIT_FOLDERS[p] for p in parts if p in SPLIT_FOLDERS), "")))
+    return files
 
 
 def label_file(picture: Path, kind: str = "labels") -> Path:
@@ -280,7 +280,7 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _read_labels(
-    file: Path, found: _YoloFolder, width: int, height: int
+    file: Path, layout: _YoloFolder, width: int, height: int
 ) -> tuple[list[Label], list[CucumberVisionError]]:
     if not file.exists():
         fault = DataSetError(
@@ -299,27 +299,28 @@ def _read_labels(
         if not line.strip():
             continue
         try:
-            labels.append(_label(line, found, width, height))
+            labels.append(_label(line, layout, width, height))
         except ValueError as error:
             refused.append(DataSetError(f"line {i}: {error}", source=file, remedy="correct it"))
     return labels, refused
 
 
-def _label(line: str, found: _YoloFolder, width: int, height: int) -> Label:
+def _label(line: str, layout: _YoloFolder, width: int, height: int) -> Label:
     """Parse a line of a label file: box, polygon, or box with keypoints."""
     numbers = line.split()
-    if found.keypoints is not None:
-        points, each = found.keypoints
-        if len(numbers) != 5 + points * each:
+    if layout.keypoints is not None:
+        points, dimensions = layout.keypoints
+        if len(numbers) != 5 + points * dimensions:
             raise ValueError(
-                f"has {len(numbers)} values, expected {5 + points * each} (box, {points} keypoints)"
+                f"has {len(numbers)} values, expected {5 + points * dimensions} "
+                f"(box, {points} keypoints)"
             )
-        if each == 2:
+        if dimensions == 2:
             pairs = [numbers[k : k + 2] for k in range(5, len(numbers), 2)]
             numbers = numbers[:5] + [v for pair in pairs for v in (*pair, "2")]
-    record = parse_yolo_line(" ".join(numbers), "", list(found.names))
+    record = parse_yolo_line(" ".join(numbers), "", list(layout.names))
     category = int(float(numbers[0]))
-    if category >= len(found.names):
+    if category >= len(layout.names):
         raise ValueError(f"its class {category} has no name")
     size = np.array([width, height], np.float64)
     if record.polygons:
@@ -333,8 +334,8 @@ def _label(line: str, found: _YoloFolder, width: int, height: int) -> Label:
     if keypoints is not None:
         keypoints = keypoints.copy()
         keypoints[:, 2] *= 2
-        seen = keypoints[:, 2:] > 0
-        keypoints[:, :2] = np.where(seen, keypoints[:, :2] * size - 0.5, 0.0)
+        visible = keypoints[:, 2:] > 0
+        keypoints[:, :2] = np.where(visible, keypoints[:, :2] * size - 0.5, 0.0)
     box = np.clip(edges, 0, 1) * np.tile(size, 2) - 0.5
     return Label(box, category, keypoints=keypoints)
 

@@ -82,12 +82,12 @@ def average_precision(
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
-    known, seen = COCO(), COCO()
-    known.dataset, seen.dataset = _annotations(frames, iou_type, stage)
+    truth_coco, detection_coco = COCO(), COCO()
+    truth_coco.dataset, detection_coco.dataset = _annotations(frames, iou_type, stage)
     with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints its progress
-        known.createIndex()
-        seen.createIndex()
-        judge = COCOeval(known, seen, str(iou_type))
+        truth_coco.createIndex()
+        detection_coco.createIndex()
+        judge = COCOeval(truth_coco, detection_coco, str(iou_type))
         judge.params.maxDets = [_MAX_DETECTIONS]
         judge.params.areaRng, judge.params.areaRngLbl = [[0, 1e10]], ["all"]
         if iou_type is IouType.KEYPOINTS:
@@ -109,33 +109,37 @@ def _annotations(
     images = [{"id": k + 1, "width": f.width, "height": f.height} for k, f in enumerate(frames)]
     categories = [{"id": 1, "name": "cucumber"}]
     truth: list[dict[str, Any]] = []
-    found: list[dict[str, Any]] = []
+    detections: list[dict[str, Any]] = []
     for k, frame in enumerate(frames):
-        truth += [_true_entry(one, iou_type, frame) | {"image_id": k + 1} for one in frame.true]
+        truth += [_true_entry(fruit, iou_type, frame) | {"image_id": k + 1} for fruit in frame.true]
         # A detection without a mask counts as a false positive.
-        found += [
-            _seen_entry(one, iou_type, frame) | {"image_id": k + 1}
-            for one in frame.detections(stage)
-            if iou_type is not IouType.KEYPOINTS or one.keypoints is not None
+        detections += [
+            _seen_entry(detection, iou_type, frame) | {"image_id": k + 1}
+            for detection in frame.detections(stage)
+            if iou_type is not IouType.KEYPOINTS or detection.keypoints is not None
         ]
-    for entries in (truth, found):
+    for entries in (truth, detections):
         for number, entry in enumerate(entries):
             entry |= {"id": number + 1, "category_id": 1}
     head = {"images": images, "categories": categories}
-    return {**head, "annotations": truth}, {**head, "annotations": found}
+    return {**head, "annotations": truth}, {**head, "annotations": detections}
 
 
-def _true_entry(one: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
+def _true_entry(fruit: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
     masks = import_pycocotools()
-    box = _xywh(one.box)
-    points = np.zeros((5, 3)) if one.keypoints is None else one.keypoints
+    box = _xywh(fruit.box)
+    points = np.zeros((5, 3)) if fruit.keypoints is None else fruit.keypoints
     unlabelled = iou_type is IouType.KEYPOINTS and not (points[:, 2] > 0).any()
-    unknown = unlabelled or (iou_type is IouType.MASKS and one.code is None)
-    area = float(masks.area(one.code)) if one.code else _BOX_FILL * box[2] * box[3]
-    entry: dict[str, Any] = {"bbox": box, "area": area, "iscrowd": int(unknown or not one.required)}
+    unknown = unlabelled or (iou_type is IouType.MASKS and fruit.code is None)
+    area = float(masks.area(fruit.code)) if fruit.code else _BOX_FILL * box[2] * box[3]
+    entry: dict[str, Any] = {
+        "bbox": box,
+        "area": area,
+        "iscrowd": int(unknown or not fruit.required),
+    }
     if iou_type is IouType.MASKS:
         filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
-        entry["segmentation"] = one.code or filled
+        entry["segmentation"] = fruit.code or filled
     if iou_type is IouType.KEYPOINTS:
         points = np.zeros((5, 3)) if unlabelled else points + _TO_CORNER
         entry["keypoints"] = points.ravel().tolist()
@@ -143,14 +147,14 @@ def _true_entry(one: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, An
     return entry
 
 
-def _seen_entry(one: DetectedFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
-    box = _xywh(one.box)
-    entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": one.score}
+def _seen_entry(detection: DetectedFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
+    box = _xywh(detection.box)
+    entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": detection.score}
     if iou_type is IouType.MASKS:
         empty = {"size": [frame.height, frame.width], "counts": [frame.height * frame.width]}
-        entry["segmentation"] = one.code or empty
-    if iou_type is IouType.KEYPOINTS and one.keypoints is not None:
-        entry["keypoints"] = (one.keypoints + _TO_CORNER).ravel().tolist()
+        entry["segmentation"] = detection.code or empty
+    if iou_type is IouType.KEYPOINTS and detection.keypoints is not None:
+        entry["keypoints"] = (detection.keypoints + _TO_CORNER).ravel().tolist()
     return entry
 
 

@@ -124,10 +124,10 @@ def set_records(
     if tell is not None and names:
         tell(len(held.pictures) - len(missing))
     keep.parent.mkdir(parents=True, exist_ok=True)
-    for found in ticked(each_done(partial(_measured, held), missing, workers), tell):
-        for record in found:
+    for records_of_picture in ticked(each_done(partial(_measured, held), missing, workers), tell):
+        for record in records_of_picture:
             append_record(keep, record)
-        done += found
+        done += records_of_picture
     chosen = {picture.file for picture in held.pictures}
     return [record for record in done if _picture_of(record) in chosen]
 
@@ -145,9 +145,9 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
     capture = capture_of(picture, data, read_color(data.path(picture)))
     if capture is None:
         return []
-    frame, found = frame_of(picture, data, None), _finder().find(capture).instances
-    matches, required = match_fruit(frame, [one.box for one in found])
-    perceived = {required[true]: found[seen] for true, seen in matches.pairs}
+    frame, instances = frame_of(picture, data, None), _finder().find(capture).instances
+    matches, required = match_fruit(frame, [instance.box for instance in instances])
+    perceived = {required[true]: instances[index] for true, index in matches.pairs}
     return length_records(frame, capture, perceived)
 
 
@@ -224,19 +224,21 @@ def learn_depth_vote(
     held = read_held_out(folder, "all")
     loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE)
     detector = loader.yolo(loader.registry.get("cucumber-seg").name)
-    found = (
+    candidates = (
         _candidates(scene, picture, held, detector) for scene, picture in enumerate(held.pictures)
     )
-    fit = fit_depth_vote([one for some in ticked(found, report) for one in some])
+    fit = fit_depth_vote([candidate for batch in ticked(candidates, report) for candidate in batch])
     file.write_text(json.dumps(asdict(fit.vote), indent=1) + "\n", encoding="utf-8")
     return fit
 
 
 def fit_depth_vote(candidates: Sequence[Candidate]) -> DepthVoteFit:
     """Fit the depth vote, with five-fold cross-validation by scene."""
-    features = np.array([one.shape.features(one.confidence) for one in candidates])
-    right = np.array([one.is_fruit for one in candidates])
-    fold = np.array([one.scene for one in candidates]) % _FOLDS
+    features = np.array(
+        [candidate.shape.features(candidate.confidence) for candidate in candidates]
+    )
+    right = np.array([candidate.is_fruit for candidate in candidates])
+    fold = np.array([candidate.scene for candidate in candidates]) % _FOLDS
     by_confidence = features[:, : FEATURES.index("logit_confidence") + 1]
     return DepthVoteFit(
         DepthVote(tuple(_weights(features, right).round(4).tolist()), len(right)),
@@ -261,8 +263,8 @@ def _weights(features: NDArray[np.float64], right: NDArray[np.bool_]) -> NDArray
 
     bounds = [(None, 0.0 if name in AGAINST else None) for name in names]
     start = np.zeros(len(names))
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
-    return np.asarray(found.x)
+    optimum = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    return np.asarray(optimum.x)
 
 
 def _cross_validated_loss(
@@ -283,23 +285,25 @@ def _candidates(
     capture = capture_of(picture, data, color)
     if capture is None:
         return []
-    found = detector.detect(color)
+    detections = detector.detect(color)
     candidates = []
-    judged = true_positives(frame_of(picture, data, None), np.array([one.box for one in found]))
-    for one, is_fruit in zip(found, judged, strict=True):
-        if is_fruit is None or one.detector_mask is None:
+    judged = true_positives(
+        frame_of(picture, data, None), np.array([detection.box for detection in detections])
+    )
+    for detection, is_fruit in zip(detections, judged, strict=True):
+        if is_fruit is None or detection.detector_mask is None:
             continue
-        shape = depth_shape(one.detector_mask, capture.depth_m, capture.intrinsics.fx_px)
+        shape = depth_shape(detection.detector_mask, capture.depth_m, capture.intrinsics.fx_px)
         if shape is not None:
-            candidates.append(Candidate(scene, one.confidence, shape, is_fruit))
+            candidates.append(Candidate(scene, detection.confidence, shape, is_fruit))
     return candidates
 
 
 def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
     """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
-    hits = {found for _, found in match_fruit(frame, list(boxes))[0].pairs}
-    true = np.array([one.box for one in frame.true]).reshape(-1, 4)
+    hits = {index for _, index in match_fruit(frame, list(boxes))[0].pairs}
+    true = np.array([fruit.box for fruit in frame.true]).reshape(-1, 4)
     on_fruit = np.maximum(box_ious(boxes, true).max(axis=1, initial=0.0), share_inside(boxes, true))
     return [
         True if k in hits else None if on_fruit[k] > _AMBIGUOUS_OVERLAP else False

@@ -263,9 +263,9 @@ def match_detections(
     required : tuple of int
         Indices in `frame.true` of the fruit to be detected.
     """
-    seen = tuple(s for s in frame.detections(stage) if s.score > confidence)
-    matches, required = match_fruit(frame, [s.box for s in seen])
-    return matches, seen, required
+    detections = tuple(s for s in frame.detections(stage) if s.score > confidence)
+    matches, required = match_fruit(frame, [s.box for s in detections])
+    return matches, detections, required
 
 
 def fruit_rows(
@@ -274,8 +274,8 @@ def fruit_rows(
     """Return the outcome of every fruit to be detected."""
     rows = []
     for frame in frames:
-        matches, seen, required = match_detections(frame, confidence, stage)
-        hit = {required[t]: seen[s] for t, s in matches.pairs}
+        matches, detections, required = match_detections(frame, confidence, stage)
+        hit = {required[t]: detections[s] for t, s in matches.pairs}
         for k in required:
             fruit, by = frame.true[k], hit.get(k)
             rows.append(
@@ -307,21 +307,21 @@ def detection_rows(
     """Return the outcome of every detection above a confidence threshold."""
     rows = []
     for frame in frames:
-        matches, seen, _ = match_detections(frame, confidence, stage)
-        said = dict.fromkeys(range(len(seen)), "hit")
-        said |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
-        for k, one in enumerate(seen):
-            edges = [float(x) for x in one.box]
+        matches, detections, _ = match_detections(frame, confidence, stage)
+        outcome = dict.fromkeys(range(len(detections)), "hit")
+        outcome |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
+        for k, detection in enumerate(detections):
+            edges = [float(x) for x in detection.box]
             rows.append(
                 DetectionRow(
                     frame.name,
                     frame.scene,
                     k,
-                    one.score,
-                    one.long_px,
-                    one.distance_m,
-                    _at_border(one.box, frame),
-                    said[k],
+                    detection.score,
+                    detection.long_px,
+                    detection.distance_m,
+                    _at_border(detection.box, frame),
+                    outcome[k],
                     *edges,
                 )
             )
@@ -348,9 +348,9 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     """
     rows = []
     for frame in frames:
-        matches, seen, required = match_detections(frame, confidence, Stage.KEPT)
+        matches, detections, required = match_detections(frame, confidence, Stage.KEPT)
         for t, s in matches.pairs:
-            true, points = frame.true[required[t]].keypoints, seen[s].keypoints
+            true, points = frame.true[required[t]].keypoints, detections[s].keypoints
             if true is None or points is None or not _placed(true):
                 continue
             rows.append(_ends(frame, required[t], true, points))
@@ -366,9 +366,9 @@ def _ends(
     frame: Frame, number: int, true: NDArray[np.float64], points: NDArray[np.float64]
 ) -> EndRow:
     length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
-    ends, found = true[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
-    straight = np.linalg.norm(found - ends, axis=1)
-    crossed = np.linalg.norm(found[::-1] - ends, axis=1)
+    ends, points_px = true[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
+    straight = np.linalg.norm(points_px - ends, axis=1)
+    crossed = np.linalg.norm(points_px[::-1] - ends, axis=1)
     labelled = true[[_BLOSSOM, STEM], 2] > 0
     percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
     return EndRow(
@@ -445,10 +445,10 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> li
     scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
     scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
-        own = [r for r in fruit if r.cut_off is cut]
-        seen = [r for r in found if r.cut_off is cut]
-        if own or seen:
-            scores.append(GroupScore("edge", name, _recall(own), _precision(seen)))
+        cut_fruit = [r for r in fruit if r.cut_off is cut]
+        cut_detections = [r for r in found if r.cut_off is cut]
+        if cut_fruit or cut_detections:
+            scores.append(GroupScore("edge", name, _recall(cut_fruit), _precision(cut_detections)))
     return scores
 
 
@@ -461,20 +461,20 @@ def _by_scale(
 ) -> list[GroupScore]:
     """Compute recall and, if `found` is given, precision in the intervals between `edges`."""
     scores = []
-    for low, high in pairwise(edges):
-        own = [r for r in fruit if low <= getattr(r, field) < high]
-        seen = [r for r in found or () if low <= getattr(r, field) < high]
-        if own or seen:
-            precision = None if found is None else _precision(seen)
-            name = _name(low, high, 100.0 if found is None else 1.0)
-            scores.append(GroupScore(factor, name, _recall(own), precision))
+    for start, end in pairwise(edges):
+        fruit_inside = [r for r in fruit if start <= getattr(r, field) < end]
+        detections_inside = [r for r in found or () if start <= getattr(r, field) < end]
+        if fruit_inside or detections_inside:
+            precision = None if found is None else _precision(detections_inside)
+            name = _name(start, end, 100.0 if found is None else 1.0)
+            scores.append(GroupScore(factor, name, _recall(fruit_inside), precision))
     return scores
 
 
-def _name(low: float, high: float, scale: float) -> str:
-    if math.isinf(high) or (high > 1 and scale > 1):
-        return f"{scale * low:g} or more"
-    return f"under {scale * high:g}" if low == 0 else f"{scale * low:g} to {scale * high:g}"
+def _name(start: float, end: float, scale: float) -> str:
+    if math.isinf(end) or (end > 1 and scale > 1):
+        return f"{scale * start:g} or more"
+    return f"under {scale * end:g}" if start == 0 else f"{scale * start:g} to {scale * end:g}"
 
 
 def _recall(rows: Sequence[FruitRow]) -> Estimate:

@@ -132,8 +132,8 @@ class AuditedPhoto:
 
         Other photos are unsuitable for training, because they may contain much unlabelled fruit.
         """
-        most = _MOST * self.width * self.height
-        return all(b.kind is not AuditKind.IGNORE or b.area_px <= most for b in self.boxes)
+        limit_px = _MOST * self.width * self.height
+        return all(b.kind is not AuditKind.IGNORE or b.area_px <= limit_px for b in self.boxes)
 
 
 @dataclass(frozen=True)
@@ -237,19 +237,19 @@ def audited(
     DataSetError
         If the folder contains no audited photo.
     """
-    known = load_audit() if audit is None else audit
-    wanted = {photo.sha1: photo for photo in known.in_split(split)}
+    book = load_audit() if audit is None else audit
+    photos = {photo.sha1: photo for photo in book.in_split(split)}
     files: dict[str, Path] = {}
     for path in list_pictures(folder):
         files.setdefault(_sha1(path), path)
-    found = {sha1: files[sha1] for sha1 in wanted if sha1 in files}
-    if not found:
+    paths = {sha1: files[sha1] for sha1 in photos if sha1 in files}
+    if not paths:
         raise DataSetError(
             "contains no audited photo",
             source=folder,
             remedy="give the folder with the photos",
         )
-    pictures = [_picture(wanted[s], path, folder, known) for s, path in found.items()]
+    pictures = [_picture(photos[s], path, folder, book) for s, path in paths.items()]
     if outlines:
         pictures = [_outlined(picture, folder / picture.file) for picture in pictures]
     return DataSet(folder, tuple(pictures))
@@ -338,7 +338,7 @@ def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
         shapes += [Label.of_mask(mask) for mask in masks if mask.any()]
     labels = []
     for label in picture.labels:
-        fits = [0.0 if label.ignore else box_iou(label.box, one.box) for one in shapes]
+        fits = [0.0 if label.ignore else box_iou(label.box, shape.box) for shape in shapes]
         if fits and max(fits) >= _SAME_IOU:
             label = replace(label, mask_code=shapes.pop(int(np.argmax(fits))).mask_code)
         labels.append(label)

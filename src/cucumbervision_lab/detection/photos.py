@@ -217,13 +217,15 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     height, width = color.shape[:2]
     inner = cv2.resize(color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     rows, columns = inner.shape[:2]
-    top, left = (height - rows) // 2, (width - columns) // 2
+    top, margin = (height - rows) // 2, (width - columns) // 2
     out = np.full_like(color, _GREY)
-    out[top : top + rows, left : left + columns] = inner
+    out[top : top + rows, margin : margin + columns] = inner
     gain = np.tile([columns / width, rows / height], 2)
     true = tuple(
-        replace(one, box=(one.box + 0.5) * gain + np.tile([left, top], 2) - 0.5, keypoints=None)
-        for one in truth.true
+        replace(
+            fruit, box=(fruit.box + 0.5) * gain + np.tile([margin, top], 2) - 0.5, keypoints=None
+        )
+        for fruit in truth.true
     )
     return replace(truth, true=true), out
 
@@ -273,6 +275,6 @@ def _by_name(frames: Sequence[Frame], names: Sequence[str], confidence: float) -
     for frame, name in zip(frames, names, strict=True):
         parts[name].append(frame)
     return tuple(
-        (name, overall(fruit_rows(some, confidence), detection_rows(some, confidence)))
-        for name, some in parts.items()
+        (name, overall(fruit_rows(frames, confidence), detection_rows(frames, confidence)))
+        for name, frames in parts.items()
     )

@@ -160,12 +160,12 @@ def detect_picture(
         if network is None:
             return ()
         start = time.perf_counter()
-        found = network.detect(color)
+        detections = network.detect(color)
         seconds[name] = time.perf_counter() - start
-        return found
+        return detections
 
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
-    kept = merge_detections(
+    instances = merge_detections(
         segmented if networks.segment else None,
         posed if networks.pose else None,
         networks.confidence,
@@ -173,27 +173,29 @@ def detect_picture(
         looks=networks.segment.looks if networks.segment else 1,
         focal_px=focal_px,
     )
-    if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
-        kept = _placed(kept, networks.segmenter, color)
+    if networks.segmenter is not None and any(fruit.keypoints is not None for fruit in frame.true):
+        instances = _placed(instances, networks.segmenter, color)
 
-    def coded(found: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
-        return tuple(detected_fruit(one, depth_m) for one in found)
+    def coded(instances: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
+        return tuple(detected_fruit(instance, depth_m) for instance in instances)
 
     frame = replace(
         frame,
         segmented=coded(segmented),
         posed=coded(posed),
-        kept=coded(kept),
+        kept=coded(instances),
         has_masks=networks.segment is not None and networks.segment.task == "segment",
     )
-    return PictureResult(frame, kept, seconds)
+    return PictureResult(frame, instances, seconds)
 
 
 def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
     """Run the networks on every picture of a data set, without depth."""
     return [
-        detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
-        for one in data.pictures
+        detect_picture(
+            frame_of(picture, data, None), read_color(data.path(picture)), networks
+        ).frame
+        for picture in data.pictures
     ]
 
 
@@ -203,7 +205,8 @@ def _placed(
     """Replace keypoints by those on the axes of SAM's masks, as used for measurement."""
     drawn = place_keypoints(segmenter.segment(color, kept))
     return tuple(
-        replace(one, keypoints=masked.keypoints) for one, masked in zip(kept, drawn, strict=True)
+        replace(instance, keypoints=masked.keypoints)
+        for instance, masked in zip(kept, drawn, strict=True)
     )
 
 
@@ -234,13 +237,13 @@ def merge_detections(
         See `each_fruit_once`.
     """
     if segmented is None or posed is None:
-        found = posed if segmented is None else segmented
-        return each_fruit_once(found or (), None, depth_m, confidence=confidence)
-    least = detector_floor(confidence, votes=True)
+        candidates = posed if segmented is None else segmented
+        return each_fruit_once(candidates or (), None, depth_m, confidence=confidence)
+    floor = detector_floor(confidence, votes=True)
     if focal_px is not None:
-        least = min(least, CANDIDATE_CONFIDENCE)
-    detected = [one for one in segmented if one.confidence > least]
-    poses = [one for one in posed if one.confidence > pose_floor(confidence)]
+        floor = min(floor, CANDIDATE_CONFIDENCE)
+    detected = [instance for instance in segmented if instance.confidence > floor]
+    poses = [instance for instance in posed if instance.confidence > pose_floor(confidence)]
     return each_fruit_once(
         detected,
         poses,

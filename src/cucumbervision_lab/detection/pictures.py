@@ -216,9 +216,9 @@ def detected_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = Non
 
 def _centre_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:
     x1, y1, x2, y2 = box
-    left, right = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
+    first, right = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
     top, bottom = np.rint([(2 * y1 + y2) / 3, (y1 + 2 * y2) / 3]).astype(int)
-    part = depth_m[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+    part = depth_m[max(top, 0) : bottom + 1, max(first, 0) : right + 1]
     read = part[valid_depth(part)]
     return float(np.median(read)) if read.size else math.nan
 
@@ -258,13 +258,15 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
         )
     pictures = data.pictures if split == "all" else data.in_split(split)
     if not pictures:
-        known = ", ".join(sorted({p.split for p in data.pictures if p.split})) or "none"
+        splits = ", ".join(sorted({p.split for p in data.pictures if p.split})) or "none"
         raise DataSetError(
-            f"the split {split!r} is empty (available: {known})",
+            f"the split {split!r} is empty (available: {splits})",
             source=folder,
             remedy="choose another --split, or 'all'",
         )
-    pseudo = [p.file for p in pictures if any(one.pseudo and not one.ignore for one in p.labels)]
+    pseudo = [
+        p.file for p in pictures if any(label.pseudo and not label.ignore for label in p.labels)
+    ]
     if pseudo:
         raise DataSetError(
             f"{len(pseudo)} pictures of the split {split!r} have pseudo-labels: " + _named(pseudo),
@@ -389,5 +391,5 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]
 
 
 def _named(files: list[str]) -> str:
-    more = f" and {len(files) - _SHOWN} more" if len(files) > _SHOWN else ""
-    return ", ".join(files[:_SHOWN]) + more
+    remainder = f" and {len(files) - _SHOWN} more" if len(files) > _SHOWN else ""
+    return ", ".join(files[:_SHOWN]) + remainder

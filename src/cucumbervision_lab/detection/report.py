@@ -135,11 +135,11 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
         f"to be ignored are not counted. '{Stage.KEPT}' has duplicates merged."
     )
-    stages = [(str(stage), one) for stage, one in summary.overall]
+    stages = [(str(stage), score) for stage, score in summary.overall]
     tables = [_precision_table(summary.precisions)]
     tables += [_share_table("Recall and precision", "stage", stages, comment)]
-    for factor in dict.fromkeys(one.factor for one in summary.groups):
-        named = [(one.group, one) for one in summary.groups if one.factor == factor]
+    for factor in dict.fromkeys(score.factor for score in summary.groups):
+        named = [(score.group, score) for score in summary.groups if score.factor == factor]
         tables.append(_share_table(f"By {factor}", "group", named))
     tables += [end_table(summary.ends)] if summary.ends else []
     masks = _mask_table(summary)
@@ -151,8 +151,14 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
 
 def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
     rows = [
-        (str(one.stage), _IOU_TYPES[one.iou_type], one.fruit, one.map50, one.map50_95)
-        for one in precisions
+        (
+            str(precision.stage),
+            _IOU_TYPES[precision.iou_type],
+            precision.fruit,
+            precision.map50,
+            precision.map50_95,
+        )
+        for precision in precisions
     ]
     comment = (
         "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
@@ -164,8 +170,8 @@ def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
 
 def _mask_table(summary: Summary) -> Table:
     """Return the overlap of predicted with true visible masks."""
-    found = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
-    kinds = {"detector": ([r.mask_iou for r in found], [r.scene for r in found])}
+    outlined = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
+    kinds = {"detector": ([r.mask_iou for r in outlined], [r.scene for r in outlined])}
     if "mask_iou" in summary.readings:
         measured = summary.readings.drop_duplicates(["case", "masks"])
         measured = measured[(measured["masks"] == Masks.PERCEIVED) & measured["mask_iou"].notna()]
@@ -184,12 +190,12 @@ def _length_tables(readings: pd.DataFrame) -> list[Table]:
     """Return the accuracy of lengths on true and on predicted masks, overall and by group."""
     tables = []
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
-        some = readings[readings["masks"] == masks]
-        scored = comparable_readings(some, LengthDefinition.CENTRELINE)
+        of_masks = readings[readings["masks"] == masks]
+        scored = comparable_readings(of_masks, LengthDefinition.CENTRELINE)
         factors = factors_of(scored, scored["true_m"]) if masks is Masks.PERCEIVED else []
         for table in (
-            accuracy_table(some, LengthDefinition.CENTRELINE),
-            accuracy_table(some, LengthDefinition.THREAD),
+            accuracy_table(of_masks, LengthDefinition.CENTRELINE),
+            accuracy_table(of_masks, LengthDefinition.THREAD),
             *(group_table(scored, factor, LengthDefinition.CENTRELINE) for factor in factors),
         ):
             titled = Table(f"{table.title}, {words}", table.columns, table.rows, table.comment)
@@ -207,7 +213,7 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
     title : str
         Title of the table.
     """
-    frame = pd.DataFrame(rows, columns=[one.name for one in fields(EndRow)])
+    frame = pd.DataFrame(rows, columns=[column.name for column in fields(EndRow)])
     turned = frame[frame["swapped"].notna()]
     swapped = share(turned["swapped"], turned["scene"])
     ends = pd.concat(
@@ -216,18 +222,18 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
         ].assign(end=f"{end} end")
         for end in ("blossom", "stem")
     ).dropna(subset="percent")
-    seen = ends["seen"].astype(bool)
+    in_sight = ends["seen"].astype(bool)
     groups = {
         "all": ends,
-        "in sight": ends[seen],
-        "hidden": ends[~seen],
+        "in sight": ends[in_sight],
+        "hidden": ends[~in_sight],
         "blossom end": ends[ends["end"] == "blossom end"],
         "stem end": ends[ends["end"] == "stem end"],
     }
     cells: list[tuple[Cell, ...]] = []
-    for name, some in groups.items():
-        if len(some):
-            median, p90 = (estimate(some["percent"], some["scene"], q) for q in (0.5, 0.9))
+    for name, part in groups.items():
+        if len(part):
+            median, p90 = (estimate(part["percent"], part["scene"], q) for q in (0.5, 0.9))
             cells.append(
                 (name, median.count, median.groups, *_spanned(median, 2), *_spanned(p90, 2))
             )
@@ -252,25 +258,26 @@ def pose_table(readings: pd.DataFrame) -> Table:
         With the columns of `run.pose_errors`.
     """
     posed = readings.drop_duplicates(["case", "masks"]).dropna(subset="swapped")
-    near = posed["distance_m"].between(*_NEAR_M)
+    in_range = posed["distance_m"].between(*_NEAR_M)
     perceived = posed["masks"] == Masks.PERCEIVED
     sure = posed["stem_confidence"] >= LEAST_END_CONFIDENCE
     groups = {
-        "true masks, keypoints": posed[near & ~perceived],
-        "perceived": posed[near & perceived],
-        "perceived, both ends in sight": posed[near & perceived & posed["whole"].astype(bool)],
-        "perceived, ends 90 % sure": posed[near & perceived & sure],
-        "perceived, farther": posed[~near & perceived],
+        "true masks, keypoints": posed[in_range & ~perceived],
+        "perceived": posed[in_range & perceived],
+        "perceived, both ends in sight": posed[in_range & perceived & posed["whole"].astype(bool)],
+        "perceived, ends 90 % sure": posed[in_range & perceived & sure],
+        "perceived, farther": posed[~in_range & perceived],
     }
     if "hangs" in posed:
-        known = posed.dropna(subset="hangs")
-        known = known[known["masks"] == Masks.PERCEIVED]
-        by_gravity = known.assign(
-            swapped=known["swapped_by_gravity"], stem_confidence=known["sure_by_gravity"]
+        with_gravity = posed.dropna(subset="hangs")
+        with_gravity = with_gravity[with_gravity["masks"] == Masks.PERCEIVED]
+        by_gravity = with_gravity.assign(
+            swapped=with_gravity["swapped_by_gravity"],
+            stem_confidence=with_gravity["sure_by_gravity"],
         )
-        hanging = known["hangs"].astype(bool)
+        hanging = with_gravity["hangs"].astype(bool)
         groups |= {
-            "perceived, hanging, any distance": known[hanging],
+            "perceived, hanging, any distance": with_gravity[hanging],
             "the same, gravity known": by_gravity[hanging],
             "perceived, any distance, gravity known": by_gravity,
             "the same, ends 90 % sure": by_gravity[
@@ -278,16 +285,18 @@ def pose_table(readings: pd.DataFrame) -> Table:
             ],
         }
     cells: list[tuple[Cell, ...]] = []
-    for name, some in groups.items():
-        right = some.dropna(subset="stem_mm")
+    for name, part in groups.items():
+        right = part.dropna(subset="stem_mm")
         if len(right):
-            far, turned = (
+            median_p90, turned = (
                 [float(value) for value in right[column].quantile([0.5, 0.9])]
                 for column in ("stem_mm", "stem_deg")
             )
             inside = right["cut_in_90"].dropna().astype(float)
-            swapped = 100 * float(some["swapped"].astype(float).mean())
-            cells.append((name, len(some), swapped, *far, *turned, 100 * float(inside.mean())))
+            swapped = 100 * float(part["swapped"].astype(float).mean())
+            cells.append(
+                (name, len(part), swapped, *median_p90, *turned, 100 * float(inside.mean()))
+            )
     heads = ["fruit", "n", "swapped (%):.1", "stem end median (mm):.1", "90th percentile:.1"]
     heads += ["direction median (deg):.1", "90th:.1", "cut in 90 % (%):.0"]
     comment = (
@@ -300,11 +309,11 @@ def pose_table(readings: pd.DataFrame) -> Table:
 
 def photo_tables(photos: PhotoResult) -> list[Table]:
     """Return recall, precision, errors of ends and false positives on real photos."""
-    (_, whole), *settings = photos.scores
-    named = [("all", whole)]
-    named += [(f"test: {name}", one) for name, one in photos.tests]
-    named += [(f"half size: {name}", one) for name, one in photos.small]
-    named += [(f"where: {name}", one) for name, one in settings]
+    (_, everywhere), *settings = photos.scores
+    named = [("all", everywhere)]
+    named += [(f"test: {name}", score) for name, score in photos.tests]
+    named += [(f"half size: {name}", score) for name, score in photos.small]
+    named += [(f"where: {name}", score) for name, score in settings]
     comment = (
         f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
         "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
@@ -329,14 +338,14 @@ def _false_table(photos: PhotoResult) -> Table:
     return Table.of(title, heads, rows, "The photos themselves are not shown.")
 
 
-def _span(one: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
-    if math.isnan(one.low):
+def _span(span: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
+    if math.isnan(span.low):
         return "–"
-    return f"{scale * one.low:.{decimals}f} to {scale * one.high:.{decimals}f}"
+    return f"{scale * span.low:.{decimals}f} to {scale * span.high:.{decimals}f}"
 
 
-def _spanned(one: Estimate, decimals: int = 3) -> tuple[float, str]:
-    return one.value, _span(one, decimals)
+def _spanned(span: Estimate, decimals: int = 3) -> tuple[float, str]:
+    return span.value, _span(span, decimals)
 
 
 def _share_table(
@@ -345,12 +354,16 @@ def _share_table(
     """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
     heads += ["scenes with detections", "precision:.3", "precision, 95 % by scene"]
-    rows = [(name, *_share_cells(one.recall), *_share_cells(one.precision)) for name, one in named]
+    rows = [
+        (name, *_share_cells(score.recall), *_share_cells(score.precision)) for name, score in named
+    ]
     return Table.of(title, heads, rows, comment)
 
 
-def _share_cells(one: Estimate | None) -> tuple[Cell, ...]:
-    return (None, None, None, "–") if one is None else (one.count, one.groups, *_spanned(one))
+def _share_cells(share: Estimate | None) -> tuple[Cell, ...]:
+    return (
+        (None, None, None, "–") if share is None else (share.count, share.groups, *_spanned(share))
+    )
 
 
 def write_detection_report(
@@ -421,7 +434,7 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
         "split": result.plan.split,
         "pictures": len(frames),
         "scenes": len({frame.scene for frame in frames}),
-        "fruit to be found": sum(one.required for frame in frames for one in frame.true),
+        "fruit to be found": sum(fruit.required for frame in frames for fruit in frame.true),
         "confidence": result.plan.confidence,
         "input sizes (px)": list(result.plan.input_sizes) or "each network's own",
         "networks": result.models,
@@ -435,7 +448,7 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
 
 def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
     """Write dataclasses as CSV."""
-    names = [one.name for one in fields(kind)]
+    names = [column.name for column in fields(kind)]
     _write_csv(path, pd.DataFrame([asdict(row) for row in rows], columns=names))
 
 

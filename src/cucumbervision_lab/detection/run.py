@@ -130,10 +130,10 @@ def chosen_networks(
         model = registry.default(task)
         return given or (model.name if model else None)
 
-    found = choose(segment, "segment"), choose(pose, "pose")
-    if found == (None, None):
+    networks = choose(segment, "segment"), choose(pose, "pose")
+    if networks == (None, None):
         raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
-    return found
+    return networks
 
 
 def evaluate_detection(
@@ -180,16 +180,16 @@ def evaluate_detection(
         frame = frame_of(picture, held_out, depth_m)
         result = detect_picture(frame, color, networks, depth_m, focal_px)
         if picture.file in measured and capture is not None:
-            found = found_by_fruit(result, networks.confidence)
+            instances = found_by_fruit(result, networks.confidence)
             if networks.segmenter is not None:
-                drawn = networks.segmenter.segment(color, list(found.values()))
-                found = dict(zip(found, drawn, strict=True))
+                drawn = networks.segmenter.segment(color, list(instances.values()))
+                instances = dict(zip(instances, drawn, strict=True))
             judge = None if networks.pose is None else networks.pose.ends
             ends = None if judge is None else judge.log_odds
-            records += length_records(result.frame, capture, found, ends)
+            records += length_records(result.frame, capture, instances, ends)
         frames.append(result.frame)
-        for name, one in result.seconds.items():
-            seconds.setdefault(name, []).append(one)
+        for name, duration in result.seconds.items():
+            seconds.setdefault(name, []).append(duration)
         if report is not None:
             report("pictures", 1, len(held_out.pictures))
     return DetectionResult(
@@ -285,9 +285,9 @@ def length_records(
     for number, fruit in enumerate(frame.true):
         if not fruit.required or fruit.code is None or fruit.centreline_m is None:
             continue
-        found = perceived.get(number)
+        instance = perceived.get(number)
         records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
-        records.append(_record(frame, number, capture, found, Masks.PERCEIVED, ends))
+        records.append(_record(frame, number, capture, instance, Masks.PERCEIVED, ends))
     return records
 
 
@@ -336,19 +336,19 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     ends = np.stack([pose.blossom_m, pose.stem_m])
     straight = np.linalg.norm(ends - [blossom, stem], axis=1).sum()
     swapped = bool(np.linalg.norm(ends - [stem, blossom], axis=1).sum() < straight)
-    found: dict[str, Any] = {"swapped": swapped, "stem_confidence": pose.stem_confidence}
-    found["whole"] = not {Part.STEM, Part.BLOSSOM} & set(pose.covered)
+    errors: dict[str, Any] = {"swapped": swapped, "stem_confidence": pose.stem_confidence}
+    errors["whole"] = not {Part.STEM, Part.BLOSSOM} & set(pose.covered)
     if swapped:
-        return found
+        return errors
     out = (stem - axis_m[-2]) / np.linalg.norm(stem - axis_m[-2])
-    found["stem_mm"] = 1e3 * float(np.linalg.norm(pose.stem_m - stem))
-    found["stem_deg"] = float(np.degrees(np.arccos(np.clip(pose.direction @ out, -1, 1))))
+    errors["stem_mm"] = 1e3 * float(np.linalg.norm(pose.stem_m - stem))
+    errors["stem_deg"] = float(np.degrees(np.arccos(np.clip(pose.direction @ out, -1, 1))))
     if pose.cut_m is not None and pose.cut_covariance_m2 is not None:
         beyond_m = float(np.linalg.norm(pose.cut_m - pose.stem_m))
         off = pose.cut_m - (stem + beyond_m * out)
         squared = float(off @ np.linalg.solve(pose.cut_covariance_m2, off))
-        found["cut_in_90"] = bool(squared <= chi2.ppf(0.9, 3))
-    return found
+        errors["cut_in_90"] = bool(squared <= chi2.ppf(0.9, 3))
+    return errors
 
 
 def _with_gravity(

@@ -40,7 +40,7 @@ def ask(
     query: str = "",
     kind: str = "http",
     method: str = "GET",
-    extensions: tuple[str, ...] = (),
+    extension: str = "",
     **headers: str,
 ) -> tuple[bool, list[dict[str, Any]]]:
     """Send a request through the guard; return whether it went on, and the answer."""
@@ -57,7 +57,7 @@ def ask(
 
     scope: dict[str, Any] = {
         "type": kind,
-        "extensions": {name: {} for name in extensions},
+        "extensions": {extension: {}} if extension else {},
         "path": path,
         "query_string": query.encode(),
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
@@ -179,8 +179,8 @@ def test_a_malformed_host_or_origin_is_refused_by_name_before_any_login(
             reached, sent = ask(login, path, kind="websocket", **headers)
             assert not reached
             assert sent == [{"type": "websocket.close", "code": 1008}]
-            can_say = ("websocket.http.response",)
-            reached, sent = ask(login, path, kind="websocket", extensions=can_say, **headers)
+            can_say = "websocket.http.response"
+            reached, sent = ask(login, path, kind="websocket", extension=can_say, **headers)
             assert not reached
             assert sent[0]["type"] == "websocket.http.response.start"
             assert sent[0]["status"] == 400

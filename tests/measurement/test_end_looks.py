@@ -59,7 +59,8 @@ def capture() -> tuple[Capture, Instance, Instance]:
     camera = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
     upright = arc_tube(0.16, 0.018, 0.4).moved(rotation(roll_deg=90), (-0.15, 0, 0.5))
     lying = arc_tube(0.16, 0.018, 0.4).moved(rotation(5), (0.1, 0, 0.5))
-    scene = render(Scene.of(upright, lying, backdrop_m=0.9), camera)
+    # No depth is read beyond the fruit, so that it does not show their ends to be open.
+    scene = render(Scene.of(upright, lying), camera)
     fruit = [
         Instance(box_of_mask(scene.mask(k)), mask=scene.mask(k), mask_source=MaskSource.DETECTOR)
         for k in (0, 1)
@@ -120,6 +121,14 @@ def test_the_interval_depends_on_the_look(capture: tuple[Capture, Instance, Inst
         # The bias of a covered end says that the fruit is longer: the length still bounds it.
         assert after.length.low_m is not None
         assert after.length.low_m <= value
+
+
+def test_where_depth_shows_both_ends_open_the_look_is_not_asked() -> None:
+    features = {"perceived": 1.0, "closed": 0.49, **look_features((TRUE, COVERED))}
+    open_ends = MODELS.interval("M6", 0.2, features)
+    assert open_ends == pytest.approx((0.2 * np.exp(0.1 - 0.2), 0.2 * np.exp(0.1 + 0.2)))
+    doubtful = MODELS.interval("M6", 0.2, {**features, "closed": 0.5})
+    assert doubtful == pytest.approx((0.2 * np.exp(0.1 - 0.02), 0.2 * np.exp(0.1 + 0.4)))
 
 
 def test_a_doubtful_end_is_named_by_its_place(capture: tuple[Capture, Instance, Instance]) -> None:

@@ -120,7 +120,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
     ),
     **{
         flag: FlagMeaning(
-            f"with `end_look`: the {place} end may go on behind what covers it",
+            f"the {place} end may go on behind what covers it",
             remark=f"the {place} end may go on behind what covers it",
         )
         for place, flag in DOUBTFUL_END.items()

@@ -154,6 +154,7 @@ def _normal_quantile(level: float) -> float:
 
 
 _STEEP_DEG = 35.0
+_ENDS_OPEN = 0.5  # of `closed`: below it most of what lies beyond both ends is behind the fruit
 _LEAST_MEASURED = 0.1  # share of a fruit's length, by the look at its ends
 
 
@@ -197,6 +198,20 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         **raw_features(tube.centreline_m, distance, fit.fill),
         **({} if fit.looks is None else look_features(fit.looks)),
     }
+
+
+def asks_the_look(features: Mapping[str, float]) -> bool:
+    """Return whether a fruit's interval depends on the look at its ends.
+
+    Where depth shows the background beyond both ends it tells that they are the fruit's own better
+    than any look.
+
+    Examples
+    --------
+    >>> asks_the_look({"looked": 1.0, "closed": 0.9}), asks_the_look({"looked": 1.0, "closed": 0.2})
+    (True, False)
+    """
+    return bool(features.get("looked")) and features.get("closed", 1.0) >= _ENDS_OPEN
 
 
 def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
@@ -300,7 +315,7 @@ class IntervalModels:
     models : dict of str to IntervalModel
         Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord': on masks that were
         given. The same with ' perceived' behind them: on what networks draw, which errs otherwise;
-        and with ' perceived looked' for fruit at whose ends a network looked.
+        and with ' perceived looked' for fruit at whose ends a network looked (`asks_the_look`).
     fruit : int
         Simulated fruit behind them.
     """
@@ -326,7 +341,7 @@ class IntervalModels:
             As in `IntervalModel.interval`.
         """
         perceived = key + PERCEIVED if features.get("perceived") else key
-        looked = self.models.get(perceived + LOOKED) if features.get("looked") else None
+        looked = self.models.get(perceived + LOOKED) if asks_the_look(features) else None
         model = looked or self.models.get(perceived) or self.models.get(key)
         if model is None:
             return None

@@ -103,7 +103,7 @@ class MeasureOptions:
     classes: tuple[str, ...] = ()
     pose: Path | None = None
     keypoints: bool = True
-    end_look: bool = False
+    end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
     methods: tuple[Method, ...] = AVAILABLE

@@ -13,6 +13,7 @@ from cucumbervision.measurement.intervals import (
     PERCEIVED,
     IntervalModel,
     IntervalModels,
+    asks_the_look,
     look_features,
 )
 from cucumbervision.perception.end_look import EndCrop
@@ -78,7 +79,7 @@ def fit_look_intervals(
     ----------
     fruit : sequence of MeasuredFruit
         Measured on masks that networks drew, of scenes that the network did not learn from. Those
-        that the picture's edge cuts are left out.
+        that the picture's edge cuts are left out, and those whose ends depth shows to be open.
     looks : sequence of (EndLook, EndLook)
         What their ends look like.
     level : float
@@ -89,17 +90,20 @@ def fit_look_intervals(
     ValueError
         If there are too few fruit for the level.
     """
-    pairs = [
-        (one, pair)
+    known = [
+        (one, {**one.features, **look_features(pair)})
         for one, pair in zip(fruit, looks, strict=True)
-        if not (one.given or one.features.get("cut"))
     ]
-    rows = [{**one.features, **look_features(pair)} for one, pair in pairs]
-    features = {name: np.array([row.get(name, 0.0) for row in rows]) for name in LOOK_FEATURES}
-    names = [one.picture for one, _ in pairs]
+    chosen = [
+        (one, row)
+        for one, row in known
+        if not (one.given or one.features.get("cut")) and asks_the_look(row)
+    ]
+    features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
+    names = [one.picture for one, _ in chosen]
     models = {}
     for k, key in enumerate(_KEYS):
-        errors = np.log([one.lengths_m[k] / one.true_m[k] for one, _ in pairs])
+        errors = np.log([one.lengths_m[k] / one.true_m[k] for one, _ in chosen])
         name = key + PERCEIVED + LOOKED
         models[name] = fit_interval_model(
             name,

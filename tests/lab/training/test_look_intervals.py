@@ -27,7 +27,9 @@ COVERED = EndLook(0.1, 0.89, 0.01, (0.0, 0.1, 0.2, 0.3, 0.5), 0.5)
 M6 = "M6" + PERCEIVED + LOOKED
 
 
-def fruit(number: int, share: float, *, given: bool = False, cut: float = 0.0) -> MeasuredFruit:
+def fruit(
+    number: int, share: float, *, given: bool = False, cut: float = 0.0, closed: float = 0.9
+) -> MeasuredFruit:
     """A fruit of 20 cm of which a share was measured."""
     end = EndTruth(0.0, True, True)
     return MeasuredFruit(
@@ -42,7 +44,7 @@ def fruit(number: int, share: float, *, given: bool = False, cut: float = 0.0) -
         (end, replace(end, is_stem=False)),
         0.0,
         cut=False,
-        features={"cut": cut, "perceived": 1.0},
+        features={"cut": cut, "perceived": 1.0, "closed": closed},
     )
 
 
@@ -83,10 +85,14 @@ def test_a_group_of_too_few_has_no_quantiles_of_its_own(
     assert "0-2" not in bands
 
 
-def test_cut_fruit_and_given_masks_teach_nothing(
+def test_cut_fruit_given_masks_and_ends_that_depth_shows_open_teach_nothing(
     learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
 ) -> None:
-    wrong = [fruit(5000, 0.01, given=True), fruit(5001, 0.01, cut=1.0)] * 200
+    wrong = [
+        fruit(5000, 0.01, given=True),
+        fruit(5001, 0.01, cut=1.0),
+        fruit(5002, 0.01, closed=0.4),
+    ] * 200
     looks = [(TRUE, TRUE)] * len(wrong)
     plain = fit_look_intervals(*learnt)
     assert fit_look_intervals([*learnt[0], *wrong], [*learnt[1], *looks]) == plain

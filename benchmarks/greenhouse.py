@@ -152,24 +152,24 @@ def summary(judged: list[Judged]) -> list[str]:
 
 
 def interval_lines(judged: list[Judged]) -> list[str]:
-    """Return how wide the intervals of the fruit are, in percent of the length."""
-    found = [(true, fruit.length) for one in judged for true, fruit in one.fruit if fruit]
-    lines = []
-    for name, chosen in (
-        ("all fruit", found),
-        ("both ends in sight", [pair for pair in found if pair[0]["end_hidden"] is False]),
-    ):
-        widths = [
-            100 * (length.high_m - length.low_m) / length.value_m
-            for _, length in chosen
-            if length is not None and length.low_m and length.high_m
-        ]
-        if widths:
-            lines.append(
-                f"intervals, {name}: {len(widths)} of {len(chosen)} given, median width "
-                f"{np.median(widths):.0f} %, widest {max(widths):.0f} %"
-            )
-    return lines
+    """Return how wide the intervals are of fruit whose both ends the eye sees, in percent."""
+    lengths = [
+        fruit.length
+        for one in judged
+        for true, fruit in one.fruit
+        if fruit is not None and fruit.length is not None and true["end_hidden"] is False
+    ]
+    widths = [
+        100 * (length.high_m - length.low_m) / length.value_m
+        for length in lengths
+        if length.low_m and length.high_m
+    ]
+    if not widths:
+        return []
+    return [
+        f"intervals, both ends in sight: {len(widths)} of {len(lengths)} given, median width "
+        f"{np.median(widths):.0f} %, widest {max(widths):.0f} %"
+    ]
 
 
 def main() -> None:

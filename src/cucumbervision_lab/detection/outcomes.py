@@ -258,7 +258,7 @@ def match_detections(
     -------
     matches : Matches
         Pairs of indices into `required` and into `seen`.
-    seen : tuple of DetectedFruit
+    detections : tuple of DetectedFruit
         Detections above the threshold.
     required : tuple of int
         Indices in `frame.true` of the fruit to be detected.

@@ -216,9 +216,9 @@ def detected_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = Non
 
 def _centre_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:
     x1, y1, x2, y2 = box
-    first, right = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
+    first_column, last_column = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
     top, bottom = np.rint([(2 * y1 + y2) / 3, (y1 + 2 * y2) / 3]).astype(int)
-    part = depth_m[max(top, 0) : bottom + 1, max(first, 0) : right + 1]
+    part = depth_m[max(top, 0) : bottom + 1, max(first_column, 0) : last_column + 1]
     read = part[valid_depth(part)]
     return float(np.median(read)) if read.size else math.nan
 

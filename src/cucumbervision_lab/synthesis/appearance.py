@@ -119,22 +119,22 @@ def load_assets(folder: Path | None) -> Assets:
 def _pictures(
     folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
 ) -> tuple[NDArray[np.uint8], ...]:
-    found = []
+    pictures = []
     for picture in _read_all(folder, pattern, _PICTURES, without, bad):
         scale = min(longest_px / max(picture.shape[:2]), 1.0)
         if scale < 1:
             picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        found.append(np.ascontiguousarray(picture[..., ::-1], np.uint8))
-    return tuple(found)
+        pictures.append(np.ascontiguousarray(picture[..., ::-1], np.uint8))
+    return tuple(pictures)
 
 
 def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ...]:
-    found = []
+    environments = []
     for light in _read_all(folder, "**/hdri*/**/*", _LIGHTS, (), bad):
         sky = light[..., :3].astype(np.float32)
         small = cv2.resize(sky, _LIGHT_SIZE, interpolation=cv2.INTER_AREA)
-        found.append(np.ascontiguousarray(small[..., ::-1], np.float32))
-    return tuple(found)
+        environments.append(np.ascontiguousarray(small[..., ::-1], np.float32))
+    return tuple(environments)
 
 
 def _read_all(
@@ -300,16 +300,16 @@ def random_style(
         raise ValueError(f"unknown role {min(unknown)!r}: use one of {', '.join(_ROLES)}")
     light = random_light(rng, assets, _up(scene, hanging=hanging) if up is None else up)
     bench = () if hanging else tuple(str(rng.choice(_BENCHES)) for _ in scene.planes[:1])
-    beyond = len(scene.planes) - len(bench)
-    far = str(rng.choice(["photo", "leaves", "film", "dark"], p=[0.45, 0.25, 0.22, 0.08]))
+    background_planes = len(scene.planes) - len(bench)
+    background = str(rng.choice(["photo", "leaves", "film", "dark"], p=[0.45, 0.25, 0.22, 0.08]))
     return Style(
         skins=_skins(rng, scene, assets),
         light=light,
-        far=far,
-        materials=(*bench, *[FAR] * beyond),
+        far=background,
+        materials=(*bench, *[FAR] * background_planes),
         material_colors=(
             *(material_color(rng, name) for name in bench),
-            *[(0.0, 0.0, 0.0)] * beyond,
+            *[(0.0, 0.0, 0.0)] * background_planes,
         ),
         leaf_colors=_leaf_colors(rng, leaves),
         stem_colors=_stem_colors(rng, stems),
@@ -349,16 +349,16 @@ def _skins(rng: np.random.Generator, scene: Scene, assets: Assets) -> tuple[Skin
     return tuple(skins)
 
 
-def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
+def _sibling(rng: np.random.Generator, kin: Skin, neighbour: Skin) -> Skin:
     # Fruit of one plant are similar but not identical: some ripen, some become pale.
     return replace(
         kin,
         base=jitter(rng, kin.base, 0.10),
         tip=jitter(rng, kin.tip, 0.10),
-        tip_reach=other.tip_reach,
-        stripe_strength=(kin.stripe_strength + other.stripe_strength) / 2,
-        bloom=other.bloom,
-        neck=other.neck,
+        tip_reach=neighbour.tip_reach,
+        stripe_strength=(kin.stripe_strength + neighbour.stripe_strength) / 2,
+        bloom=neighbour.bloom,
+        neck=neighbour.neck,
     )
 
 

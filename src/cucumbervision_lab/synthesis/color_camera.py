@@ -181,8 +181,8 @@ def _defocused(
     light: NDArray[np.float32], exposure: Exposure, depth_m: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     # Blur only defocused regions, so that sharp objects keep their outline.
-    far = np.where(depth_m > 0, depth_m, 10.0).astype(np.float32)
-    blur = exposure.aperture_px_m * np.abs(1 / far - 1 / exposure.focus_m)
+    distance_m = np.where(depth_m > 0, depth_m, 10.0).astype(np.float32)
+    blur = exposure.aperture_px_m * np.abs(1 / distance_m - 1 / exposure.focus_m)
     for sigma in (1.0, 2.0, 4.0):
         share: NDArray[Any] = np.clip((blur - 0.5 * sigma) / (0.5 * sigma), 0, 1)
         if share.max() == 0:
@@ -197,8 +197,8 @@ def _path(exposure: Exposure) -> NDArray[np.float32]:
     half = int(np.ceil(exposure.motion_px / 2))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     turn = np.deg2rad(exposure.motion_deg)
-    for at in np.linspace(-0.5, 0.5, 4 * half + 1) * exposure.motion_px:
-        x, y = half + at * np.cos(turn), half + at * np.sin(turn)
+    for offset in np.linspace(-0.5, 0.5, 4 * half + 1) * exposure.motion_px:
+        x, y = half + offset * np.cos(turn), half + offset * np.sin(turn)
         kernel[int(np.rint(y)), int(np.rint(x))] += 1
     return np.asarray(kernel / kernel.sum())
 

@@ -198,14 +198,14 @@ def sample(
     size = -(-count // _ROW) * _ROW
     x, y = (np.zeros(size, np.float32) for _ in range(2))
     x[:count], y[:count] = x_px, y_px
-    found = cv2.remap(
+    colors = cv2.remap(
         texture,
         x.reshape(-1, _ROW),
         y.reshape(-1, _ROW),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_WRAP,
     )
-    return np.asarray(found.reshape(size, *texture.shape[2:])[:count])
+    return np.asarray(colors.reshape(size, *texture.shape[2:])[:count])
 
 
 _SEEN = np.array(
@@ -249,19 +249,19 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     lab = cv2.cvtColor(color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     first, second = _SEEN[rng.integers(len(_SEEN), size=2)]
     share = rng.random()
-    wanted = first * (1 - share) + second * share + rng.normal(0, _SPREAD)
+    target = first * (1 - share) + second * share + rng.normal(0, _SPREAD)
     spread = lab.reshape(-1, 3).std(0) + 1e-3
-    gain = np.clip(wanted[3:] / spread, _LEAST_GAIN, _MOST_GAIN)
-    lab = (lab - lab.reshape(-1, 3).mean(0)) * gain + wanted[:3]
+    gain = np.clip(target[3:] / spread, _LEAST_GAIN, _MOST_GAIN)
+    lab = (lab - lab.reshape(-1, 3).mean(0)) * gain + target[:3]
     if rng.random() < 0.5:  # infrared makes bright leaves pink
         lab[..., 1] += np.clip((lab[..., 0] - 45) / 30, 0, 1) * rng.uniform(0, 8)
     if rng.random() < 0.35:
         lab[..., 0] *= rng.uniform(0.55, 0.9)
-    seen = cv2.cvtColor(lab.astype(np.float32), cv2.COLOR_LAB2RGB)
+    rgb = cv2.cvtColor(lab.astype(np.float32), cv2.COLOR_LAB2RGB)
     if rng.random() < 0.5:
-        seen = np.where(seen > 0.6, 0.6 + (seen - 0.6) * rng.uniform(1.2, 1.6), seen)
+        rgb = np.where(rgb > 0.6, 0.6 + (rgb - 0.6) * rng.uniform(1.2, 1.6), rgb)
     if rng.random() < 0.5:
-        seen = cv2.GaussianBlur(seen, (0, 0), rng.uniform(0.4, 1.2) * max(seen.shape) / 900)
-    noise = rng.normal(0, rng.uniform(0.004, 0.02), seen.shape)
-    result: NDArray[np.uint8] = np.round(np.clip(seen + noise, 0, 1) * 255).astype(np.uint8)
+        rgb = cv2.GaussianBlur(rgb, (0, 0), rng.uniform(0.4, 1.2) * max(rgb.shape) / 900)
+    noise = rng.normal(0, rng.uniform(0.004, 0.02), rgb.shape)
+    result: NDArray[np.uint8] = np.round(np.clip(rgb + noise, 0, 1) * 255).astype(np.uint8)
     return result

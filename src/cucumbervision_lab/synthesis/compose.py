@@ -159,9 +159,9 @@ def compose(
     setting = Setting(setting)
     varieties = list(_SHARES)
     variety = varieties[int(rng.choice(len(varieties), p=list(_SHARES.values())))]
-    low, high = _REACH_M[variety]
-    low, high = low * difficulty.nearer, high * difficulty.farther
-    distance = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    nearest, farthest = _REACH_M[variety]
+    nearest, farthest = nearest * difficulty.nearer, farthest * difficulty.farther
+    distance = float(np.exp(rng.uniform(np.log(nearest), np.log(farthest))))
     count = _count(rng, setting, difficulty)
     if setting is Setting.HANGING:
         return _compose_hanging(rng, camera, variety, distance, count, difficulty)
@@ -207,9 +207,9 @@ def _compose_hanging(
     before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
     leaf_roles += ["leaf"] * len(before)
     ends = [_end_details(rng, fruit) for fruit in placed]
-    petals = tuple(leaf for one in ends for leaf in one[0])
-    rods = tuple(rod for one in ends for rod, _ in one[1])
-    stem_roles += [role for one in ends for _, role in one[1]]
+    petals = tuple(leaf for end in ends for leaf in end[0])
+    rods = tuple(rod for end in ends for rod, _ in end[1])
+    stem_roles += [role for end in ends for _, role in end[1]]
     strings = _strings_before(rng, distance_m)
     scene = replace(
         scene,
@@ -307,9 +307,9 @@ def _end_details(
         for _ in range(int(rng.integers(0, 5))):
             turn = rotation(rng.uniform(0, 360), rng.uniform(-70, 70), rng.uniform(0, 360))
             length = rng.uniform(0.006, 0.014)
-            at = tip + rng.normal(0, 0.003, 3)
+            position = tip + rng.normal(0, 0.003, 3)
             bend = float(rng.normal(0, 30)), float(rng.normal(0, 30))
-            petals.append(Leaf(at, turn.T, length, 0.5 * length, bend, 0.0))
+            petals.append(Leaf(position, turn.T, length, 0.5 * length, bend, 0.0))
     return tuple(petals), tuple(rods)
 
 
@@ -366,11 +366,11 @@ def _all_in_front(scene: Scene) -> bool:
     )
 
 
-def _is_separate(fruit: Tube, others: list[Tube]) -> bool:
-    own, radii = fruit.centres_m[::8], fruit.radii_m[::8]
-    for other in others:
-        gap = np.linalg.norm(own[:, None] - other.centres_m[None, ::8], axis=2)
-        if (gap < radii[:, None] + other.radii_m[None, ::8]).any():
+def _is_separate(fruit: Tube, neighbours: list[Tube]) -> bool:
+    centres, radii = fruit.centres_m[::8], fruit.radii_m[::8]
+    for neighbour in neighbours:
+        gap = np.linalg.norm(centres[:, None] - neighbour.centres_m[None, ::8], axis=2)
+        if (gap < radii[:, None] + neighbour.radii_m[None, ::8]).any():
             return False
     return True
 
@@ -397,20 +397,20 @@ def _compose_lying(
         # Near enough to fill a large part of the picture.
         distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
     ground = Ground.seen(rng, distance_m)
-    placed, kept = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
+    placed, indices = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
     rods = crate_rods(rng, ground, inner_m) if crated else ()
     ends = [
         _end_details(rng, fruit) if real[k] else ((), ())
-        for k, fruit in zip(kept, placed, strict=True)
+        for k, fruit in zip(indices, placed, strict=True)
     ]
-    petals = tuple(leaf for one in ends for leaf in one[0])
-    tips = tuple(rod for one in ends for rod in one[1])
+    petals = tuple(leaf for end in ends for leaf in end[0])
+    tips = tuple(rod for end in ends for rod in end[1])
     scene = Scene(tuple(placed), petals, (*rods, *(rod for rod, _ in tips)), (ground.plane,))
     return Composition(
         scene,
         setting,
         variety,
-        tuple(real[k] for k in kept),
+        tuple(real[k] for k in indices),
         ("blossom",) * len(petals),
         (*["crate"] * len(rods), *(role for _, role in tips)),
         tuple(ground.frame[2].tolist()),

@@ -147,11 +147,11 @@ def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     >>> _hidden_from_right(row)[0].astype(int).tolist()
     [0, 0, 1, 1, 1, 0, 0, 0, 0]
     """
-    at = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
-    least = np.minimum.accumulate(at[:, ::-1], axis=1)[:, ::-1]
-    hidden = np.zeros(at.shape, np.bool_)
+    column_px = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
+    leftmost = np.minimum.accumulate(column_px[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.zeros(column_px.shape, np.bool_)
     # Tolerance of a quarter pixel against rounding at the last pixel of the far side.
-    hidden[:, :-1] = least[:, 1:] < at[:, :-1] + 0.25
+    hidden[:, :-1] = leftmost[:, 1:] < column_px[:, :-1] + 0.25
     return hidden
 
 
@@ -218,8 +218,8 @@ def _fatten_foreground(
     fat = disparity_px.copy()
     for k in range(1, matcher.fatten_px + 1):
         grown = cv2.dilate(disparity_px, _disc(k))
-        wide = texture > _quantile(1 - (matcher.fatten_px + 1 - k) / (matcher.fatten_px + 1))
-        np.copyto(fat, grown, where=wide)
+        fattened = texture > _quantile(1 - (matcher.fatten_px + 1 - k) / (matcher.fatten_px + 1))
+        np.copyto(fat, grown, where=fattened)
     return fat
 
 
@@ -352,8 +352,8 @@ def sense(
     (3, True)
     """
     seen_by = _visible_part(camera)
-    back = np.asarray(camera.rotation).T
-    view = render(scene.moved(back, -back @ np.asarray(camera.translation_m)), seen_by)
+    to_view = np.asarray(camera.rotation).T
+    view = render(scene.moved(to_view, -to_view @ np.asarray(camera.translation_m)), seen_by)
     focal_baseline = seen_by.fx_px * camera.baseline_m
     depth = view.depth_m.astype(np.float32)
     exact = np.divide(focal_baseline, depth, out=np.zeros_like(depth), where=depth > 0)
@@ -364,11 +364,11 @@ def sense(
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
     sources = color_sources(base, seen_by, camera)
-    found = sources >= 0
+    hit = sources >= 0
     burst = []
     for _ in range(frames):
         reading = _frame(settled, valid, matched, focal_baseline, camera, rng)
-        burst.append(np.where(found, reading.ravel()[sources], np.float32(0)))
+        burst.append(np.where(hit, reading.ravel()[sources], np.float32(0)))
     return burst
 
 
@@ -427,21 +427,26 @@ def _visible_part(camera: D4xx) -> Intrinsics:
     rays = np.stack([x, y, np.ones_like(x)])
     spans = []
     for z in (camera.min_z_m, 20.0):
-        at = np.asarray(camera.rotation).T @ (z * rays - np.reshape(camera.translation_m, (3, 1)))
-        spans.append(
-            [at[0] / at[2] * depth.fx_px + depth.cx_px, at[1] / at[2] * depth.fy_px + depth.cy_px]
+        point_m = np.asarray(camera.rotation).T @ (
+            z * rays - np.reshape(camera.translation_m, (3, 1))
         )
-    low = np.min(spans, axis=(0, 2)) - _MARGIN_PX
-    high = np.max(spans, axis=(0, 2)) + _MARGIN_PX
+        spans.append(
+            [
+                point_m[0] / point_m[2] * depth.fx_px + depth.cx_px,
+                point_m[1] / point_m[2] * depth.fy_px + depth.cy_px,
+            ]
+        )
+    lower = np.min(spans, axis=(0, 2)) - _MARGIN_PX
+    upper = np.max(spans, axis=(0, 2)) + _MARGIN_PX
     # Objects up to the largest disparity further right can occlude a pixel in the right imager.
-    high[0] += depth.fx_px * camera.baseline_m / camera.min_z_m
-    left, top = np.maximum(np.floor(low), 0).astype(int).tolist()
-    right, bottom = np.minimum(np.ceil(high), [depth.width, depth.height]).astype(int).tolist()
+    upper[0] += depth.fx_px * camera.baseline_m / camera.min_z_m
+    first_column, top = np.maximum(np.floor(lower), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(upper), [depth.width, depth.height]).astype(int).tolist()
     return replace(
         depth,
-        width=right - left,
+        width=right - first_column,
         height=bottom - top,
-        cx_px=depth.cx_px - left,
+        cx_px=depth.cx_px - first_column,
         cy_px=depth.cy_px - top,
     )
 
@@ -482,9 +487,9 @@ def color_sources(
         for dx in range(int((x1 - x0).max(initial=-1)) + 1):
             x, y = x0 + dx, y0 + dy
             part = (x <= x1) & (y <= y1) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-            at = y[part] * width + x[part]
+            pixels = y[part] * width + x[part]
             mine = np.full(height * width, -1, np.int32)
-            mine[at] = flat[part]
+            mine[pixels] = flat[part]
             reach = np.where(mine >= 0, depth_m.ravel()[mine], np.float32(np.inf))
             closer = reach < nearest
             np.copyto(best, mine, where=closer)

@@ -158,7 +158,7 @@ def draw_frame(
         color,
         camera,
         staged,
-        tuple(one for one, real in zip(truth, staged.cucumber, strict=True) if real),
+        tuple(fruit for fruit, real in zip(truth, staged.cucumber, strict=True) if real),
         view.depth_m,
         depth,
         scale,

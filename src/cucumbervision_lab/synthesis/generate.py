@@ -219,10 +219,10 @@ def generate(
 def _check_options(options: SynthOptions, out: Path) -> None:
     """Write the options to the folder, or check that they match the existing ones."""
     folders = {key: Path(getattr(options, key)).name for key in ("assets", "paste", "onto")}
-    wanted = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
+    record = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
     file = out / _MANIFEST
     try:
-        if file.exists() and json.loads(file.read_text(encoding="utf-8")) != wanted:
+        if file.exists() and json.loads(file.read_text(encoding="utf-8")) != record:
             raise DataSetError(
                 "contains a set with other options",
                 source=out,
@@ -230,7 +230,7 @@ def _check_options(options: SynthOptions, out: Path) -> None:
             )
         for name in ("images", FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
             (out / name).mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(wanted, indent=2) + "\n", encoding="utf-8")
+        file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise DataSetError(
             f"cannot be written ({error.strerror})", source=out, remedy="choose another folder"
@@ -255,15 +255,17 @@ def _cutouts(folder: str) -> tuple[Cutout, ...]:
 def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
     """Return the photos for montages grouped by source, so that every source has equal weight."""
     data = read_coco(Path(folder))
-    wide = [p for p in data.in_split("train") if fruitless(p)]
-    if not wide:
+    grounds = [p for p in data.in_split("train") if fruitless(p)]
+    if not grounds:
         raise DataSetError(
             "contains no large training pictures without fruit",
             source=folder,
             remedy="add pictures of canopies, leaves or benches",
         )
-    sources = sorted({picture.source for picture in wide})
-    return tuple(tuple((p, data.path(p)) for p in wide if p.source == one) for one in sources)
+    sources = sorted({picture.source for picture in grounds})
+    return tuple(
+        tuple((p, data.path(p)) for p in grounds if p.source == source) for source in sources
+    )
 
 
 def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
@@ -342,10 +344,10 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
     height, width = frame.color.shape[:2]
     labels = []
     for truth in frame.truth:
-        seen = int(truth.visible.sum())
-        if not seen:
+        visible_px = int(truth.visible.sum())
+        if not visible_px:
             continue
-        small = seen < _LEAST_PX * width * height or truth.hidden_share > 1 - _LEAST_SHARE
+        small = visible_px < _LEAST_PX * width * height or truth.hidden_share > 1 - _LEAST_SHARE
         points = np.column_stack([truth.keypoints_px, truth.keypoint_visibility])
         labels.append(
             Label.of_mask(
@@ -375,6 +377,6 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
             "setting": frame.staged.setting.value,
             "variety": frame.staged.variety.value,
             "depth_scale": round(frame.depth_scale, 6),
-            "gravity": [round(-float(each), 4) for each in frame.staged.up],
+            "gravity": [round(-float(component), 4) for component in frame.staged.up],
         },
     )

@@ -98,9 +98,9 @@ def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1
     up : tuple of float
         Unit vector, camera coordinates.
     """
-    high = np.asarray(up, float)
+    zenith = np.asarray(up, float)
     # Mostly from above and from the side of the camera.
-    towards = 1.2 * high + rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, -0.35])
+    towards = 1.2 * zenith + rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, -0.35])
     towards /= np.linalg.norm(towards)
     sunny = rng.random() < 0.55
     warm = rng.uniform(-0.08, 0.30)
@@ -114,7 +114,7 @@ def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1
         sun=_triple(towards),
         sun_color=_triple(hue / hue.mean()),
         sun_strength=float(rng.uniform(0.5, 4.0)) if sunny else 0.0,
-        up=_triple(high),
+        up=_triple(zenith),
         yaw_deg=float(rng.uniform(0, 360)),
         environment=int(rng.integers(len(assets.environments))) if taken else -1,
         zenith=_triple(np.clip(sky + tint, 60, 255)),
@@ -179,19 +179,19 @@ def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightM
     nine = harmonics(sky)
     line = (np.arange(_MAP, dtype=np.float32) + 0.5) * (2 / _MAP) - 1
     x, y = np.meshgrid(line, line)
-    beyond = np.maximum(np.hypot(x, y), 1.0)
-    x, y = x / beyond, y / beyond
+    radius = np.maximum(np.hypot(x, y), 1.0)
+    x, y = x / radius, y / radius
     normal = np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)
     # Reflected viewing direction: 2 (n . v) n - v with v = (0, 0, -1).
     mirrored = -2 * normal[..., 2:] * normal - np.array([0.0, 0.0, -1.0])
     flat = (normal @ frame.T).reshape(-1, 3)
     shape = (_MAP, _MAP, 3)
     front = np.maximum(irradiance(nine, flat) / np.pi, 0.02).reshape(shape)
-    back = np.maximum(irradiance(nine, -flat) / np.pi, 0.02).reshape(shape)
+    back_light = np.maximum(irradiance(nine, -flat) / np.pi, 0.02).reshape(shape)
     towards = mirrored @ frame.T
     return LightMaps(
         front.astype(np.float32),
-        back.astype(np.float32),
+        back_light.astype(np.float32),
         _seen(sky, towards, 1.0),
         _seen(sky, towards, 5.0),
     )
@@ -218,10 +218,10 @@ def _drawn_sky(rng: np.random.Generator, light: Light) -> NDArray[np.float32]:
     )
     sky = np.repeat(sky, columns, axis=1).astype(np.float32)
     for _ in range(light.panels):
-        top, left = int(rng.integers(1, rows // 2)), int(rng.integers(columns))
-        tall, wide = int(rng.integers(2, 9)), int(rng.integers(3, 16))
-        here = np.arange(left, left + wide) % columns
-        sky[top : top + tall, here] *= np.float32(rng.choice([0.25, 2.5, 5.0]))
+        top, column = int(rng.integers(1, rows // 2)), int(rng.integers(columns))
+        tall, width = int(rng.integers(2, 9)), int(rng.integers(3, 16))
+        columns_lit = np.arange(column, column + width) % columns
+        sky[top : top + tall, columns_lit] *= np.float32(rng.choice([0.25, 2.5, 5.0]))
     return sky
 
 
@@ -299,19 +299,19 @@ def _seen(
     rows, columns = sky.shape[:2]
     sigma = blur_share * columns / 64
     pad = columns // 4
-    wide = np.concatenate([sky[:, -pad:], sky, sky[:, :pad]], axis=1).astype(np.float32)
-    soft = cv2.GaussianBlur(wide, (0, 0), sigma)
+    padded = np.concatenate([sky[:, -pad:], sky, sky[:, :pad]], axis=1).astype(np.float32)
+    soft = cv2.GaussianBlur(padded, (0, 0), sigma)
     azimuth = np.arctan2(towards[..., 1], towards[..., 0]) / (2 * np.pi) % 1.0
     polar = np.arccos(np.clip(towards[..., 2], -1, 1)) / np.pi
     x, y = azimuth * columns - 0.5 + pad, polar * rows - 0.5
-    found = cv2.remap(
+    colors = cv2.remap(
         soft,
         x.astype(np.float32),
         y.astype(np.float32),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return np.asarray(found)
+    return np.asarray(colors)
 
 
 _WIDE = 320  # pixels of the small picture
@@ -423,11 +423,11 @@ def dappled_shade(
     sun = np.asarray(light.sun)
     aside = np.cross(sun, (0.3, 0.1, 1.0))
     aside /= np.linalg.norm(aside)
-    other = np.cross(sun, aside)
+    across = np.cross(sun, aside)
     scale = 16.0 / light.spot_m
     u, v = (
         (scale * (a[0] * x + a[1] * y + a[2] * small)).astype(np.float32).ravel() % _TILE
-        for a in (aside, other)
+        for a in (aside, across)
     )
     tile = smooth_noise(rng, (_TILE, _TILE), 16, wrap=True)
     tile += 0.5 * smooth_noise(rng, (_TILE, _TILE), 7, wrap=True)
@@ -455,11 +455,11 @@ def ambient_occlusion(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     1 / depth so that what is far stays far.
     """
     step, small = _small(depth_m)
-    near = 1 / small
+    inverse = 1 / small
     closed = np.zeros(small.shape, np.float32)
     for sigma, weight in ((2.5, 0.4), (7.0, 0.35), (18.0, 0.25)):
-        around = cv2.GaussianBlur(near, (0, 0), sigma)
-        before = np.maximum(around - near, 0) * small
+        around = cv2.GaussianBlur(inverse, (0, 0), sigma)
+        before = np.maximum(around - inverse, 0) * small
         # Objects far in front occlude little of the light.
         closed += weight * before / (before + 0.010) * 0.08 / (before + 0.08)
     opened = 1 - np.float32(0.95) * closed

@@ -72,14 +72,14 @@ def cutouts_of(dataset: DataSet) -> tuple[Cutout, ...]:
     CaptureError
         If a picture cannot be read.
     """
-    found = []
+    cutouts = []
     for picture in dataset.in_split("train"):
         masks = [_whole_mask(label, picture.width, picture.height) for label in picture.labels]
         if any(mask is not None for mask in masks):
             color = read_color(dataset.path(picture))
             pairs = zip(picture.labels, masks, strict=True)
-            found += [_cut(color, m, label) for label, m in pairs if m is not None]
-    return tuple(found)
+            cutouts += [_cut(color, m, label) for label, m in pairs if m is not None]
+    return tuple(cutouts)
 
 
 def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | None:
@@ -99,11 +99,11 @@ def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | No
 
 def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cutout:
     x1, y1, x2, y2 = box_of_mask(mask)
-    left, top = max(int(x1) - _MARGIN_PX, 0), max(int(y1) - _MARGIN_PX, 0)
-    part = np.s_[top : int(y2) + _MARGIN_PX, left : int(x2) + _MARGIN_PX]
+    column, top = max(int(x1) - _MARGIN_PX, 0), max(int(y1) - _MARGIN_PX, 0)
+    part = np.s_[top : int(y2) + _MARGIN_PX, column : int(x2) + _MARGIN_PX]
     points = label.keypoints
     if points is not None:
-        points = points - np.array([left, top, 0.0])
+        points = points - np.array([column, top, 0.0])
     # Erode, because the outermost pixels contain background.
     body = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     by_place = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
@@ -143,7 +143,7 @@ def paste(
         Labels of the frame without newly occluded parts, and pseudo-labels of the pasted fruit.
     """
     picture, depth = color.copy(), np.where(depth_m > 0, depth_m, np.inf)
-    kept = list(labels)
+    visible_labels = list(labels)
     for _ in range(count if cutouts else 0):
         fruit = _place_cutout(
             cutouts[int(rng.integers(len(cutouts)))],
@@ -155,17 +155,19 @@ def paste(
         if fruit is None:
             continue
         amodal = fruit.amodal
-        near, far = np.percentile(depth[amodal], [10, 60])
-        stand = float(np.clip(rng.uniform(near, max(far, near)) - 0.03, 0.2, 3.0))
-        seen = amodal & (depth > stand)
-        if seen.sum() < _LEAST_SEEN * amodal.sum():
+        nearest, farthest = np.percentile(depth[amodal], [10, 60])
+        stand = float(np.clip(rng.uniform(nearest, max(farthest, nearest)) - 0.03, 0.2, 3.0))
+        visible = amodal & (depth > stand)
+        if visible.sum() < _LEAST_SEEN * amodal.sum():
             continue
         blend = (fruit.alpha * (depth > stand))[..., None]
         picture = (picture * (1 - blend) + fruit.color * blend).astype(np.uint8)
-        depth = np.where(seen, stand, depth)
-        kept = [x for x in (_occluded(label, seen) for label in kept) if x is not None]
-        kept.append(_label_of(seen, amodal, fruit.keypoints, by_place=fruit.by_place))
-    return picture, tuple(kept)
+        depth = np.where(visible, stand, depth)
+        visible_labels = [
+            x for x in (_occluded(label, visible) for label in visible_labels) if x is not None
+        ]
+        visible_labels.append(_label_of(visible, amodal, fruit.keypoints, by_place=fruit.by_place))
+    return picture, tuple(visible_labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,13 +268,13 @@ def _occluded(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
     mask = label.mask
     if mask is None or not (mask & hidden).any():
         return label
-    left = mask & ~hidden
-    if not left.any():
+    visible = mask & ~hidden
+    if not visible.any():
         return None
-    whole = label.amodal
-    total = int(mask.sum() if whole is None else whole.sum())
-    share = 1 - int(left.sum()) / total
-    fresh = Label.of_mask(left)
+    amodal = label.amodal
+    total = int(mask.sum() if amodal is None else amodal.sum())
+    share = 1 - int(visible.sum()) / total
+    fresh = Label.of_mask(visible)
     return replace(
         label,
         box=fresh.box,
@@ -288,17 +290,17 @@ def _hidden_points(
 ) -> NDArray[np.float64] | None:
     if points is None:
         return None
-    found, (height, width) = points.copy(), hidden.shape
-    for row in found:
+    visible_points, (height, width) = points.copy(), hidden.shape
+    for row in visible_points:
         u, v = (round(float(x)) for x in row[:2])
         inside = 0 <= u < width and 0 <= v < height
         if row[2] == 2 and inside and hidden[v, u]:
             row[2] = 1
-    return found
+    return visible_points
 
 
 def _label_of(
-    seen: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
     amodal: NDArray[np.bool_],
     points: NDArray[np.float64] | None,
     *,
@@ -308,24 +310,24 @@ def _label_of(
 
     Parameters
     ----------
-    seen, amodal : ndarray of bool, shape (H, W)
+    visible, amodal : ndarray of bool, shape (H, W)
         Visible pixels, at least one, and pixels without occlusion.
     points : ndarray of float64, shape (5, 3), optional
         Keypoints.
     by_place : bool
         Whether the keypoints are ordered by position; recorded in the label.
     """
-    height, width = seen.shape
+    height, width = visible.shape
     if points is not None:
         u, v = points[:, 0], points[:, 1]
         inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
         points = np.column_stack([points[:, :2], np.where(inside, points[:, 2], 0)])
-        points = _hidden_points(points, amodal & ~seen)
+        points = _hidden_points(points, amodal & ~visible)
     return Label.of_mask(
-        seen,
+        visible,
         amodal=amodal,
         keypoints=points,
-        hidden_share=round(1 - int(seen.sum()) / int(amodal.sum()), 4),
+        hidden_share=round(1 - int(visible.sum()) / int(amodal.sum()), 4),
         cut_off=reaches_border(amodal),
         pseudo=True,
         extras={KEYPOINT_ORDER: BY_PLACE} if by_place else {},
@@ -401,8 +403,8 @@ def montage(
         if over is not None:
             hidden = np.maximum(hidden, over[1])
         amodal = fruit.amodal
-        seen = amodal & (hidden < 0.5)
-        if seen.sum() < max(_LEAST_SEEN * amodal.sum(), 30):
+        visible = amodal & (hidden < 0.5)
+        if visible.sum() < max(_LEAST_SEEN * amodal.sum(), 30):
             continue
         area = _around(amodal)
         part = _Placed(fruit.color[area], fruit.alpha[area], None)
@@ -410,9 +412,9 @@ def montage(
         if over is not None:
             piece, cover = over
             picture += (piece - picture) * cover[..., None]
-        covered = seen if over is None else seen | (over[1] > 0.5)
+        covered = visible if over is None else visible | (over[1] > 0.5)
         labels = [x for x in (_occluded(label, covered) for label in labels) if x is not None]
-        labels.append(_label_of(seen, amodal, fruit.keypoints, by_place=fruit.by_place))
+        labels.append(_label_of(visible, amodal, fruit.keypoints, by_place=fruit.by_place))
     return np.clip(picture, 0, 255).astype(np.uint8), tuple(labels)
 
 
@@ -422,8 +424,8 @@ def _part_of(
     """Return a random crop of a photo with the aspect ratio of `size`, resized to it."""
     width, height = size
     h, w = ground.shape[:2]
-    most = min(w / width, h / height)
-    share = most * rng.uniform(0.55, 1.0) if most > 0.5 else most
+    scale = min(w / width, h / height)
+    share = scale * rng.uniform(0.55, 1.0) if scale > 0.5 else scale
     cut_w, cut_h = max(int(width * share), 1), max(int(height * share), 1)
     x, y = int(rng.integers(w - cut_w + 1)), int(rng.integers(h - cut_h + 1))
     part = ground[y : y + cut_h, x : x + cut_w]
@@ -519,11 +521,11 @@ def _blend(
 ) -> NDArray[np.float32]:
     """Blend a fruit into the picture with local brightness and a shadow."""
     amodal = fruit.amodal
-    near = cv2.dilate(amodal.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    place, own = picture[near].mean(axis=0) + 4, fruit.color[amodal].mean(axis=0) + 4
+    surround = cv2.dilate(amodal.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    place, fruit_color = picture[surround].mean(axis=0) + 4, fruit.color[amodal].mean(axis=0) + 4
     # Adapt brightness to the surroundings largely, colour slightly.
-    level = (place.mean() / own.mean()) ** rng.uniform(0.3, 0.9)
-    cast = ((place / place.mean()) / (own / own.mean())) ** rng.uniform(0.0, 0.3)
+    level = (place.mean() / fruit_color.mean()) ** rng.uniform(0.3, 0.9)
+    cast = ((place / place.mean()) / (fruit_color / fruit_color.mean())) ** rng.uniform(0.0, 0.3)
     gain = np.clip(level * rng.uniform(0.8, 1.4), 0.35, 2.2) * cast
     ys, xs = np.nonzero(amodal)
     rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]].astype(np.float32)

@@ -110,8 +110,8 @@ def path_trace(
     picture = stage.render(samples)
     fruit = np.rint(stage.render_indices()).astype(np.int32) - 1
     opacity = picture[..., 3:]
-    far = far_view(rng, style.far, camera.width, camera.height, assets)
-    return Traced(np.asarray(picture[..., :3] + (1 - opacity) * far, np.float32), fruit)
+    background = far_view(rng, style.far, camera.width, camera.height, assets)
+    return Traced(np.asarray(picture[..., :3] + (1 - opacity) * background, np.float32), fruit)
 
 
 def _blender() -> Any:
@@ -183,10 +183,10 @@ class _Stage:
         sun = np.asarray(self.style.light.sun)
         middle = np.array([0.0, 0.0, 0.7])
         for index in range(int(self.rng.poisson(_SHADING_LEAVES * self.style.light.shade))):
-            at = middle + sun * self.rng.uniform(0.4, 1.2) + self.rng.normal(0, 0.3, 3)
+            position = middle + sun * self.rng.uniform(0.4, 1.2) + self.rng.normal(0, 0.3, 3)
             turn = rotation(*self.rng.uniform(0, 360, 3))
             half = float(self.rng.uniform(0.06, 0.12))
-            blade = _leaf_mesh(Leaf(at, turn.T, half, 0.8 * half, (0.0, 0.0), 0.1), self.rng)
+            blade = _leaf_mesh(Leaf(position, turn.T, half, 0.8 * half, (0.0, 0.0), 0.1), self.rng)
             self._mesh(f"shade {index}", *blade, material).visible_camera = False
 
     def add_stems(self) -> None:
@@ -212,9 +212,9 @@ class _Stage:
         nodes, links = world.node_tree.nodes, world.node_tree.links
         picture = nodes.new("ShaderNodeTexEnvironment")
         picture.image = self._image(sky[::-1])
-        at, turn = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeMapping")
+        coordinates, turn = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeMapping")
         turn.inputs["Rotation"].default_value = _euler(frame @ _TO_BLENDER)
-        links.new(at.outputs["Generated"], turn.inputs["Vector"])
+        links.new(coordinates.outputs["Generated"], turn.inputs["Vector"])
         links.new(turn.outputs["Vector"], picture.inputs["Vector"])
         links.new(picture.outputs["Color"], nodes["Background"].inputs["Color"])
         if light.sun_strength > 0:
@@ -233,12 +233,12 @@ class _Stage:
         self.bpy.context.collection.objects.link(body)
 
     def place_camera(self, camera: Intrinsics) -> None:
-        own = self.bpy.data.cameras.new("camera")
-        own.sensor_width, own.lens = 36.0, 36.0 * camera.fx_px / camera.width
-        own.shift_x = -(camera.cx_px - (camera.width - 1) / 2) / camera.width
-        own.shift_y = (camera.cy_px - (camera.height - 1) / 2) / camera.width
-        own.clip_start, own.clip_end = 0.02, 50.0
-        body = self.bpy.data.objects.new("camera", own)
+        lens = self.bpy.data.cameras.new("camera")
+        lens.sensor_width, lens.lens = 36.0, 36.0 * camera.fx_px / camera.width
+        lens.shift_x = -(camera.cx_px - (camera.width - 1) / 2) / camera.width
+        lens.shift_y = (camera.cy_px - (camera.height - 1) / 2) / camera.width
+        lens.clip_start, lens.clip_end = 0.02, 50.0
+        body = self.bpy.data.objects.new("camera", lens)
         self.bpy.context.collection.objects.link(body)
         scene = self.bpy.context.scene
         scene.camera = body
@@ -268,9 +268,9 @@ class _Stage:
         material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
         nodes.clear()
-        about, shine = nodes.new("ShaderNodeObjectInfo"), nodes.new("ShaderNodeEmission")
+        info, shine = nodes.new("ShaderNodeObjectInfo"), nodes.new("ShaderNodeEmission")
         out = nodes.new("ShaderNodeOutputMaterial")
-        links.new(about.outputs["Object Index"], shine.inputs["Color"])
+        links.new(info.outputs["Object Index"], shine.inputs["Color"])
         links.new(shine.outputs["Emission"], out.inputs["Surface"])
         material.cycles.emission_sampling = "NONE"  # no lamps, which would take seconds to sort
         scene = self.bpy.context.scene
@@ -333,11 +333,11 @@ class _Stage:
             tint.inputs["Color2"].default_value = (*_TRANSLUCENT, 1.0)
             links.new(color.outputs["Color"], tint.inputs["Color1"])
             links.new(tint.outputs["Color"], pass_on.inputs["Color"])
-            both = nodes.new("ShaderNodeMixShader")
-            both.inputs["Fac"].default_value = through
-            links.new(body.outputs["BSDF"], both.inputs[1])
-            links.new(pass_on.outputs["BSDF"], both.inputs[2])
-            links.new(both.outputs["Shader"], out.inputs["Surface"])
+            mixture = nodes.new("ShaderNodeMixShader")
+            mixture.inputs["Fac"].default_value = through
+            links.new(body.outputs["BSDF"], mixture.inputs[1])
+            links.new(pass_on.outputs["BSDF"], mixture.inputs[2])
+            links.new(mixture.outputs["Shader"], out.inputs["Surface"])
         return material
 
     def _leaf_material(
@@ -419,11 +419,11 @@ def _tube_mesh(tube: Tube) -> _Mesh:
     along = np.gradient(tube.centres_m, axis=0)[rows]
     along /= np.linalg.norm(along, axis=1)[:, None]
     angle = np.linspace(np.pi / 2, 0, _CAP_ROWS, endpoint=False)
-    rise, wide = np.sin(angle)[:, None], np.maximum(np.cos(angle), 1e-3)
+    rise, width = np.sin(angle)[:, None], np.maximum(np.cos(angle), 1e-3)
     blossom = centres[0] - rise * radii[0] * along[0]
     stem = centres[-1] + rise[::-1] * radii[-1] * along[-1]
     spine = np.vstack([blossom, centres, stem])
-    reach = np.concatenate([radii[0] * wide, radii, radii[-1] * wide[::-1]])
+    reach = np.concatenate([radii[0] * width, radii, radii[-1] * width[::-1]])
     axis = np.vstack(
         [np.repeat(along[:1], _CAP_ROWS, 0), along, np.repeat(along[-1:], _CAP_ROWS, 0)]
     )
@@ -466,7 +466,7 @@ def _leaf_mesh(leaf: Leaf, rng: np.random.Generator) -> _Mesh:
 def _points_on(stems: Sequence[Stem]) -> NDArray[np.float64]:
     """Return points along all stems, shape (N, 3)."""
     shares = np.linspace(0, 1, 60)
-    return np.vstack([np.empty((0, 3)), *(points_along(one.vertices_m, shares) for one in stems)])
+    return np.vstack([np.empty((0, 3)), *(points_along(stem.vertices_m, shares) for stem in stems)])
 
 
 def _leaf_stalk(

@@ -98,14 +98,14 @@ def foliage(
     >>> len(leaves) > 20, bool(min(leaf.centre_m[2] for leaf in leaves) >= 0.7)
     (True, True)
     """
-    low = np.array(camera.rays(0.0, 0.0))
-    high = np.array(camera.rays(camera.width - 1.0, camera.height - 1.0))
+    first_ray = np.array(camera.rays(0.0, 0.0))
+    last_ray = np.array(camera.rays(camera.width - 1.0, camera.height - 1.0))
     middle = distance_m + depth_m / 2
-    area, filled, leaves = float(np.prod(high - low)) * middle**2, 0.0, []
+    area, filled, leaves = float(np.prod(last_ray - first_ray)) * middle**2, 0.0, []
     while filled < density * area:
         length, slim = rng.uniform(0.06, 0.12), rng.uniform(0.7, 0.95)
         z = rng.uniform(distance_m, distance_m + depth_m)
-        spot = rng.uniform(1.1 * low, 1.1 * high) * z
+        spot = rng.uniform(1.1 * first_ray, 1.1 * last_ray) * z
         leaves.append(_leaf(rng, (spot[0], spot[1], z), length, slim * length))
         filled += np.pi * slim * length**2
     return tuple(sorted(leaves, key=lambda leaf: -float(leaf.centre_m[2])))
@@ -170,17 +170,17 @@ def trellis(
     Scene
         Scene without occlusion of fruit by leaves; see `occlude`.
     """
-    back = max(float((f.centres_m[:, 2] + f.radii_m).max()) for f in fruit)
+    rearmost_m = max(float((f.centres_m[:, 2] + f.radii_m).max()) for f in fruit)
     # Leaves can extend forward by their length.
-    leaves = foliage(rng, camera, back + behind_m + 0.10)
-    half = camera.width / (2 * camera.fx_px) * (back + behind_m)
+    leaves = foliage(rng, camera, rearmost_m + behind_m + 0.10)
+    half = camera.width / (2 * camera.fx_px) * (rearmost_m + behind_m)
     stems = [
-        string(rng, x, back + behind_m, radius)
+        string(rng, x, rearmost_m + behind_m, radius)
         for x, radius in zip(
             rng.uniform(-half, half, 4), (0.0015, 0.0015, 0.004, 0.005), strict=True
         )
     ]
-    wall = Plane.facing(back + behind_m + rng.uniform(0.7, 1.5), *rng.uniform(-10, 10, 2))
+    wall = Plane.facing(rearmost_m + behind_m + rng.uniform(0.7, 1.5), *rng.uniform(-10, 10, 2))
     return Scene(fruit, leaves, tuple(stems), (wall,))
 
 
@@ -241,14 +241,14 @@ def occlude(
     if not ends_free and rng.random() < 0.5:
         where = 1.0
     # Half the share would suffice for a rectangular leaf, but this one has lobes.
-    low, high = 0.0, (0.9 if ends_free else 1.8) * hidden_share
+    shortest, longest = 0.0, (0.9 if ends_free else 1.8) * hidden_share
     for _ in range(_SEARCH_STEPS):
-        reach = (low + high) / 2
+        reach = (shortest + longest) / 2
         leaf = _blade(tube, where, reach, before, bend)
         if in_front(leaf) and _hides(leaf, fruit, rough) < hidden_share:
-            low = reach
+            shortest = reach
         else:
-            high = reach
+            longest = reach
     return replace(scene, leaves=(*scene.leaves, leaf)) if in_front(leaf) else scene
 
 
@@ -262,8 +262,8 @@ def _blade(
     tube: Tube, where: float, reach: float, before_m: float, bend_per_m: tuple[float, float]
 ) -> Leaf:
     k = round(where * (len(tube.radii_m) - 1))
-    ahead, back = min(k + 1, len(tube.radii_m) - 1), max(k - 1, 0)
-    along = tube.centres_m[ahead] - tube.centres_m[back]
+    ahead, behind = min(k + 1, len(tube.radii_m) - 1), max(k - 1, 0)
+    along = tube.centres_m[ahead] - tube.centres_m[behind]
     along /= np.linalg.norm(along)
     # Parallel to the fruit, on the camera ray through the point to occlude.
     distance = float(np.linalg.norm(tube.centres_m[k]))
@@ -327,14 +327,14 @@ class Ground:
         True
         """
         off = np.deg2rad(rng.uniform(0, _STEEPEST_DEG))
-        about = rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
+        angle = rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
         # The far side of a bench is at the top of the picture (y points down).
         normal = np.array([0.0, -np.sin(off), -np.cos(off)])
         across = np.array([1.0, 0.0, 0.0])
         turn = np.array(
             [
-                [np.cos(about), -np.sin(about), 0.0],
-                [np.sin(about), np.cos(about), 0.0],
+                [np.cos(angle), -np.sin(angle), 0.0],
+                [np.sin(angle), np.cos(angle), 0.0],
                 [0.0, 0.0, 1.0],
             ]
         )
@@ -395,7 +395,7 @@ def place_lying(
     of several random positions is used, so that fruit on an open surface are rarely stacked.
     """
     placed: list[Tube] = []
-    kept: list[int] = []
+    placed_bodies: list[int] = []
     lain: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for index, body in enumerate(bodies):
         best = None
@@ -408,14 +408,14 @@ def place_lying(
         if best is None:
             continue
         height, flat, turn, spot = best
-        whole = body.moved(turn, (*spot, height))
-        seen = whole.moved(ground.frame.T, ground.point_m)
-        if seen.centres_m[:, 2].min() < NEAREST_M:
+        lying = body.moved(turn, (*spot, height))
+        in_view = lying.moved(ground.frame.T, ground.point_m)
+        if in_view.centres_m[:, 2].min() < NEAREST_M:
             continue
         lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::_EVERY]))
-        placed.append(seen)
-        kept.append(index)
-    return placed, kept
+        placed.append(in_view)
+        placed_bodies.append(index)
+    return placed, placed_bodies
 
 
 def _spot(

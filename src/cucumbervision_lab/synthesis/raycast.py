@@ -49,13 +49,13 @@ class Hit:
     def add(self, window: Window, depth_m: NDArray[np.float64], part: int) -> None:
         """Merge a further part, keeping the nearer intersection of each pixel."""
         rows, columns = self.window
-        here = np.s_[
+        overlap = np.s_[
             window[0].start - rows.start : window[0].stop - rows.start,
             window[1].start - columns.start : window[1].stop - columns.start,
         ]
-        closer = depth_m < self.depth_m[here]
-        self.depth_m[here][closer] = depth_m[closer]
-        self.part[here][closer] = part
+        closer = depth_m < self.depth_m[overlap]
+        self.depth_m[overlap][closer] = depth_m[closer]
+        self.part[overlap][closer] = part
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,17 +75,17 @@ class RayGrid:
     columns: tuple[NDArray[np.float64], NDArray[np.float64]]
     rows: tuple[NDArray[np.float64], NDArray[np.float64]]
 
-    def window(self, low: ArrayLike, high: ArrayLike) -> Window | None:
+    def window(self, lower: ArrayLike, upper: ArrayLike) -> Window | None:
         """Return the window of pixels whose rays can lie between two corners (x, y), or None."""
-        (x_low, y_low), (x_high, y_high) = np.asarray(low), np.asarray(high)
-        left, right = (
+        (x_low, y_low), (x_high, y_high) = np.asarray(lower), np.asarray(upper)
+        first_column, end_column = (
             np.searchsorted(self.columns[1], x_low),
             np.searchsorted(self.columns[0], x_high),
         )
         top, bottom = np.searchsorted(self.rows[1], y_low), np.searchsorted(self.rows[0], y_high)
-        if left >= right or top >= bottom:
+        if first_column >= end_column or top >= bottom:
             return None
-        return slice(int(top), int(bottom)), slice(int(left), int(right))
+        return slice(int(top), int(bottom)), slice(int(first_column), int(end_column))
 
 
 @lru_cache(maxsize=8)
@@ -224,11 +224,11 @@ def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
 
 
 def _empty_hit(windows: Sequence[Window | None]) -> Hit | None:
-    seen = [w for w in windows if w is not None]
-    if not seen:
+    present = [w for w in windows if w is not None]
+    if not present:
         return None
-    rows = slice(min(w[0].start for w in seen), max(w[0].stop for w in seen))
-    columns = slice(min(w[1].start for w in seen), max(w[1].stop for w in seen))
+    rows = slice(min(w[0].start for w in present), max(w[0].stop for w in present))
+    columns = slice(min(w[1].start for w in present), max(w[1].stop for w in present))
     shape = rows.stop - rows.start, columns.stop - columns.start
     return Hit((rows, columns), np.full(shape, np.inf), np.zeros(shape, np.int32))
 
@@ -252,8 +252,8 @@ def _refine(
     depth: NDArray[np.float64],
     part: NDArray[np.int32],
 ) -> None:
-    found = np.isfinite(depth)
-    x, y, k = rays[0][found], rays[1][found], part[found]
+    finite = np.isfinite(depth)
+    x, y, k = rays[0][finite], rays[1][finite], part[finite]
     a = x * x + y * y + 1
     centres, radii = tube.centres_m, tube.radii_m
     constant = (centres * centres).sum(axis=1) - radii * radii
@@ -266,16 +266,16 @@ def _refine(
         met = (b - np.sqrt(np.maximum(disc, 0))) / a
         return np.asarray(np.where(disc > 0, met, 1e3 - disc))
 
-    low = np.maximum(k - step, 0)
-    high = np.minimum(k + step, len(radii) - 1)
-    while (high > low).any():
-        middle = (low + high) // 2
+    lower = np.maximum(k - step, 0)
+    upper = np.minimum(k + step, len(radii) - 1)
+    while (upper > lower).any():
+        middle = (lower + upper) // 2
         ahead = score(np.minimum(middle + 1, len(radii) - 1)) < score(middle)
-        low = np.where(ahead & (middle < high), middle + 1, low)
-        high = np.where(ahead, high, np.maximum(middle, low))
-    best = score(low)
-    depth[found] = np.where(best < 1e2, best, np.inf)
-    part[found] = np.where(best < 1e2, low, 0)
+        lower = np.where(ahead & (middle < upper), middle + 1, lower)
+        upper = np.where(ahead, upper, np.maximum(middle, lower))
+    best = score(lower)
+    depth[finite] = np.where(best < 1e2, best, np.inf)
+    part[finite] = np.where(best < 1e2, lower, 0)
 
 
 def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
@@ -445,8 +445,8 @@ def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
     with np.errstate(divide="ignore"):
         depth: NDArray[np.float64] = float(plane.normal @ plane.point_m) / slant
     depth[~(depth > 0)] = np.inf
-    whole = slice(0, camera.height), slice(0, camera.width)
-    return Hit(whole, depth, np.zeros(depth.shape, np.int32))
+    window = slice(0, camera.height), slice(0, camera.width)
+    return Hit(window, depth, np.zeros(depth.shape, np.int32))
 
 
 _LOBES = 5  # number of lobes of a cucumber leaf
@@ -546,8 +546,8 @@ def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # The projection of the bounding box contains the projection of the blade.
     s, t = ((1 + leaf.lobe + leaf.teeth) * half for half in (leaf.half_length_m, leaf.half_width_m))
     rise = [k * half**2 / 2 for k, half in zip(leaf.bend_per_m, (s, t), strict=True)]
-    low, high = sum(min(r, 0.0) for r in rise), sum(max(r, 0.0) for r in rise)
-    corners = np.array([(p, q, n) for p in (-s, s) for q in (-t, t) for n in (low, high)])
+    lowest, highest = sum(min(r, 0.0) for r in rise), sum(max(r, 0.0) for r in rise)
+    corners = np.array([(p, q, n) for p in (-s, s) for q in (-t, t) for n in (lowest, highest)])
     corners = leaf.centre_m + corners @ leaf.frame
     if corners[:, 2].min() <= 0:
         raise ValueError("a leaf extends behind the camera")

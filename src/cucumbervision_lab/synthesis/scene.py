@@ -249,8 +249,8 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
     >>> truth.keypoints_px.round(1)[:, 0].tolist(), truth.keypoint_visibility.tolist()
     ([100.0, 130.0, 160.0, 190.0, 220.0], [2, 2, 2, 2, 2])
     """
-    seen = render(scene, camera) if view is None else view
-    return tuple(_truth(tube, k, camera, seen) for k, tube in enumerate(scene.fruit))
+    rendered = render(scene, camera) if view is None else view
+    return tuple(_truth(tube, k, camera, rendered) for k, tube in enumerate(scene.fruit))
 
 
 def reaches_border(mask: NDArray[np.bool_]) -> bool:
@@ -268,7 +268,7 @@ def reaches_border(mask: NDArray[np.bool_]) -> bool:
 
 def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth:
     visible, amodal = view.mask(index), view.amodal[index]
-    whole = int(amodal.sum())
+    area_px = int(amodal.sum())
     axis = tube.axis_m
     points = points_along(axis, _KEYPOINT_SHARES)
     pixels = camera.project(points)
@@ -280,7 +280,7 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
         radius_m=np.concatenate([[0.0], tube.radii_m, [0.0]]),
         visible=visible,
         amodal=amodal,
-        hidden_share=1.0 - int(visible.sum()) / whole if whole else 0.0,
+        hidden_share=1.0 - int(visible.sum()) / area_px if area_px else 0.0,
         cut_off=reaches_border(amodal),
         keypoints_px=pixels,
         keypoint_visibility=_visibility(points, pixels, tube, visible, view.depth_m, camera),
@@ -301,7 +301,7 @@ def _visibility(
 ) -> NDArray[np.int8]:
     height, width = visible.shape
     thick_m = float(tube.radii_m.max())
-    found = np.zeros(len(pixels), np.int8)
+    visibility = np.zeros(len(pixels), np.int8)
     # Inner points lie below the skin; a pole lies on the skin or is hidden by the fruit itself.
     allowed = [0.5 * tube.radii_m[0], *[np.inf] * (len(pixels) - 2), 0.5 * tube.radii_m[-1]]
     for k, (u, v) in enumerate(np.rint(pixels).astype(int).tolist()):
@@ -309,11 +309,15 @@ def _visibility(
             continue
         # Include neighbouring pixels: the projected pole may miss the mask by a pixel, and an end
         # covered only by its stalk or blossom still counts as visible.
-        about = 1
+        reach_px = 1
         if k in (0, len(pixels) - 1):
-            about += int(np.ceil(_GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))
-        near = np.s_[max(v - about, 0) : v + about + 1, max(u - about, 0) : u + about + 1]
-        fruit = visible[near]
-        behind = points_m[k, 2] - depth_m[near]
-        found[k] = 2 if (fruit & (behind <= allowed[k])).any() else 1
-    return found
+            reach_px += int(
+                np.ceil(_GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6))
+            )
+        window = np.s_[
+            max(v - reach_px, 0) : v + reach_px + 1, max(u - reach_px, 0) : u + reach_px + 1
+        ]
+        fruit = visible[window]
+        behind = points_m[k, 2] - depth_m[window]
+        visibility[k] = 2 if (fruit & (behind <= allowed[k])).any() else 1
+    return visibility

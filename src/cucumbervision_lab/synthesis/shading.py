@@ -129,26 +129,26 @@ def shade(
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
     points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
     job = _Job(scene, view, camera, style, assets, rng, _Layers.empty(view.kind.size))
-    far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
+    background = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
     photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
     tiles: dict[str, Array] = {}
-    for kind, index, at in _bodies(view):
-        here = points[at]
+    for kind, index, pixels in _bodies(view):
+        points_here = points[pixels]
         if kind == Kind.FRUIT:
-            _fruit(job, at, index, here)
+            _fruit(job, pixels, index, points_here)
         elif kind == Kind.LEAF:
-            _leaf(job, at, index, here, photos[rng.integers(_PHOTOS)])
+            _leaf(job, pixels, index, points_here, photos[rng.integers(_PHOTOS)])
         elif kind == Kind.STEM:
-            _stem(job, at, index, here)
+            _stem(job, pixels, index, points_here)
         elif kind == Kind.PLANE and style.materials[index] != FAR:
             name = style.materials[index]
             if name not in tiles:
-                seen_m = float(np.median(here[:, 2])) / camera.fx_px
+                seen_m = float(np.median(points_here[:, 2])) / camera.fx_px
                 tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
-            _plane(job, at, index, here, tiles[name])
+            _plane(job, pixels, index, points_here, tiles[name])
         else:
-            job.layers.albedo[at] = far[at]
-            job.layers.far[at] = True
+            job.layers.albedo[pixels] = background[pixels]
+            job.layers.far[pixels] = True
     return _lit(job)
 
 
@@ -168,21 +168,21 @@ def _check(scene: Scene, style: Style) -> None:
 
 def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
     # A single stable sort of 16-bit keys groups the pixels by body.
-    most = int(view.body.max()) + 2
-    key = (view.kind.astype(np.int32) * most + view.body + 1).ravel()
+    stride = int(view.body.max()) + 2
+    key = (view.kind.astype(np.int32) * stride + view.body + 1).ravel()
     key = key.astype(np.uint16) if key.max() < 2**16 else key
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order].astype(np.int32), prepend=-1))
-    found = []
-    for at in np.split(order, starts[1:]):
-        kind, body = divmod(int(key[at[0]]), most)
-        found.append((kind, body - 1, at))
-    return found
+    bodies = []
+    for pixels in np.split(order, starts[1:]):
+        kind, body = divmod(int(key[pixels[0]]), stride)
+        bodies.append((kind, body - 1, pixels))
+    return bodies
 
 
-def _fruit(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
+def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
     tube, view, layers = job.scene.fruit[index], job.view, job.layers
-    share, normal = view.share.ravel()[at], view.normal.reshape(-1, 3)[at]
+    share, normal = view.share.ravel()[pixels], view.normal.reshape(-1, 3)[pixels]
     balls = len(tube.radii_m)
     along = np.gradient(tube.centres_m, axis=0)
     steps = np.linalg.norm(along, axis=1)
@@ -206,12 +206,12 @@ def _fruit(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
     rows, columns = maps.albedo.shape[:2]
     x = (angle + np.float32(job.rng.random())) % 1 * columns - np.float32(0.5)
     y = np.clip(from_blossom / np.float32(length), 0, 1) * (rows - 1)
-    layers.albedo[at] = sample(maps.albedo, x, y)
+    layers.albedo[pixels] = sample(maps.albedo, x, y)
     relief = sample(maps.relief, x, y)
     turned = 2 * np.float32(np.pi) * angle[:, None]
     round_about = np.cos(turned) * aside - np.sin(turned) * out
-    layers.normal[at] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
-    layers.gloss[at] = relief[:, 2]
+    layers.normal[pixels] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
+    layers.gloss[pixels] = relief[:, 2]
 
 
 def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
@@ -220,7 +220,7 @@ def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
 
 
 def _leaf(
-    job: _Job, at: NDArray[np.intp], index: int, points: Array, photo: tuple[Array, ...]
+    job: _Job, pixels: NDArray[np.intp], index: int, points: Array, photo: tuple[Array, ...]
 ) -> None:
     rng, style, layers, leaf = job.rng, job.style, job.layers, job.scene.leaves[index]
     frame = leaf.frame.astype(np.float32)
@@ -229,46 +229,46 @@ def _leaf(
     x = leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
     y = leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
     level = leaf_level(job.camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
-    found = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
-    below = found[:, 2:] * np.float32(style.leaf_relief)
+    texels = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
+    below = texels[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
     normal = frame[2] - slopes @ frame[:2]
     # Flip normals towards the camera, because both faces of a blade are visible.
     side = np.sign(np.einsum("ij,ij->i", normal, points))
-    under = float(side.mean()) > 0
-    layers.normal[at] = _unit(normal, -np.where(side == 0, 1, side))
+    underside = float(side.mean()) > 0
+    layers.normal[pixels] = _unit(normal, -np.where(side == 0, 1, side))
     color = to_linear(style.leaf_colors[index])
     withered = style.leaf_roles[index] == "blossom"
     pale = to_linear((150, 168, 104))
-    if under and not withered:
+    if underside and not withered:
         color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
-    vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * found[:, 1]
+    vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * texels[:, 1]
     albedo = mix(color, pale, vein)
     if photo and not withered:
         albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
-    layers.albedo[at] = scale_colors(albedo, np.ascontiguousarray(found[:, 0]))
-    layers.gloss[at] = np.float32(0.0 if under or withered else style.leaf_gloss)
-    layers.through[at] = np.float32(0.55)
+    layers.albedo[pixels] = scale_colors(albedo, np.ascontiguousarray(texels[:, 0]))
+    layers.gloss[pixels] = np.float32(0.0 if underside or withered else style.leaf_gloss)
+    layers.through[pixels] = np.float32(0.55)
 
 
-def _stem(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
+def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
     rng, style, layers = job.rng, job.style, job.layers
     line = job.scene.stems[index].vertices_m.astype(np.float32)
     first, step = line[:-1], np.diff(line, axis=0)
-    long = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
-    best = np.full(len(at), np.inf, np.float32)
-    normal = np.zeros((len(at), 3), np.float32)
-    run = np.zeros(len(at), np.float32)
+    squared = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+    best = np.full(len(pixels), np.inf, np.float32)
+    normal = np.zeros((len(pixels), 3), np.float32)
+    run = np.zeros(len(pixels), np.float32)
     for k in range(len(step)):
         off = points - first[k]
-        share = np.clip(off @ step[k] / long[k], 0, 1)
+        share = np.clip(off @ step[k] / squared[k], 0, 1)
         off -= share[:, None] * step[k]
-        far = np.einsum("ij,ij->i", off, off)
-        closer = far < best
-        best[closer], normal[closer] = far[closer], off[closer]
-        run[closer] = (k + share[closer]) * np.sqrt(long[k])
-    normal = layers.normal[at] = _unit(normal)
+        distance = np.einsum("ij,ij->i", off, off)
+        closer = distance < best
+        best[closer], normal[closer] = distance[closer], off[closer]
+        run[closer] = (k + share[closer]) * np.sqrt(squared[k])
+    normal = layers.normal[pixels] = _unit(normal)
     color = to_linear(style.stem_colors[index])
     role = style.stem_roles[index]
     if role == "string":
@@ -279,20 +279,20 @@ def _stem(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
         noise = smooth_noise(rng, (64, 4), (3, 1), wrap=True)
         tone = 1 + 0.12 * sample(noise, 2 + 2 * normal[:, 0], run * 400 % 63)
         tone *= 1 + 0.06 * np.cos(9 * np.arctan2(normal[:, 0], -normal[:, 2]))
-    layers.albedo[at] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
-    layers.gloss[at] = np.float32(0.15)
-    layers.through[at] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
+    layers.albedo[pixels] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
+    layers.gloss[pixels] = np.float32(0.15)
+    layers.through[pixels] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
 
 
-def _plane(job: _Job, at: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
+def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
     plane, layers = job.scene.planes[index], job.layers
     normal, frame = plane.unit_normal(), plane.tile_axes().astype(np.float32)
     place = (points - plane.point_m.astype(np.float32)) @ frame.T
     size = tile.shape[0]
     pixel = (place * np.float32(size / TILE_M)) % size
-    layers.albedo[at] = sample(tile, pixel[:, 0], pixel[:, 1])
-    layers.normal[at] = normal.astype(np.float32)
-    layers.gloss[at] = np.float32(
+    layers.albedo[pixels] = sample(tile, pixel[:, 0], pixel[:, 1])
+    layers.normal[pixels] = normal.astype(np.float32)
+    layers.gloss[pixels] = np.float32(
         {"steel": 0.5, "plastic": 0.4}.get(job.style.materials[index], 0.03)
     )
 
@@ -301,8 +301,8 @@ def _lit(job: _Job) -> NDArray[np.float32]:
     view, camera, style, layers = job.view, job.camera, job.style, job.layers
     shape = view.kind.shape
     grid = ray_grid(camera)
-    far = layers.far.reshape(shape)
-    depth = np.where((view.depth_m > 0) & ~far, view.depth_m, _FAR_M).astype(np.float32)
+    background = layers.far.reshape(shape)
+    depth = np.where((view.depth_m > 0) & ~background, view.depth_m, _FAR_M).astype(np.float32)
     maps = light_maps(job.rng, style.light, job.assets)
     normal = layers.normal.reshape(*shape, 3)
     albedo = layers.albedo.reshape(*shape, 3)
@@ -335,7 +335,7 @@ def _lit(job: _Job) -> NDArray[np.float32]:
         light += _sunlit(
             job.rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light
         )
-    light[far] = albedo[far]
+    light[background] = albedo[background]
     return light
 
 
@@ -354,11 +354,11 @@ def _sunlit(
     sun = np.asarray(light.sun, np.float32)
     halfway = sun + np.array([0, 0, -1], np.float32)
     halfway /= np.linalg.norm(halfway)
-    both = cv2.transform(normal, np.stack([sun, halfway]))
-    facing = both[..., 0]
-    matt, back = np.maximum(facing, 0), through * np.maximum(-facing, 0)
-    shine = cv2.pow(np.maximum(both[..., 1], 0), 60.0) * gloss * (facing > 0)
+    cosines = cv2.transform(normal, np.stack([sun, halfway]))
+    facing = cosines[..., 0]
+    matt, back_light = np.maximum(facing, 0), through * np.maximum(-facing, 0)
+    shine = cv2.pow(np.maximum(cosines[..., 1], 0), 60.0) * gloss * (facing > 0)
     strength = np.asarray(light.sun_color, np.float32) * np.float32(light.sun_strength)
-    body = cv2.merge([matt + part * back for part in _SEEN_THROUGH.tolist()]) * albedo
+    body = cv2.merge([matt + part * back_light for part in _SEEN_THROUGH.tolist()]) * albedo
     gleam = np.float32(0.9) * shine
     return scale_colors(body + cv2.merge([gleam, gleam, gleam]), lit) * strength

@@ -327,8 +327,8 @@ def _close_up(
         tile = tile.transpose(1, 0, 2)
     half = -(-shape[1] // 2)
     rows, columns = max(shape[0] - tile.shape[0], 0), max(half - tile.shape[1], 0)
-    wide = np.pad(tile, ((0, rows), (0, columns), (0, 0)), "symmetric")[: shape[0], :half]
-    return np.concatenate([wide, wide[:, ::-1]], axis=1)[:, : shape[1]]
+    mirrored = np.pad(tile, ((0, rows), (0, columns), (0, 0)), "symmetric")[: shape[0], :half]
+    return np.concatenate([mirrored, mirrored[:, ::-1]], axis=1)[:, : shape[1]]
 
 
 def _warts(
@@ -346,10 +346,10 @@ def _warts(
     radius_m = 0.0011 + 0.6 * skin.wart_m
     down, right = radius_m / texel_m[0], radius_m / texel_m[1]
     pad = min(int(3 * right) + 2, columns)
-    wide = np.concatenate([spots[:, -pad:], spots, spots[:, :pad]], axis=1)
-    wide = cv2.GaussianBlur(wide, (0, 0), sigmaX=max(right, 0.3), sigmaY=max(down, 0.3))
+    padded = np.concatenate([spots[:, -pad:], spots, spots[:, :pad]], axis=1)
+    padded = cv2.GaussianBlur(padded, (0, 0), sigmaX=max(right, 0.3), sigmaY=max(down, 0.3))
     peak = 2 * np.pi * max(right, 0.4) * max(down, 0.4)
-    bumps = np.minimum(wide[:, pad:-pad] * peak, 1.2)
+    bumps = np.minimum(padded[:, pad:-pad] * peak, 1.2)
     return smoothstep(0.25, 0.9, bumps), np.asarray(skin.wart_m * bumps)
 
 
@@ -362,15 +362,21 @@ def _ends(
 ) -> NDArray[np.float32]:
     # Blossom end: a corky scar in a pale ring. Stem end: a pale neck with a rim.
     size = np.clip(length_m / 0.2, 0.5, 1.1)
-    at = from_blossom_m + 0.0012 * noise
-    color = mix(color, to_linear(skin.tip), 0.7 * smoothstep(0.014 * size, 0.004 * size, at))
-    color = mix(color, to_linear((150, 128, 84)), 0.85 * smoothstep(0.0058, 0.0036, at / size))
-    color = mix(color, to_linear((92, 70, 44)), 0.8 * smoothstep(0.0026, 0.0012, at / size))
-    left = length_m - from_blossom_m + 0.0015 * noise
-    color = scale_colors(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, left))
+    from_tip_m = from_blossom_m + 0.0012 * noise
+    color = mix(
+        color, to_linear(skin.tip), 0.7 * smoothstep(0.014 * size, 0.004 * size, from_tip_m)
+    )
+    color = mix(
+        color, to_linear((150, 128, 84)), 0.85 * smoothstep(0.0058, 0.0036, from_tip_m / size)
+    )
+    color = mix(color, to_linear((92, 70, 44)), 0.8 * smoothstep(0.0026, 0.0012, from_tip_m / size))
+    from_neck_m = length_m - from_blossom_m + 0.0015 * noise
+    color = scale_colors(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, from_neck_m))
     pale = to_linear((158, 182, 112))
-    color = mix(color, pale, skin.neck * smoothstep(0.016 * size, 0.004 * size, left))
-    return mix(color, to_linear((188, 196, 140)), 0.7 * smoothstep(0.0045, 0.0025, left / size))
+    color = mix(color, pale, skin.neck * smoothstep(0.016 * size, 0.004 * size, from_neck_m))
+    return mix(
+        color, to_linear((188, 196, 140)), 0.7 * smoothstep(0.0045, 0.0025, from_neck_m / size)
+    )
 
 
 def _slopes(

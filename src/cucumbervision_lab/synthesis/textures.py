@@ -67,9 +67,9 @@ def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     side = np.full_like(s, 9.0)
     for degrees in _MAIN_DEG:
         away = angle + wobble - np.deg2rad(degrees)
-        wide = 0.024 - 0.009 * np.clip(reach, 0, 2)
+        width = 0.024 - 0.009 * np.clip(reach, 0, 2)
         off = reach * np.sin(np.clip(np.abs(away), 0, np.pi / 2))
-        main = np.maximum(main, np.exp(-((off / wide) ** 2)))
+        main = np.maximum(main, np.exp(-((off / width) ** 2)))
         side = np.minimum(side, np.abs(away))
     # Pairs of side veins branch off the main veins at regular steps.
     often = rng.uniform(3.5, 6.0)
@@ -108,9 +108,9 @@ def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArra
     rows, columns = picture.shape[:2]
     size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
     top = int(rng.uniform(0.35, 0.65) * (rows - size))
-    left = int(rng.uniform(0.35, 0.65) * (columns - size))
+    column = int(rng.uniform(0.35, 0.65) * (columns - size))
     piece: NDArray[Any] = np.rot90(
-        picture[top : top + size, left : left + size], int(rng.integers(4))
+        picture[top : top + size, column : column + size], int(rng.integers(4))
     )
     piece = cv2.resize(
         np.ascontiguousarray(piece), (_BLADE_PX, _BLADE_PX), interpolation=cv2.INTER_AREA
@@ -253,8 +253,8 @@ def _woven(rng: np.random.Generator) -> NDArray[np.float32]:
     weave = np.sin(2 * np.pi * line / period)[:, None] * np.sin(2 * np.pi * line / period)
     tone = 1 + 0.12 * weave + 0.06 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 2)
     if rng.random() < 0.5:  # checks
-        wide = float(rng.uniform(30, 90))
-        check = 0.5 * ((line // wide) % 2)
+        check_period = float(rng.uniform(30, 90))
+        check = 0.5 * ((line // check_period) % 2)
         tone *= 1 - 0.35 * (check[:, None] + check)
     return np.asarray(tone * (1 + 0.1 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32)
 
@@ -318,9 +318,9 @@ def _photo(
     picture = pictures[rng.integers(len(pictures))]
     rows, columns = picture.shape[:2]
     scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
-    wide, tall = max(int(scale * width), 2), max(int(scale * height), 2)
-    top, left = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - wide + 1))
-    piece: NDArray[Any] = picture[top : top + tall, left : left + wide]
+    width_px, tall = max(int(scale * width), 2), max(int(scale * height), 2)
+    top, column = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - width_px + 1))
+    piece: NDArray[Any] = picture[top : top + tall, column : column + width_px]
     if rng.random() < 0.5:
         piece = piece[:, ::-1]
     piece = cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=cv2.INTER_LINEAR)

@@ -33,22 +33,22 @@ def require_layers(path: Path | str) -> list[Any]:
     from torch.nn import Module
     from torch.serialization import get_unsafe_globals_in_checkpoint
 
-    layers, other = [], ""
+    layers, foreign = [], ""
     try:
         for name in get_unsafe_globals_in_checkpoint(path):
             module, _, word = name.rpartition(".")
-            known = name.startswith(_LAYERS) or name == _OPTIONS
-            layer = getattr(importlib.import_module(module), word) if known else None
+            trusted = name.startswith(_LAYERS) or name == _OPTIONS
+            layer = getattr(importlib.import_module(module), word) if trusted else None
             if isinstance(layer, type) and issubclass(layer, (Module, SimpleNamespace)):
                 layers.append(layer)
             else:
-                other = name
+                foreign = name
     # Reading a damaged pickle can raise any exception.
     except Exception as error:
         raise _not_loadable(path, error) from error
-    if other:
+    if foreign:
         raise TrainingError(
-            f"loading it would run {other}, which is not a network layer",
+            f"loading it would run {foreign}, which is not a network layer",
             source=path,
             remedy="use weights from a trusted source",
         )

@@ -112,7 +112,7 @@ def fit_classifier(
         torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     network = make()
-    planes, wanted = _planes(pictures), torch.from_numpy(target)
+    planes, labels = _planes(pictures), torch.from_numpy(target)
     steps = options.epochs * (len(planes) // options.batch + 1)
     optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
@@ -123,7 +123,7 @@ def fit_classifier(
             if len(chosen) < 2:
                 continue
             logits = network(augment(planes[chosen].float() / 255))
-            loss = binary_cross_entropy_with_logits(logits, wanted[chosen])
+            loss = binary_cross_entropy_with_logits(logits, labels[chosen])
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

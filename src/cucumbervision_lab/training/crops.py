@@ -122,13 +122,20 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
             scene = crc32((picture.scene or picture.file).encode())
             judged = picture.split == "val" or scene % _HELD_OUT == 0
             color = read_color(dataset.path(picture))
-            found = detector.detect(color)
-            labels = _labels(picture, dataset, np.array([one.box for one in found]))
-            known = [(o, y) for o, y in zip(found, labels, strict=True) if y is not None][:_MOST]
+            instances = detector.detect(color)
+            labels = _labels(picture, dataset, np.array([instance.box for instance in instances]))
+            judged_instances = [
+                (o, y) for o, y in zip(instances, labels, strict=True) if y is not None
+            ][:_MOST]
             margin = CROP_MARGIN * SURROUND_PX / CROP_PX
             rows += [
-                (crop_square(color, one.box, SURROUND_PX, margin), is_fruit, one.confidence, judged)
-                for one, is_fruit in known
+                (
+                    crop_square(color, instance.box, SURROUND_PX, margin),
+                    is_fruit,
+                    instance.confidence,
+                    judged,
+                )
+                for instance, is_fruit in judged_instances
             ]
     held = [row[3] for row in rows]
     if not rows or all(held) or not any(held):
@@ -147,7 +154,7 @@ def _labels(
     """Return whether each box is a true positive; None where that cannot be told."""
     boxes = boxes.reshape(-1, 4)
     frame = frame_of(picture, data, None)
-    unknown = np.array([one.box for one in frame.true if one.ignore or one.optional])
+    unknown = np.array([fruit.box for fruit in frame.true if fruit.ignore or fruit.optional])
     overlap = box_ious(boxes, unknown.reshape(-1, 4)).max(axis=1, initial=0.0)
     judged = true_positives(frame, boxes)
     return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
@@ -283,8 +290,8 @@ def _augment(crops: Any) -> Any:
 
     count = len(crops)
 
-    def spread(most: float) -> Any:
-        return most * (2 * torch.rand(count) - 1)
+    def spread(limit: float) -> Any:
+        return limit * (2 * torch.rand(count) - 1)
 
     angle, mirror = spread(_TURN_RAD), torch.where(torch.rand(count) < 0.5, 1.0, -1.0)
     scale = CROP_PX / SURROUND_PX * (1 + spread(_SCALE))
@@ -293,10 +300,10 @@ def _augment(crops: Any) -> Any:
         torch.stack([mirror * scale * angle.sin(), scale * angle.cos(), spread(_SHIFT)], 1),
     ]
     grid = affine_grid(torch.stack(rows, 1), [count, 3, CROP_PX, CROP_PX], align_corners=False)
-    seen = grid_sample(crops, grid, padding_mode="border", align_corners=False)
+    sampled = grid_sample(crops, grid, padding_mode="border", align_corners=False)
     gain = 1 + 0.2 * torch.randn(count, 1, 1, 1) + 0.06 * torch.randn(count, 3, 1, 1)
-    noise = 0.03 * torch.rand(count, 1, 1, 1) * torch.randn_like(seen)
-    return (seen * gain + 0.05 * torch.randn(count, 1, 1, 1) + noise).clamp(0, 1)
+    noise = 0.03 * torch.rand(count, 1, 1, 1) * torch.randn_like(sampled)
+    return (sampled * gain + 0.05 * torch.randn(count, 1, 1, 1) + noise).clamp(0, 1)
 
 
 def _result(log_odds: NDArray[np.float64], crops: Crops, out: Path) -> CropsResult:
@@ -305,8 +312,8 @@ def _result(log_odds: NDArray[np.float64], crops: Crops, out: Path) -> CropsResu
     is_fruit = crops.is_fruit[crops.held_out]
 
     def reported(group: NDArray[np.bool_]) -> tuple[int, int]:
-        kept = (int((one[group] > DEFAULT_CONFIDENCE).sum()) for one in (before, after))
-        return next(kept), next(kept)
+        counts = (int((scores[group] > DEFAULT_CONFIDENCE).sum()) for scores in (before, after))
+        return next(counts), next(counts)
 
     learnt = int((~crops.held_out).sum())
     return CropsResult(out, learnt, len(before), reported(is_fruit), reported(~is_fruit))

@@ -93,9 +93,9 @@ def data_card(dataset: DataSet, title: str) -> str:
         groups.setdefault(key, []).append(picture)
     lines = [f"# {title}", "", "| source | licence | pictures | with fruit | fruit |"]
     lines.append("|---|---|--:|--:|--:|")
-    for (source, licence), own in sorted(groups.items()):
-        fruit = [sum(not label.ignore for label in picture.labels) for picture in own]
-        counts = len(own), np.count_nonzero(fruit), sum(fruit)
+    for (source, licence), members in sorted(groups.items()):
+        fruit = [sum(not label.ignore for label in picture.labels) for picture in members]
+        counts = len(members), np.count_nonzero(fruit), sum(fruit)
         # Escape the column separator.
         cells = (source.replace("|", "\\|"), licence.replace("|", "\\|"), *map(str, counts))
         lines.append(f"| {' | '.join(cells)} |")
@@ -133,22 +133,22 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
     """
     values = load_data_yaml(path)
     _check(values, task, path)
-    own: dict[str, Any] = {
+    content: dict[str, Any] = {
         "path": str((path.parent / str(values.get("path") or ".")).resolve()),
         **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
         "names": {0: class_names(values["names"], path)[0]},
     }
     if values.get("weights"):
-        own["weights"] = list(values["weights"])
+        content["weights"] = list(values["weights"])
     if task == "pose":
-        own |= {
+        content |= {
             "kpt_shape": [_KEYPOINTS, values["kpt_shape"][1]],
             "flip_idx": list(range(_KEYPOINTS)),
             "kpt_oks_sigmas": [KEYPOINT_SIGMA] * _KEYPOINTS,
         }
     run.mkdir(parents=True, exist_ok=True)
     written = run / "data.yaml"
-    written.write_text(yaml.safe_dump(own, sort_keys=False), encoding="utf-8")
+    written.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return written
 
 

@@ -139,12 +139,12 @@ def collect_end_crops(
     pictures = {picture.file: picture for picture in data.pictures}
     rng, rows = np.random.default_rng(seed), []
     numbered = list(enumerate(fruit))
-    of_pictures = [list(some) for _, some in groupby(numbered, lambda one: one[1].picture)]
-    for some in ticked(of_pictures, progress):
-        picture = pictures[some[0][1].picture]
+    of_pictures = [list(group) for _, group in groupby(numbered, lambda entry: entry[1].picture)]
+    for of_picture in ticked(of_pictures, progress):
+        picture = pictures[of_picture[0][1].picture]
         color = read_color(data.path(picture))
         capture = capture_of(picture, data, color) or _without_depth(picture, color)
-        for number, measured in some:
+        for number, measured in of_picture:
             rows += _crops_of(number, measured, capture, rng)
     if not rows:
         raise TrainingError(
@@ -202,11 +202,11 @@ def collect_set(
     write_measured(data, keep, progress=progress)
     rng = np.random.default_rng(seed)
     by_label = [
-        one
-        for one in data.pictures
-        if one.depth_file is None or not is_held_out(one.scene or one.file)
+        picture
+        for picture in data.pictures
+        if picture.depth_file is None or not is_held_out(picture.scene or picture.file)
     ]
-    fruit = [one for picture in by_label for one in labelled_fruit(picture, rng)]
+    fruit = [measured for picture in by_label for measured in labelled_fruit(picture, rng)]
     fruit += read_measured([keep])
     return fruit, collect_end_crops(fruit, data, seed)
 

@@ -83,11 +83,11 @@ def make_network(init: Path | str) -> Any:
 
         def forward(self, crops: Any, shapes: Any) -> Any:
             """Return the outputs."""
-            seen = self.pool(self.trunk(crops)).flatten(1)
-            found = self.head(torch.cat([seen, (shapes - self.mean) / self.sd], 1))
-            first, steps = found[:, 3:4], nn.functional.softplus(found[:, 4:8])
+            pooled = self.pool(self.trunk(crops)).flatten(1)
+            output = self.head(torch.cat([pooled, (shapes - self.mean) / self.sd], 1))
+            first, steps = output[:, 3:4], nn.functional.softplus(output[:, 4:8])
             rising = torch.cat([first, first + torch.cumsum(steps, 1)], 1)
-            return torch.cat([found[:, :3], rising, found[:, 8:]], 1)
+            return torch.cat([output[:, :3], rising, output[:, 8:]], 1)
 
     return Look().requires_grad_(True)
 
@@ -97,13 +97,13 @@ def _with_planes(conv: Any) -> Any:
     import torch
     from torch import nn
 
-    wide = nn.Conv2d(
+    widened = nn.Conv2d(
         PLANES, conv.out_channels, conv.kernel_size, conv.stride, conv.padding, bias=False
     )
     with torch.no_grad():
-        wide.weight.mul_(0.3)
-        wide.weight[:, :3] = conv.weight.float()
-    return wide
+        widened.weight.mul_(0.3)
+        widened.weight[:, :3] = conv.weight.float()
+    return widened
 
 
 @dataclass(frozen=True)
@@ -232,20 +232,20 @@ def _scaled(planes: NDArray[np.uint8]) -> Any:
     return torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255
 
 
-def _loss(found: Any, target: Any) -> Any:
+def _loss(output: Any, target: Any) -> Any:
     """Return the loss: state, quantiles and stem end, each over the crops with such a label."""
     import torch
     from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
     state, missing, stem = target.T
     told, measured, turned = state >= 0, ~missing.isnan(), ~stem.isnan()
-    total = cross_entropy(found[told, :3], state[told].long(), label_smoothing=0.01)
+    total = cross_entropy(output[told, :3], state[told].long(), label_smoothing=0.01)
     if measured.any():
-        off = torch.asinh(missing[measured, None] / ERROR_SCALE) - found[measured, 3:8]
+        off = torch.asinh(missing[measured, None] / ERROR_SCALE) - output[measured, 3:8]
         level = torch.tensor(QUANTILES)
         total = total + torch.maximum(level * off, (level - 1) * off).mean()
     if turned.any():
-        total = total + 0.3 * binary_cross_entropy_with_logits(found[turned, 8], stem[turned])
+        total = total + 0.3 * binary_cross_entropy_with_logits(output[turned, 8], stem[turned])
     return total
 
 
@@ -259,7 +259,7 @@ def augmented(crops: Any) -> Any:
         return (torch.rand(count) < share)[:, None, None, None]
 
     crops = torch.where(chance(0.5), crops.flip(2), crops)
-    color, rest = crops[:, :3], crops[:, 3:]
+    color, planes = crops[:, :3], crops[:, 3:]
     gain = 1 + 0.3 * torch.randn(count, 1, 1, 1) + 0.1 * torch.randn(count, 3, 1, 1)
     shift = 0.06 * torch.randn(count, 1, 1, 1) + 0.02 * torch.randn(count, 3, 1, 1)
     power = (0.3 * torch.randn(count, 1, 1, 1)).exp()
@@ -270,7 +270,7 @@ def augmented(crops: Any) -> Any:
     color = torch.where(chance(0.3), blurred, color)
     color = (grey + vivid * (color - grey)).clamp(1e-3, 1) ** power
     color = (color * gain + shift + noise).clamp(0, 1)
-    depth, read, mask = rest[:, :1], rest[:, 1:2], rest[:, 2:]
+    depth, read, mask = planes[:, :1], planes[:, 1:2], planes[:, 2:]
     wider = torch.nn.functional.max_pool2d(mask, 3, 1, 1)
     narrower = 1 - torch.nn.functional.max_pool2d(1 - mask, 3, 1, 1)
     mask = torch.where(chance(0.25), wider, torch.where(chance(0.25), narrower, mask))

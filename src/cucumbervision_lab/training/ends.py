@@ -107,8 +107,8 @@ def collect_strips(
         If a picture cannot be read.
     """
     rng = np.random.default_rng(seed)
-    found: list[NDArray[np.uint8]] = []
-    seen: list[int] = []
+    strips_found: list[NDArray[np.uint8]] = []
+    ends_seen: list[int] = []
     held: list[bool] = []
     scenes: dict[str, int] = {}
     for dataset in sets:
@@ -119,17 +119,17 @@ def collect_strips(
                 scene = scenes.setdefault(picture.scene or picture.file, len(scenes))
                 for label in fruit:
                     strips = _copies(rng, color, label)
-                    found += strips
-                    seen += [_ends_seen(label)] * len(strips)
+                    strips_found += strips
+                    ends_seen += [_ends_seen(label)] * len(strips)
                     judged = picture.split == "val" or scene % _HELD_OUT == _HELD_OUT - 1
                     held += [judged] * len(strips)
-    if not found or all(held) or not any(held):
+    if not strips_found or all(held) or not any(held):
         raise TrainingError(
             "too few scenes have fruit with five labelled keypoints",
             source=sets[0].folder if sets else None,
             remedy=f"give at least {_HELD_OUT} scenes with keypoints",
         )
-    return Strips(np.stack(found), np.array(seen), np.array(held))
+    return Strips(np.stack(strips_found), np.array(ends_seen), np.array(held))
 
 
 def _usable(label: Label) -> bool:
@@ -196,8 +196,8 @@ def make_network(init: Path | str) -> Any:
         def forward(self, fruit: Any) -> Any:
             """Return the logits."""
             # One batch for both orientations, so that batch norm treats them alike.
-            right, left = self.score(torch.cat([fruit, torch.flip(fruit, (2, 3))])).view(2, -1)
-            return right - left
+            right, mirrored = self.score(torch.cat([fruit, torch.flip(fruit, (2, 3))])).view(2, -1)
+            return right - mirrored
 
     return Ends().requires_grad_(True)
 
@@ -295,9 +295,9 @@ def _result(
 ) -> EndsResult:
     accuracy = {"all": float((logits > 0).mean())}
     for count in (0, 1, 2):
-        some = seen == count
-        if some.any():
-            accuracy[f"{count} ends in sight"] = float((logits[some] > 0).mean())
+        group = seen == count
+        if group.any():
+            accuracy[f"{count} ends in sight"] = float((logits[group] > 0).mean())
     confident = expit(np.abs(logits)) >= LEAST_END_CONFIDENCE
     share = float((logits[confident] > 0).mean()) if confident.any() else float("nan")
     return EndsResult(

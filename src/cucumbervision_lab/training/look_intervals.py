@@ -58,8 +58,8 @@ def looked_fruit(
     look : callable
         What looks, as `EndLooker.look`.
     """
-    own = np.array([not one.given for one in fruit])[crops.fruit]
-    held = crops.only(crops.held_out & ~crops.moved & own)
+    drawn = np.array([not measured.given for measured in fruit])[crops.fruit]
+    held = crops.only(crops.held_out & ~crops.moved & drawn)
     looks: list[EndLook] = []
     for start in range(0, len(held.planes), _AT_ONCE):
         part = zip(held.planes[start:][:_AT_ONCE], held.shapes[start:][:_AT_ONCE], strict=True)
@@ -90,20 +90,20 @@ def fit_look_intervals(
     ValueError
         If there are too few fruit for the level.
     """
-    known = [
-        (one, {**one.features, **look_features(pair)})
-        for one, pair in zip(fruit, looks, strict=True)
+    candidates = [
+        (measured, {**measured.features, **look_features(pair)})
+        for measured, pair in zip(fruit, looks, strict=True)
     ]
     chosen = [
-        (one, row)
-        for one, row in known
-        if not (one.given or one.features.get("cut")) and asks_the_look(row)
+        (measured, row)
+        for measured, row in candidates
+        if not (measured.given or measured.features.get("cut")) and asks_the_look(row)
     ]
     features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
-    names = [one.picture for one, _ in chosen]
+    names = [measured.picture for measured, _ in chosen]
     models = {}
     for k, key in enumerate(_KEYS):
-        errors = np.log([one.lengths_m[k] / one.true_m[k] for one, _ in chosen])
+        errors = np.log([measured.lengths_m[k] / measured.true_m[k] for measured, _ in chosen])
         name = key + PERCEIVED + LOOKED
         models[name] = fit_interval_model(
             name,

@@ -44,9 +44,9 @@ def add_ignored(dataset: Any, task: str) -> None:
         outlines = read_ignored(label_file(Path(label["im_file"]), "ignored"))
         if not outlines:
             continue
-        low = np.array([outline.min(axis=0) for outline in outlines], np.float32)
-        high = np.array([outline.max(axis=0) for outline in outlines], np.float32)
-        boxes = np.hstack([(low + high) / 2, high - low])
+        lower = np.array([outline.min(axis=0) for outline in outlines], np.float32)
+        upper = np.array([outline.max(axis=0) for outline in outlines], np.float32)
+        boxes = np.hstack([(lower + upper) / 2, upper - lower])
         label["bboxes"] = np.concatenate([label["bboxes"].reshape(-1, 4), boxes])
         new = np.full((len(outlines), 1), _IGNORED, np.float32)
         label["cls"] = np.concatenate([label["cls"].reshape(-1, 1), new])
@@ -54,9 +54,9 @@ def add_ignored(dataset: Any, task: str) -> None:
             label["segments"] = [*label["segments"], *outlines]
         if task == "pose":
             shape = dataset.data["kpt_shape"]
-            known = label["keypoints"].reshape(-1, *shape)
+            labelled = label["keypoints"].reshape(-1, *shape)
             unknown = np.zeros((len(outlines), *shape), np.float32)
-            label["keypoints"] = np.concatenate([known, unknown])
+            label["keypoints"] = np.concatenate([labelled, unknown])
 
 
 def read_ignored(file: Path) -> list[NDArray[np.float32]]:
@@ -96,34 +96,37 @@ def separate_ignored(batch: dict[str, Any]) -> dict[str, Any]:
     region = ignored.new_zeros(len(batch["img"]), height, width)
     if not ignored.any():
         return batch | {"ignored": region}
-    own = dict(batch)
+    separated = dict(batch)
     if masks is not None:
-        own["masks"], own["sem_masks"] = masks.clone(), torch.zeros_like(batch["sem_masks"])
+        separated["masks"], separated["sem_masks"] = (
+            masks.clone(),
+            torch.zeros_like(batch["sem_masks"]),
+        )
     for picture in batch["batch_idx"][ignored].unique().long().tolist():
-        here = batch["batch_idx"] == picture
-        out = ignored[here]
+        in_picture = batch["batch_idx"] == picture
+        out = ignored[in_picture]
         if masks is None:
-            region[picture] = _draw_boxes(batch["bboxes"][here], out, region[picture])
+            region[picture] = _draw_boxes(batch["bboxes"][in_picture], out, region[picture])
             continue
         # Mask value k + 1 refers to row k: renumber the remaining rows.
         new = torch.where(out, 0, torch.cumsum(~out, 0))
         number = masks[picture].long()
-        own["masks"][picture] = torch.cat([new.new_zeros(1), new]).to(masks.dtype)[number]
+        separated["masks"][picture] = torch.cat([new.new_zeros(1), new]).to(masks.dtype)[number]
         region[picture] = torch.cat([out.new_zeros(1), out])[number]
     for key in ("cls", "bboxes", "batch_idx", "keypoints"):
-        if key in own:
-            own[key] = own[key][~ignored]
-    return own | {"ignored": region}
+        if key in separated:
+            separated[key] = separated[key][~ignored]
+    return separated | {"ignored": region}
 
 
 def _draw_boxes(boxes: Any, out: Any, region: Any) -> Any:
     """Draw the ignored boxes (`out`) into a region map, then clear the boxes of fruit."""
     height, width = region.shape
-    for wanted in (True, False):
-        for cx, cy, w, h in boxes[out == wanted].tolist():
+    for ignored in (True, False):
+        for cx, cy, w, h in boxes[out == ignored].tolist():
             rows = slice(round(max(cy - h / 2, 0) * height), round((cy + h / 2) * height))
             columns = slice(round(max(cx - w / 2, 0) * width), round((cx + w / 2) * width))
-            region[rows, columns] = wanted
+            region[rows, columns] = ignored
     return region
 
 
@@ -462,9 +465,9 @@ def assign_by_boxes_and_keypoints(model: Any) -> None:
 
     names = ("topk", "topk2", "num_classes", "alpha", "beta", "stride")
     for loss in head_losses(model):
-        own = {name: getattr(loss.assigner, name) for name in names}
+        settings = {name: getattr(loss.assigner, name) for name in names}
         # Cloned, so that changing the sigmas of the loss does not change the assigner's.
-        loss.assigner = MeanOverlapAssigner(loss.keypoint_loss.sigmas.clone(), **own)
+        loss.assigner = MeanOverlapAssigner(loss.keypoint_loss.sigmas.clone(), **settings)
 
 
 def learn_visibility(model: Any) -> None:
@@ -488,10 +491,10 @@ def _patch_visibility_loss(loss: Any) -> None:
 
     def visibility_loss(confidence: Any, _: Any) -> Any:
         (visibility,) = visibilities
-        known = (visibility > 0).any(dim=1)
-        if not known.any():
+        visible = (visibility > 0).any(dim=1)
+        if not visible.any():
             return confidence.sum() * 0
-        return bce(confidence[known], (visibility[known] > _VISIBLE_ABOVE).float())
+        return bce(confidence[visible], (visibility[visible] > _VISIBLE_ABOVE).float())
 
     # Ultralytics and `set_keypoint_sigma` read and write the sigmas of the keypoint loss.
     position_loss.sigmas = keypoint_loss.sigmas  # type: ignore[attr-defined]

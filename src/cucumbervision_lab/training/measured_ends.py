@@ -145,10 +145,10 @@ def end_truths(
     run = arc_positions(true_m)
     places = [_place_along(true_m, run, tip) for tip in (axis_m[0], axis_m[-1])]
     stem_first = places[0] > places[1]
-    beyond = float(run[-1])
+    length = float(run[-1])
     truths = []
     for place, is_stem in zip(places, (stem_first, not stem_first), strict=True):
-        missing = beyond - place if is_stem else place
+        missing = length - place if is_stem else place
         truths.append(EndTruth(round(missing, 5), is_stem, in_sight[int(is_stem)]))
     return truths[0], truths[1]
 
@@ -178,7 +178,7 @@ def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[M
     rng : Generator
         Of the errors.
     """
-    camera, found = camera_of(picture), []
+    camera, fruit_list = camera_of(picture), []
     for label in picture.labels:
         mask = label.mask
         if label.ignore or mask is None or np.count_nonzero(mask) < _LEAST_SEEN:
@@ -187,8 +187,8 @@ def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[M
         if body is None:
             continue
         line = points_along(body.axis_m, np.linspace(0, 1, _FINE))
-        seen = cKDTree(camera.project(line)).query(mask_pixels(mask))[1]
-        shares = np.quantile(seen, (_EDGE_SHARE, 1 - _EDGE_SHARE)) / (_FINE - 1)
+        nearest = cKDTree(camera.project(line)).query(mask_pixels(mask))[1]
+        shares = np.quantile(nearest, (_EDGE_SHARE, 1 - _EDGE_SHARE)) / (_FINE - 1)
         if shares[1] - shares[0] < _LEAST_SPAN:
             continue
         axis = points_along(body.axis_m, np.linspace(shares[0], shares[1], AXIS_POINTS))
@@ -197,8 +197,8 @@ def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[M
             off_m = rng.normal(0, _END_SD) * body.radius_m
             axis[tip] = axis[tip] + out / np.linalg.norm(out) * off_m
         diameter_m = 2 * body.radius_m * np.exp(rng.normal(0, _GIRTH_SD))
-        found.append(_measured_fruit(picture, label, mask, axis, diameter_m, body))
-    return found
+        fruit_list.append(_measured_fruit(picture, label, mask, axis, diameter_m, body))
+    return fruit_list
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,10 +260,10 @@ def measure_drawn(
     labels = [x for x in picture.labels if "axis_m" in x.extras and x.mask_code is not None]
     if capture is None or not labels:
         return []
-    found = _measurer().measure(capture).fruit
+    fruits = _measurer().measure(capture).fruit
     records = [
         record
-        for fruit, label in _matched(found, labels)
+        for fruit, label in _matched(fruits, labels)
         if (record := _record(fruit, label, picture, given=False)) is not None
     ]
     for label in labels if given else ():
@@ -287,13 +287,13 @@ def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
 
 
 def _matched(
-    found: tuple[FruitMeasurement, ...], labels: list[Label]
+    fruits: tuple[FruitMeasurement, ...], labels: list[Label]
 ) -> Iterator[tuple[FruitMeasurement, Label]]:
     ious = box_ious(
-        np.array([fruit.instance.box for fruit in found]).reshape(-1, 4),
+        np.array([fruit.instance.box for fruit in fruits]).reshape(-1, 4),
         np.array([label.box for label in labels]),
     )
-    for k, fruit in enumerate(found):
+    for k, fruit in enumerate(fruits):
         best = int(ious[k].argmax())
         if ious[k, best] > _FOUND_IOU and k == int(ious[:, best].argmax()):
             yield fruit, labels[best]
@@ -386,12 +386,15 @@ def write_measured(
     if keep.exists():
         text = keep.read_text(encoding="utf-8")
         keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
-    pictures = [one for one in data.pictures[part::parts] if one.file not in done]
-    held = [is_held_out(one.scene or one.file) for one in pictures]
-    turn = [sum(h == own for h in held[:k]) * (1 if own else 4) for k, own in enumerate(held)]
+    pictures = [picture for picture in data.pictures[part::parts] if picture.file not in done]
+    held = [is_held_out(picture.scene or picture.file) for picture in pictures]
+    turn = [
+        sum(h == is_held for h in held[:k]) * (1 if is_held else 4)
+        for k, is_held in enumerate(held)
+    ]
     for k in ticked(np.argsort(turn, kind="stable").tolist(), progress):
         fruit = measure_drawn(pictures[k], data, given=not held[k])
-        line = {"picture": pictures[k].file, "fruit": [asdict(one) for one in fruit]}
+        line = {"picture": pictures[k].file, "fruit": [asdict(measured) for measured in fruit]}
         with keep.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
 

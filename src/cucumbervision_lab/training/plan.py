@@ -327,22 +327,22 @@ def epoch_pictures(
     bounds = np.rint(np.outer([epoch, epoch + 1], shares) * count).astype(int)
     bounds[1, shares.argmax()] += count - int((bounds[1] - bounds[0]).sum())
     chosen = [
-        _stream_range(source, low, high, (seed, number))
-        for number, (source, low, high) in enumerate(zip(sources, *bounds, strict=True))
-        if high > low
+        _stream_range(source, start, stop, (seed, number))
+        for number, (source, start, stop) in enumerate(zip(sources, *bounds, strict=True))
+        if stop > start
     ]
-    found = np.concatenate(chosen)
-    return np.random.default_rng([seed, len(sources), epoch]).permutation(found)
+    pictures = np.concatenate(chosen)
+    return np.random.default_rng([seed, len(sources), epoch]).permutation(pictures)
 
 
 def _stream_range(
-    source: NDArray[np.int64], low: int, high: int, seed: tuple[int, int]
+    source: NDArray[np.int64], start: int, stop: int, seed: tuple[int, int]
 ) -> NDArray[np.int64]:
     """Return items `low` to `high` of an endless stream of shuffled passes through a source."""
     size = len(source)
-    rounds = range(low // size, (high - 1) // size + 1)
+    rounds = range(start // size, (stop - 1) // size + 1)
     row = np.concatenate([np.random.default_rng([*seed, k]).permutation(source) for k in rounds])
-    return row[low - rounds[0] * size : high - rounds[0] * size]
+    return row[start - rounds[0] * size : stop - rounds[0] * size]
 
 
 class MixtureSampler:

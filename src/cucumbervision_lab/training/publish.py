@@ -118,8 +118,8 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
         The Markdown file and the JSON file.
     """
     out.mkdir(parents=True, exist_ok=True)
-    known = {name: value for name, value in card.metrics.items() if math.isfinite(value)}
-    card = replace(card, metrics=known)
+    metrics = {name: value for name, value in card.metrics.items() if math.isfinite(value)}
+    card = replace(card, metrics=metrics)
     page, record = out / f"{card.name}.md", out / f"{card.name}.json"
     page.write_text(card_markdown(card), encoding="utf-8")
     text = json.dumps(asdict(card), indent=2, ensure_ascii=False, allow_nan=False)
@@ -237,8 +237,8 @@ def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Pat
         )
     package = package or Path(registry.__file__).parent
     weights, toml = package / "weights", package / "models.toml"
-    others = [p for p in weights.glob("*.onnx") if p.name != card.file]
-    total = sum(p.stat().st_size for p in others) + card.size_bytes
+    other_networks = [p for p in weights.glob("*.onnx") if p.name != card.file]
+    total = sum(p.stat().st_size for p in other_networks) + card.size_bytes
     if total > MOST_BYTES:
         raise TrainingError(
             f"the packaged weights would take {total / 1e6:.1f} MB in total",
@@ -262,13 +262,13 @@ def with_entry(toml: str, card: ModelCard) -> str:
     """Return the text of `models.toml` with the network's entry added or replaced."""
     starts = [match.start() for match in _ENTRY.finditer(toml)] + [len(toml)]
     head, blocks = toml[: starts[0]], [toml[a:b] for a, b in pairwise(starts)]
-    own, line = registry_entry(card), f"name = {json.dumps(card.name)}"
+    entry, line = registry_entry(card), f"name = {json.dumps(card.name)}"
     same = [k for k, block in enumerate(blocks) if line in block.splitlines()]
     if same:
         # Entries are separated by an empty line; the last one ends the file.
-        blocks[same[0]] = own if same[0] == len(blocks) - 1 else f"{own}\n"
+        blocks[same[0]] = entry if same[0] == len(blocks) - 1 else f"{entry}\n"
     else:
-        blocks.append(f"\n{own}")
+        blocks.append(f"\n{entry}")
     return head + "".join(blocks)
 
 

@@ -64,11 +64,11 @@ def build_sources(
     for source in recipe.sources:
         folder = out / source.name
         done = folder / "built.json"
-        wanted = repr(source)
-        if not (done.is_file() and done.read_text(encoding="utf-8") == wanted):
+        description = repr(source)
+        if not (done.is_file() and done.read_text(encoding="utf-8") == description):
             log(f"building {source.name}")
             _build(source, built, data, folder, workers)
-            done.write_text(wanted, encoding="utf-8")
+            done.write_text(description, encoding="utf-8")
         built[source.name] = folder
     return built
 
@@ -82,12 +82,12 @@ def _build(
         return _drawn(source, built, data, folder, workers)
     if source.kind == "montage":
         return _montage(source, built, folder, workers)
-    (of,) = (read_coco(built[name]) for name in source.of)
+    (dataset,) = (read_coco(built[name]) for name in source.of)
     if source.kind == "windows":
-        return _windows(source, of, folder)
+        return _windows(source, dataset, folder)
     if source.kind == "d435-colors":
-        return _d435_colors(source, of, folder)
-    return _sheets(source, of, folder)
+        return _d435_colors(source, dataset, folder)
+    return _sheets(source, dataset, folder)
 
 
 def _photos(source: Source, data: Path, folder: Path) -> DataSet:
@@ -96,21 +96,21 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
 
     place = data / source.folder
     if source.kind == "photos":
-        found = audited(place, outlines=True)
-        pictures = [p for p in found.pictures if p.extras["fully_labelled"] or p.shows_fruit]
+        audit = audited(place, outlines=True)
+        pictures = [p for p in audit.pictures if p.extras["fully_labelled"] or p.shows_fruit]
     else:
-        found = read_coco(place)
-        pictures = list(found.pictures)
-    kept = [p for p in pictures if p.split in ("train", "val")]
-    limited = _limit_per_scene(kept, source.most)
+        audit = read_coco(place)
+        pictures = list(audit.pictures)
+    split_pictures = [p for p in pictures if p.split in ("train", "val")]
+    limited = _limit_per_scene(split_pictures, source.most)
     if not limited:
         raise TrainingError(
             "contains no training pictures", source=place, remedy="give another folder"
         )
     plain = tuple(replace(p, extras={}) for p in limited)
-    known = _known_labels(folder)
-    plain = tuple(replace(p, labels=known.get(_identity(p), p.labels)) for p in plain)
-    boxed = replace(found, pictures=plain, refused=())
+    outlined = _known_labels(folder)
+    plain = tuple(replace(p, labels=outlined.get(_identity(p), p.labels)) for p in plain)
+    boxed = replace(audit, pictures=plain, refused=())
     drawn = add_pseudo_masks(boxed, open_segmenter())
     return write_coco(with_axis_points(drawn.dataset), folder)
 
@@ -127,15 +127,15 @@ def _identity(picture: LabelledPicture) -> tuple[object, ...]:
     return picture.source, picture.width, picture.height, boxes
 
 
-def _limit_per_scene(pictures: Sequence[LabelledPicture], most: int) -> list[LabelledPicture]:
+def _limit_per_scene(pictures: Sequence[LabelledPicture], limit: int) -> list[LabelledPicture]:
     """Keep at most `most` evenly spaced pictures per scene, because near-duplicates add little."""
     scenes: dict[str, list[LabelledPicture]] = defaultdict(list)
     for picture in pictures:
         scenes[picture.scene or picture.file].append(picture)
-    kept: list[LabelledPicture] = []
-    for own in scenes.values():
-        kept += spread(own, most)
-    return kept
+    limited: list[LabelledPicture] = []
+    for members in scenes.values():
+        limited += spread(members, limit)
+    return limited
 
 
 def with_axis_points(dataset: DataSet) -> DataSet:
@@ -171,11 +171,11 @@ def _with_points(label: Label) -> Label:
     if points is not None:
         return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
     noted = label.extras.get("stem")
-    known = noted in DIRECTIONS
-    for stem in [str(noted)] if known else ["right", "up"]:
+    directed = noted in DIRECTIONS
+    for stem in [str(noted)] if directed else ["right", "up"]:
         points = keypoints_of_mask(mask, stem)
         if points is not None:
-            extras = label.extras if known else {**label.extras, KEYPOINT_ORDER: BY_PLACE}
+            extras = label.extras if directed else {**label.extras, KEYPOINT_ORDER: BY_PLACE}
             return replace(label, keypoints=points, extras=extras)
     return label
 
@@ -246,12 +246,12 @@ def _montage(source: Source, built: dict[str, Path], folder: Path, workers: int)
     return generate(options, folder, workers)
 
 
-def _windows(source: Source, of: DataSet, folder: Path) -> DataSet:
-    held_back = spread(of.in_split("val"), source.validate)
-    some = replace(of, pictures=(*of.in_split("train"), *held_back))
+def _windows(source: Source, dataset: DataSet, folder: Path) -> DataSet:
+    held_back = spread(dataset.in_split("val"), source.validate)
+    subset = replace(dataset, pictures=(*dataset.in_split("train"), *held_back))
     sets = [
         write_windows(
-            some,
+            subset,
             folder.parent / f"{source.name}-{side}",
             side,
             splits=("train", "val"),
@@ -262,27 +262,32 @@ def _windows(source: Source, of: DataSet, folder: Path) -> DataSet:
     return merge_datasets(sets, folder)
 
 
-def _sheets(source: Source, of: DataSet, folder: Path) -> DataSet:
+def _sheets(source: Source, dataset: DataSet, folder: Path) -> DataSet:
     (side,) = source.size
     sets = [
         write_sheets(
-            of, folder.parent / f"{source.name}-{split}", count, side, split=split, seed=source.seed
+            dataset,
+            folder.parent / f"{source.name}-{split}",
+            count,
+            side,
+            split=split,
+            seed=source.seed,
         )
         for split, count in (("train", source.count), ("val", source.validate))
-        if count and of.in_split(split)
+        if count and dataset.in_split(split)
     ]
     return merge_datasets(sets, folder)
 
 
-def _d435_colors(source: Source, of: DataSet, folder: Path) -> DataSet:
+def _d435_colors(source: Source, dataset: DataSet, folder: Path) -> DataSet:
     rng = np.random.default_rng(source.seed)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     pictures = []
-    for number, picture in enumerate(of.in_split("train")):
+    for number, picture in enumerate(dataset.in_split("train")):
         file = f"images/{number:05d}.jpg"
-        write_jpeg(folder / file, d435_colors(read_color(of.path(picture)), rng))
+        write_jpeg(folder / file, d435_colors(read_color(dataset.path(picture)), rng))
         pictures.append(replace(picture, file=file))
-    return write_coco(replace(of, folder=folder, pictures=tuple(pictures)), folder)
+    return write_coco(replace(dataset, folder=folder, pictures=tuple(pictures)), folder)
 
 
 _KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets", "d435-colors")
@@ -433,7 +438,7 @@ def read_recipe(path: Path) -> Recipe:
 
 def _typed(kind: type, table: dict[str, Any]) -> dict[str, Any]:
     """Convert lists, and single values of tuple fields, to tuples."""
-    many = {one.name for one in fields(kind) if str(one.type).startswith("tuple")}
+    many = {field.name for field in fields(kind) if str(field.type).startswith("tuple")}
     return {
         key: tuple(value if isinstance(value, list) else [value]) if key in many else value
         for key, value in table.items()
@@ -441,18 +446,18 @@ def _typed(kind: type, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check(sources: tuple[Source, ...]) -> None:
-    known: set[str] = set()
+    names: set[str] = set()
     for source in sources:
         if source.kind not in _KINDS:
             raise ValueError(f"{source.name}: unknown kind {source.kind!r}")
-        if source.name in known:
+        if source.name in names:
             raise ValueError(f"duplicate source {source.name!r}")
-        for other in (*source.of, *source.paste):
-            if other not in known:
-                raise ValueError(f"{source.name}: no earlier source is called {other!r}")
+        for parent in (*source.of, *source.paste):
+            if parent not in names:
+                raise ValueError(f"{source.name}: no earlier source is called {parent!r}")
         if source.kind not in ORIGINAL and not source.of:
             raise ValueError(f"{source.name}: 'of' is missing")
-        known.add(source.name)
+        names.add(source.name)
     if not sum(source.weight for source in sources) > 0:
         raise ValueError("no source has a weight")
     if not any(source.validate for source in sources):

@@ -91,29 +91,29 @@ def run_recipe(
     TrainingError, DataSetError, CaptureError
         If pictures, weights or schedules that the recipe needs are missing.
     """
-    given = options or TrainOptions()
+    base_options = options or TrainOptions()
     unknown = [task for task in tasks if task not in recipe.schedules]
     if unknown:
         raise TrainingError(
             f"the recipe has no schedule for {unknown[0]}", remedy=f"add a table [{unknown[0]}]"
         )
     built = build_sources(recipe, folders.data, folders.out / "data", workers, log)
-    found = {}
+    results = {}
     for task in tasks:
         schedule, run = recipe.schedules[task], folders.out / task
         data = write_mixture(recipe, built, task, run)
-        own = replace(
-            given,
+        task_options = replace(
+            base_options,
             learning_rate=schedule.learning_rate,
             one_to_many=schedule.one_to_many,
-            freeze=schedule.freeze if given.freeze == 0 else given.freeze,
+            freeze=schedule.freeze if base_options.freeze == 0 else base_options.freeze,
             validate_every=schedule.validate_every,
             # Windows and sheets are crops of other sources, so duplicates are expected.
             check=False,
         )
         exists = RunState.exists(run)
         log(f"{'resuming' if exists else 'starting'} {task}: {schedule.plan}")
-        found[task] = train(
+        results[task] = train(
             task,
             data,
             run,
@@ -121,12 +121,12 @@ def run_recipe(
             plan=schedule.plan,
             per_epoch=schedule.per_epoch,
             resume=exists,
-            options=own,
+            options=task_options,
             callbacks=_CurveCallbacks(
                 callbacks, Curve(task, folders.data, folders.test, run), recipe
             ),
         )
-    return found
+    return results
 
 
 class _CurveCallbacks:
@@ -174,7 +174,9 @@ def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Pat
     run = run.resolve()  # Ultralytics resolves relative paths against the folder of the YAML file
     values: dict[str, Any] = {"train": [], "weights": [], "val": []}
     cards = ["# Mixture", "", "| source | of the pictures seen |", "|---|--:|"]
-    cards += [f"| {one.name} | {one.weight:.0%} |" for one in recipe.sources if one.weight]
+    cards += [
+        f"| {source.name} | {source.weight:.0%} |" for source in recipe.sources if source.weight
+    ]
     for source in recipe.sources:
         if not (source.weight or source.validate):
             continue
@@ -268,13 +270,16 @@ class Curve:
         return audited_photos(self._photos)[0]
 
     def _on_photos(self, onnx: Path) -> dict[str, float]:
-        found = evaluate_photos(self._audited, self._networks(onnx, ranked=False))
+        evaluation = evaluate_photos(self._audited, self._networks(onnx, ranked=False))
         point = {}
-        for words, scores in (("photos", found.scores[:1] + found.tests), ("half", found.small)):
+        for words, scores in (
+            ("photos", evaluation.scores[:1] + evaluation.tests),
+            ("half", evaluation.small),
+        ):
             for name, score in scores:
                 head = f"{words} {name}"
-                for what, one in (("recall", score.recall), ("precision", score.precision)):
-                    point[f"{head}: {what}"] = math.nan if one is None else one.value
+                for what, estimate in (("recall", score.recall), ("precision", score.precision)):
+                    point[f"{head}: {what}"] = math.nan if estimate is None else estimate.value
         return point
 
     def _on_drawn(self, onnx: Path) -> dict[str, float]:
@@ -285,11 +290,11 @@ class Curve:
         seg = self.task == "seg"
         stage = Stage.SEGMENTED if seg else Stage.POSED
         boxes = average_precision(frames, IouType.BOXES, stage)
-        other = average_precision(frames, IouType.MASKS if seg else IouType.KEYPOINTS, stage)
+        precision = average_precision(frames, IouType.MASKS if seg else IouType.KEYPOINTS, stage)
         return {
             "drawn_map50": boxes.map50,
             "drawn_map50_95": boxes.map50_95,
-            "drawn_masks_map50_95" if seg else "drawn_points_map50_95": other.map50_95,
+            "drawn_masks_map50_95" if seg else "drawn_points_map50_95": precision.map50_95,
         }
 
 
@@ -310,11 +315,13 @@ def draw_curve(table: Path, out: Path) -> None:
     rows = read_rows(table)
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
-    seen = [int(row["pictures"]) / 1000 for row in rows]
+    thousands = [int(row["pictures"]) / 1000 for row in rows]
     keys = dict.fromkeys(key for row in rows for key in row)
     names = [key for key in keys if key.startswith(_PLOTTED)]
     for name in names:
-        axes.plot(seen, [float(row.get(name) or "nan") for row in rows], marker=".", label=name)
+        axes.plot(
+            thousands, [float(row.get(name) or "nan") for row in rows], marker=".", label=name
+        )
     axes.set(xlabel="pictures seen, thousands", ylabel="share", ylim=(0, 1))
     axes.grid(visible=True, alpha=0.3)
     axes.legend(fontsize="small", loc="lower right")

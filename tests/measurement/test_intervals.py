@@ -222,7 +222,7 @@ def test_the_shipped_models_know_every_method() -> None:
     looked = {f"{key} perceived looked" for key in keys if key.startswith("M6")}
     assert set(shipped.models) == known | looked
     for key, model in shipped.models.items():
-        names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
+        names: tuple[str, ...] = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         names = LOOK_FEATURES if key in looked else names
         assert model.features == names
         assert model.bands[""].count >= 250

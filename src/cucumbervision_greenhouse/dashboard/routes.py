@@ -66,6 +66,8 @@ _MOST_TOGETHER = 50  # presses in one request
 
 Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
 Source = Literal["camera", "replay"]
+Moment = Annotated[float, Field(ge=0, lt=4_102_444_800)]
+"""Seconds since the epoch, before the year 2100."""
 
 
 class _Sent(BaseModel):
@@ -76,7 +78,7 @@ class SentPress(_Sent):
     """A press as a browser sends it: its number, its moment by this machine's clock, its place."""
 
     number: Annotated[str, Field(pattern=r"^[\w-]{1,64}$")]
-    at_s: float
+    at_s: Moment
     round: Key
     source: Source
     row: Annotated[str, Field(max_length=100)] = ""
@@ -104,7 +106,7 @@ class SentUndo(_Sent):
     """
 
     stop: Key | None = None
-    at_s: float | None = None
+    at_s: Moment | None = None
     round: Key | None = None
 
 

@@ -126,6 +126,7 @@ def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
         json.dumps({"presses": [sent("../../a", 0.0)]}),
         json.dumps({"presses": [sent("a", 0.0, position_m=-1)]}),
         json.dumps({"presses": [sent("a", 0.0, source="/etc")]}),
+        *(json.dumps({"presses": [sent("a", at_s)]}) for at_s in (1e308, -1.0, 5e9)),
         json.dumps({"presses": [sent("a", 0.0)] * 51}),
     ],
 )

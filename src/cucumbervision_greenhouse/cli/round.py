@@ -126,6 +126,7 @@ def add(
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
     from cucumbervision.pipeline.inputs import count_captures
     from cucumbervision_greenhouse.rounds.adding import Place, add_captures
+    from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
     from cucumbervision_greenhouse.rounds.poses import read_poses
 
     if higher_to not in (None, "left", "right"):
@@ -144,10 +145,14 @@ def add(
         options, loop = with_limits(options, one), replace(loop, stop=stop)
         step = partial(bar.advance, task)
         done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
+        doubts = round_doubts(opened, opened.detections(one.key))
     if unused := sorted(given.keys() - {one.name for one in done}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
-    raise typer.Exit(_show_added(done, interrupted=stop()))
+    exit_status = _show_added(done, interrupted=stop())
+    for line in doubts:
+        screen().print(f"Check the data of this round: {line}", soft_wrap=True, markup=False)
+    raise typer.Exit(exit_status)
 
 
 def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:

@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.capsules import capsule_capture, lying
 from typer.testing import CliRunner
 
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
@@ -51,6 +54,18 @@ def test_a_round_from_captures_to_its_fruit(house: list[str]) -> None:
         key = store.rounds()[0].key
         store.pick([store.detections(key)[0].key])
     assert "picked" in run("show", *house)
+
+
+def test_what_the_data_make_doubtful_is_said_with_the_remedy(
+    house: list[str], tmp_path: Path
+) -> None:
+    capture = capsule_capture(lying(0.16))
+    inverse = replace(capture, depth_m=(0.2 / capture.depth_m).astype(np.float32))
+    write_native(inverse, tmp_path / "in" / "inverse")
+    where = ("--row", "1", "--side", "left", "--position", "1", "--instances", "dataset")
+    printed = run("add", str(tmp_path / "in"), *where, *house)
+    assert "Check the data of this round: 1 of 1 fruit: the depth of their middle" in printed
+    assert "and not their inverse or relative depth" in printed
 
 
 def test_a_pair_without_intrinsics_gets_them_by_the_option(

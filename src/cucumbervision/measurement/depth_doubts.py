@@ -63,7 +63,7 @@ def depth_doubts(
     --------
     >>> mask = np.zeros((40, 120), bool)
     >>> mask[10:30, 10:110] = True
-    >>> depth_doubts(np.full((40, 120), 0.1, np.float32), mask, 600.0)
+    >>> depth_doubts(np.where(mask, 0.1, 0.4).astype(np.float32), mask, 600.0)
     (<Flag.DEPTH_TOO_NEAR: 'depth-too-near'>,)
     """
     readings = depth_m[mask & (depth_m > 0)]

@@ -224,7 +224,7 @@ def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
     >>> covered = EndLook(0.1, 0.9, 0.0, (0.0, 0.1, 0.2, 0.3, 0.5), 0.1)
     >>> features = look_features((true, covered))
     >>> features["covered"], round(features["log_missing"], 2), round(features["log_above"], 2)
-    (0.9, 0.22, -0.42)
+    (0.9, 0.22, -0.67)
     """
     low, median, high = (sum(look.missing[k] for look in looks) for k in (0, 2, -1))
     # The true length is the measured one divided by the share of it that was measured.

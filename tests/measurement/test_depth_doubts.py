@@ -123,6 +123,12 @@ def test_depth_of_a_wider_camera_of_the_same_size_is_unaligned() -> None:
         assert doubts(unaligned) == (Flag.DEPTH_UNALIGNED,)
 
 
+def test_readings_nearer_than_any_that_count_are_too_near_and_raise_nothing() -> None:
+    capture = capsule_capture(lying(0.16))
+    nowhere = with_depth(capture, np.full(capture.depth_m.shape, 0.05))
+    assert doubts(nowhere) == (Flag.DEPTH_TOO_NEAR,)
+
+
 def test_an_outline_on_a_bare_wall_is_of_nothing() -> None:
     capture = capsule_capture(lying(0.16))
     wall_m = np.random.default_rng(5).normal(0.8, 0.002, capture.depth_m.shape)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.flags import Flag
+from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,6 +30,7 @@ _LONGER = 2.5  # most that the gap is as long as where it is shortest
 # Radii: the ring of the plane; how far any fruit stands out (real ones 1.4 to 2.5 before a table),
 # and the roughness of planes (0.3 under printed paper, 0.4 and more between leaves).
 _PLANE, _STANDS_OUT, _ROUGH, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
+_PLANE_READINGS = 2000  # more tell no more of a plane
 # Of 48 real fruit with true depth one detection that is no fruit passes these limits; moved by a
 # radius, about half do before an open background, and none where all around is as near.
 _NEAREST_PERCENT, _NEAR_RADII = 20, 1.3
@@ -69,49 +72,72 @@ def depth_doubts(
     readings = depth_m[mask & (depth_m > 0)]
     if readings.size < _MIN_READINGS:
         return ()
-    distance_m = float(np.median(readings))
-    depth_m, mask = _window(depth_m, mask)
+    body = _Body.of(depth_m, mask, float(np.median(readings)), focal_px)
     doubts = {
-        Flag.DEPTH_TOO_NEAR: distance_m < _NEAREST_M,
-        Flag.DEPTH_HOLLOW: _is_hollow(depth_m, mask, distance_m, focal_px),
-        Flag.DEPTH_GAP: _has_gap(depth_m, mask, distance_m, focal_px),
-        Flag.DEPTH_UNALIGNED: _is_flat(depth_m, mask, distance_m, focal_px)
-        or _is_beside(depth_m, mask, focal_px),
+        Flag.DEPTH_TOO_NEAR: body.distance_m < _NEAREST_M,
+        Flag.DEPTH_HOLLOW: _is_hollow(body),
+        Flag.DEPTH_GAP: _has_gap(body),
+        Flag.DEPTH_UNALIGNED: _is_flat(body) or _is_beside(body),
     }
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
-def _window(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the part of the picture around a mask, as far as the mask's shorter side beyond it."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    pad_px = int(min(np.ptp(rows), np.ptp(columns))) + 8
-    part = tuple(slice(max(i[0] - pad_px, 0), i[-1] + pad_px + 1) for i in (rows, columns))
-    return depth_m[part], mask[part]
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A fruit in the part of the picture around it, as far as its shorter side beyond it.
+
+    Distances from the outline, inside and outside it, are in pixels.
+    """
+
+    depth_m: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    read: NDArray[np.bool_]
+    inside_px: NDArray[np.float32]
+    outside_px: NDArray[np.float32]
+    radius_px: float
+    radius_m: float
+    distance_m: float
+
+    @classmethod
+    def of(
+        cls,
+        depth_m: NDArray[np.float32],
+        mask: NDArray[np.bool_],
+        distance_m: float,
+        focal_px: float,
+    ) -> _Body:
+        left, top, right, bottom = box_of_mask(mask)
+        part = mask_window(mask, int(min(right - left, bottom - top)) + 7)
+        depth_m, mask = depth_m[part], mask[part]
+        inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1]
+        radius_px = float(inside_px.max())
+        return cls(
+            depth_m,
+            mask,
+            valid_depth(depth_m),
+            inside_px,
+            distances_inside(~mask),
+            radius_px,
+            radius_px * distance_m / focal_px,
+            distance_m,
+        )
 
 
-def _is_hollow(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], distance_m: float, focal_px: float
-) -> bool:
+def _is_hollow(body: _Body) -> bool:
     """Return whether a mask's middle lies behind its flanks, and what is around lies before it."""
-    import cv2
-
-    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    radius_px = float(inside.max())
-    share, known = inside / radius_px, valid_depth(depth_m)
-    middle = depth_m[known & (share >= _MIDDLE)]
-    flank = depth_m[known & (share >= _FLANK[0]) & (share <= _FLANK[1])]
+    share = body.inside_px / body.radius_px
+    middle = body.depth_m[body.read & (share >= _MIDDLE)]
+    flank = body.depth_m[body.read & (share >= _FLANK[0]) & (share <= _FLANK[1])]
     if min(middle.size, flank.size) < _MIN_READINGS:
         return False
     depth_behind_m = float(np.median(middle) - np.median(flank))
     error_m = np.hypot(_median_error(middle), _median_error(flank))
-    radius_m = radius_px * distance_m / focal_px
-    if depth_behind_m <= max(_HOLLOW * radius_m, _NOISE_SD * error_m):
+    if depth_behind_m <= max(_HOLLOW * body.radius_m, _NOISE_SD * error_m):
         return False
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3) / radius_px
-    around = depth_m[known & (outside > _AROUND[0]) & (outside < _AROUND[1])]
-    return around.size >= _MIN_READINGS and float((around < distance_m).mean()) >= _NEARER_SHARE
+    outside = body.outside_px / body.radius_px
+    around = body.depth_m[body.read & (outside > _AROUND[0]) & (outside < _AROUND[1])]
+    nearer = around < body.distance_m
+    return around.size >= _MIN_READINGS and float(nearer.mean()) >= _NEARER_SHARE
 
 
 def _median_error(values: NDArray[np.float32]) -> float:
@@ -119,35 +145,33 @@ def _median_error(values: NDArray[np.float32]) -> float:
     return 1.2533 * _robust_sd(values) / float(np.sqrt(values.size))
 
 
-def _has_gap(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], distance_m: float, focal_px: float
-) -> bool:
+def _has_gap(body: _Body) -> bool:
     """Return whether what lies between a mask's parts, along its axis, is clearly behind them.
 
     Parts are its pieces, or what a waist parts: fruit end to end in one outline.
     """
-    import cv2
-
-    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    width_px = 2.0 * float(inside.max())
-    limit_m = distance_m + _GAP_BEHIND * width_px * distance_m / focal_px
-    for parts in (_parts(mask), _grown(_parts(inside >= _WAIST * inside.max()), mask, width_px)):
-        rows, columns = np.nonzero(_between(parts, width_px) & ~mask)
-        depths_m = depth_m[rows, columns]
-        depths_m = depths_m[valid_depth(depths_m)]
+    width_px = 2.0 * body.radius_px
+    limit_m = body.distance_m + _GAP_BEHIND * 2.0 * body.radius_m
+    worn = _parts(body.inside_px >= _WAIST * body.radius_px)
+    for parts in (_parts(body.mask), worn if worn is None else _grown(worn, body.mask, width_px)):
+        if parts is None:
+            continue
+        depths_m = body.depth_m[_between(parts, width_px) & ~body.mask & body.read]
         if depths_m.size >= _MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE:
             return True
     return False
 
 
-def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return a mask's large parts, numbered from 1; 0 elsewhere, and everywhere if it has one."""
+def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    """Return a mask's large parts, numbered from 1, 0 elsewhere; None if it has one alone."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
     large = 1 + np.flatnonzero(areas > _PART * areas.sum())
-    return np.where(np.isin(labels, large) & (len(large) > 1), labels, 0).astype(np.uint8)
+    if len(large) < 2:
+        return None
+    return np.where(np.isin(labels, large), labels, 0).astype(np.uint8)
 
 
 def _grown(parts: NDArray[np.uint8], mask: NDArray[np.bool_], width_px: float) -> NDArray[np.uint8]:
@@ -163,8 +187,6 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     """Return the pixels with one part before them along the parts' axis and another after."""
     import cv2
 
-    if not parts.any():
-        return np.zeros(parts.shape, bool)
     points = np.argwhere(parts)[:, ::-1].astype(np.float64)
     centre = points.mean(axis=0)
     x, y = np.linalg.eigh(np.cov((points - centre).T))[1][:, 1]
@@ -189,33 +211,31 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     return np.asarray(back, bool)
 
 
-def _is_flat(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], distance_m: float, focal_px: float
-) -> bool:
-    """Return whether a mask lies in the plane of what surrounds it, so that no body is there."""
-    import cv2
+def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
+    """Return, for each pixel, the row of the nearest labelled pixel above it; 0 for none."""
+    rows = np.where(pieces > 0, np.arange(len(pieces))[:, None], 0)
+    return np.asarray(np.maximum.accumulate(rows), np.intp)
 
-    read = valid_depth(depth_m)
-    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    radius_px = float(inside.max())
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
-    around = read & (outside > _PLANE[0] * radius_px) & (outside < _PLANE[1] * radius_px)
-    middle = read & (inside > 0.5 * radius_px)
+
+def _is_flat(body: _Body) -> bool:
+    """Return whether a mask lies in the plane of what surrounds it, so that no body is there."""
+    outside = body.outside_px / body.radius_px
+    around = body.read & (outside > _PLANE[0]) & (outside < _PLANE[1])
+    middle = body.read & (body.inside_px > 0.5 * body.radius_px)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < _MIN_READINGS:
         return False
-    places, z_m = _with_one(around), depth_m[around]
+    spacing = max(1, np.count_nonzero(around) // _PLANE_READINGS)
+    places, z_m = _with_one(around)[::spacing], body.depth_m[around][::spacing]
     fits = np.ones(len(z_m), bool)
     for _ in range(_PLANE_STEPS):
         plane = np.linalg.lstsq(places[fits], z_m[fits], rcond=None)[0]
         gap_m = z_m - places @ plane
         around_sd_m = _robust_sd(gap_m[fits])
         fits = np.abs(gap_m - np.median(gap_m[fits])) <= 3.0 * around_sd_m + 1e-4
-    ahead_m = depth_m[middle] - _with_one(middle) @ plane
+    ahead_m = body.depth_m[middle] - _with_one(middle) @ plane
     spread_m = max(around_sd_m, _robust_sd(ahead_m))
-    radius_m = radius_px * distance_m / focal_px
-    return bool(
-        abs(float(np.median(ahead_m))) < _STANDS_OUT * radius_m and spread_m < _ROUGH * radius_m
-    )
+    stands_out_m = abs(float(np.median(ahead_m)))
+    return stands_out_m < _STANDS_OUT * body.radius_m and spread_m < _ROUGH * body.radius_m
 
 
 def _with_one(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -228,7 +248,7 @@ def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
-def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], focal_px: float) -> bool:
+def _is_beside(body: _Body) -> bool:
     """Return whether the mask, moved, holds what is near and is bordered by what is behind.
 
     The score of a place is the mean inside less the mean around of +1 for near and -1 for behind,
@@ -236,22 +256,25 @@ def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], focal_px: 
     """
     import cv2
 
-    read = valid_depth(depth_m)
-    inside = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    radius_px = float(inside.max())
-    reach = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3)), iterations=round(radius_px)) > 0
-    near_m = float(np.percentile(depth_m[read & reach], _NEAREST_PERCENT))
-    limit_m = near_m * (1 + _NEAR_RADII * radius_px / focal_px)
-    behind = np.where(read, np.where(depth_m < limit_m, 1.0, -1.0), 0.0).astype(np.float32)
+    steps = round(body.radius_px)
+    reach = cv2.dilate(body.mask.astype(np.uint8), np.ones((3, 3)), iterations=steps) > 0
+    readings_m = body.depth_m[body.read & reach]
+    if readings_m.size < _MIN_READINGS:
+        return False
+    near_m = float(np.percentile(readings_m, _NEAREST_PERCENT))
+    # Radii at the nearest distance, not at the mask's: there it may be of something else.
+    limit_m = near_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
+    behind = np.where(body.read, np.where(body.depth_m < limit_m, 1.0, -1.0), 0.0)
     # Six pixels a radius are enough to find where they lie together.
-    size = [max(1, round(n * min(1.0, _RADIUS_PX / radius_px))) for n in mask.shape[::-1]]
-    values, known, body = (
+    scale = min(1.0, _RADIUS_PX / body.radius_px)
+    size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
+    values, known, shape = (
         np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
-        for part in (behind, read, mask)
+        for part in (behind, body.read, body.mask)
     )
-    outer, inner = (np.asarray(cv2.dilate(body, np.ones((n, n)))) for n in (7, 3))
+    outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
     ring = np.clip(outer - inner, 0.0, 1.0)
-    scores = _mean_under(values, known, body) - _mean_under(values, known, ring)
+    scores = _mean_under(values, known, shape) - _mean_under(values, known, ring)
     best = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     moved = np.abs(best - _SHIFTS)
     better = float(scores[tuple(best)] - scores[_SHIFTS, _SHIFTS])
@@ -276,9 +299,3 @@ def _mean_under(
     )
     least = _LEAST_KNOWN * float(weights.sum())
     return np.asarray(sums / np.maximum(counts, max(least, 1e-3)), np.float32)
-
-
-def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
-    """Return, for each pixel, the row of the nearest labelled pixel above it; 0 for none."""
-    rows = np.where(pieces > 0, np.arange(len(pieces))[:, None], 0)
-    return np.asarray(np.maximum.accumulate(rows), np.intp)

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.errors import ModelError
 from cucumbervision.geometry.curve import arc_positions
+from cucumbervision.perception.resize import sample_color
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ ERROR_SCALE = 0.02
 _RADII = 8.0  # side of a crop
 _DEPTH_RADII = 4.0  # depth that is nearer or farther than the surface by more is cut to this
 _INNER_RADII = 1.5  # the direction of an end is that of the axis this far inside
-_GREY = 114  # the padding of network inputs
 _LEAST_RADIUS_PX = 1.0
 
 
@@ -141,7 +140,7 @@ def end_crop(
     aside = np.array([-ahead[1], ahead[0]])
     at = tip_px + offsets[None, :, None] * ahead + offsets[:, None, None] * aside
     planes = np.zeros((END_PX, END_PX, PLANES), np.uint8)
-    planes[..., :3] = _sampled_color(color_rgb, at, step_px)
+    planes[..., :3] = sample_color(color_rgb, at, step_px)
     columns, rows = np.moveaxis(np.rint(at).astype(np.intp), -1, 0)
     height, width = mask.shape
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
@@ -164,33 +163,6 @@ def _direction(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArr
         if norm > 1e-3:
             return np.asarray(vector / norm)
     return np.array([1.0, 0.0])
-
-
-def _sampled_color(
-    color_rgb: NDArray[np.uint8], at: NDArray[np.float64], step_px: float
-) -> NDArray[np.uint8]:
-    """Return the colours at some points, averaged over their spacing where that is wide."""
-    height, width = color_rgb.shape[:2]
-    low = np.clip(np.floor(at.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(int)
-    high = np.clip(np.ceil(at.max(axis=(0, 1))) + 3, low + 1, (width, height)).astype(int)
-    part = color_rgb[low[1] : high[1], low[0] : high[0]]
-    before = np.array([part.shape[1], part.shape[0]])
-    after = before
-    if step_px > 1:
-        after = np.maximum(np.rint(before / step_px), 1).astype(int)
-        part = np.asarray(cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
-    places = ((at - low + 0.5) * (after / before) - 0.5).astype(np.float32)
-    return np.asarray(
-        cv2.remap(
-            part,
-            places[..., 0],
-            places[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(_GREY,) * 3,
-        ),
-        np.uint8,
-    )
 
 
 class EndLooker:

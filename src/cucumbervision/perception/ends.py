@@ -15,6 +15,7 @@ from scipy.special import expit
 
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.perception.classifier import PictureClassifier
+from cucumbervision.perception.resize import sample_color
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +33,6 @@ LEAST_END_CONFIDENCE = 0.9
 
 _BEYOND = 0.25  # of the fruit's length, shown beyond each end for the stalk
 _HALF_WIDTH = 0.25  # of the fruit's length, shown on either side
-_GREY = 114  # the padding of network inputs
 
 
 def orient(
@@ -62,8 +62,6 @@ def orient(
     >>> bool((level[32, 120:155, 0] > 200).all()), bool((turned[32, 37:72, 0] > 200).all())
     (True, True)
     """
-    import cv2
-
     run = arc_positions(points_px)
     length = float(run[-1])
     points = points_px[np.concatenate([[True], np.diff(run) > 0])]
@@ -81,36 +79,7 @@ def orient(
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     aside = np.linspace(-_HALF_WIDTH, _HALF_WIDTH, height)[:, None, None] * length
     at = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
-    picture, corner, scale = _near(color_rgb, at, length * (1 + 2 * _BEYOND) / width)
-    at = ((at - corner + 0.5) * scale - 0.5).astype(np.float32)
-    strip = cv2.remap(
-        picture,
-        at[..., 0],
-        at[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(_GREY,) * 3,
-    )
-    return np.asarray(strip, np.uint8)
-
-
-def _near(
-    color_rgb: NDArray[np.uint8], at: NDArray[np.float64], step_px: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the picture around some points, shrunk to their spacing, with its corner and scale."""
-    import cv2
-
-    height, width = color_rgb.shape[:2]
-    low = np.clip(np.floor(at.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(int)
-    high = np.clip(np.ceil(at.max(axis=(0, 1))) + 3, low + 1, (width, height)).astype(int)
-    part = color_rgb[low[1] : high[1], low[0] : high[0]]
-    before = np.array([part.shape[1], part.shape[0]])
-    after = before
-    if step_px > 1:
-        after = np.maximum(np.rint(before / step_px), 1).astype(int)
-        small = cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA)
-        part = np.asarray(small, np.uint8)
-    return part, low.astype(np.float64), after / before
+    return sample_color(color_rgb, at, length * (1 + 2 * _BEYOND) / width)
 
 
 class EndClassifier(PictureClassifier):

@@ -136,6 +136,14 @@ def test_free_size_pads_to_the_stride_only() -> None:
 FREE = (1, 3, "height", "width")
 
 
+@pytest.mark.parametrize("side_px", [4128, 10**9])
+def test_an_input_of_gigabytes_is_refused(side_px: int) -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True, "imgsz": [64, side_px]}
+    with pytest.raises(ModelError, match="pixels"):
+        YoloDetector(network(rows, props=props, shape=FREE))
+
+
 def test_an_input_size_scales_the_picture_and_is_told() -> None:
     # The network sees this box whatever the size: at 128 px it is half as large in the picture.
     rows = chosen([8, 4, 40, 12, 0.8, 0])

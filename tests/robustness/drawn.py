@@ -16,6 +16,7 @@ from contextlib import closing
 from typing import Any
 
 from hypothesis import strategies as st
+from tests.robustness.binary_numbers import changed_number
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _LEAVES = st.one_of(
@@ -67,6 +68,8 @@ def _changed(data: bytes, ending: str, draw: Any) -> bytes:
         return b"\n".join(lines)
     if ending == "db":
         return _cell(data, draw)
+    if ending in ("onnx", "db3"):
+        return _binary_number(data, ending, draw)
     if data.startswith(_PNG):
         return _chunk(data, draw)
     if ending in ("zip", "npz"):
@@ -155,6 +158,17 @@ def _member(data: bytes, draw: Any) -> bytes:
         for one, content in dict(members).items():
             archive.writestr(one, content)
     return out.getvalue()
+
+
+def _binary_number(data: bytes, ending: str, draw: Any) -> bytes:
+    """Change one number where the rest of a binary file stays valid."""
+
+    def pick(count: int) -> int:
+        return int(draw(st.integers(0, count - 1)))
+
+    integer, real = draw(st.integers(-(2**63), 2**64 - 1)), draw(st.floats())
+    changed = changed_number(data, ending, pick, integer, real, draw(_WORDS))
+    return _bytes(data, draw) if changed is None else changed
 
 
 def _cell(data: bytes, draw: Any) -> bytes:

@@ -14,6 +14,8 @@ from contextlib import closing
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
+from tests.robustness.binary_numbers import changed_number
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
@@ -101,6 +103,10 @@ def _kinds(ending: str, data: bytes) -> tuple[Callable[[bytes, Random], bytes], 
         return (*[_word] * 5, _lines, _cells, _cells, _encoding, _flip, _cut, _copy_piece)
     if ending == "db":
         return (*[_row] * 6, *[_no_text] * 2, *raw)
+    if ending == "onnx":
+        return (*[_network_number] * 6, *raw)
+    if ending == "db3":
+        return (*[_recording_number] * 6, _row, *raw)
     if data.startswith(_PNG):
         return (*[_png] * 4, *raw)
     if data.startswith(b"\xff\xd8"):
@@ -401,6 +407,24 @@ def _number(data: bytes, random: Random) -> bytes:
     node, key = random.choice(places)
     node[key] = random.choice(_NUMBERS)
     return _written(tree[0]).encode("utf-8", errors="replace")
+
+
+def _network_number(data: bytes, random: Random) -> bytes:
+    return _binary_number(data, "onnx", random)
+
+
+def _recording_number(data: bytes, random: Random) -> bytes:
+    return _binary_number(data, "db3", random)
+
+
+def _binary_number(data: bytes, ending: str, random: Random) -> bytes:
+    """Change one number where the rest of a binary file stays valid."""
+    integer = random.choice((*_BOUNDARIES, -1, -(2**63), 2**63 - 1, 3, 16))
+    real = random.choice((0.0, -1.0, 1e-38, 3e38, -3e38, 1e300, float("nan"), float("inf")))
+    word = random.choice(_WORDS)
+    return changed_number(data, ending, random.randrange, integer, real, word) or _flip(
+        data, random
+    )
 
 
 def _json(data: bytes, random: Random) -> bytes:

@@ -389,6 +389,40 @@ def network(folder: Path) -> None:
     onnx.save(model, str(folder / "net.onnx"))
 
 
+def detector(folder: Path) -> None:
+    """Write a segmenting detector that finds two fruit, whatever it sees."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    rows = np.zeros((1, 300, 38), np.float32)
+    rows[0, :2, :6] = [[8, 8, 40, 30, 0.75, 0], [10, 34, 60, 44, 0.5, 0]]
+    rows[0, :, 6] = 1
+    weight = np.zeros((32, 3, 4, 4), np.float32)
+    weight[0] = 0.1
+    constants = {"zero": np.float32(0), "rows": rows, "weight": weight}
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["brightest"], keepdims=0, name="brightest"),
+        helper.make_node("Mul", ["brightest", "zero"], ["nothing"], name="nothing"),
+        helper.make_node("Add", ["rows", "nothing"], ["output0"], name="rows"),
+        helper.make_node("Conv", ["images", "weight"], ["output1"], strides=[4, 4], name="masks"),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "g",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 64, 64])],
+        [
+            helper.make_tensor_value_info("output0", TensorProto.FLOAT, rows.shape),
+            helper.make_tensor_value_info("output1", TensorProto.FLOAT, [1, 32, 16, 16]),
+        ],
+        [numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(
+        model, {"names": "{0: 'cucumber'}", "task": "segment", "end2end": "True", "stride": "32"}
+    )
+    onnx.save(model, str(folder / "detector.onnx"))
+
+
 def own_networks(folder: Path) -> None:
     """Write the list of a user's own networks."""
     entry = {

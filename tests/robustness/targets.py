@@ -183,6 +183,21 @@ def _network(folder: Path, _name: str) -> None:
     network.run({"images": np.ones((1, 3, 8, 8), np.float32)})
 
 
+def _detector(folder: Path, _name: str) -> None:
+    import numpy as np
+
+    from cucumbervision.errors import InstancesError
+    from cucumbervision.perception.instances import in_picture
+    from cucumbervision.perception.yolo import YoloDetector
+
+    color = np.full((48, 64, 3), 128, np.uint8)
+    for instance in YoloDetector(folder / "detector.onnx", "onnxruntime").detect(color):
+        try:
+            in_picture(instance, 64, 48)
+        except InstancesError as error:
+            raise AssertionError("a detector gave a fruit that no picture holds") from error
+
+
 def _registry(folder: Path, _name: str) -> None:
     from cucumbervision.perception.registry import load_registry
 
@@ -310,6 +325,7 @@ TARGETS: tuple[Target, ...] = (
     Target("calibration", seeds.calibration, _calibration, 450),
     Target("store files", seeds.store, _store, 25),
     Target("ONNX", seeds.network, _network, 300),
+    Target("detectors", seeds.detector, _detector, 50),
     Target("own networks", seeds.own_networks, _registry, 100),
     Target("judged networks", seeds.judgement, _judgement, 100, whole=False),
     Target("settings, login", seeds.settings, _settings, 450),

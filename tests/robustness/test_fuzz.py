@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
+import struct
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any, NoReturn
 
+import numpy as np
 import pytest
 from tests.robustness import fuzz as fuzzing
 from tests.robustness.counted import COUNTS, counts_table, read_counts, with_counts
@@ -122,6 +126,64 @@ def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:
     changed = {_png(data, random) for _ in range(40)} - {data}
     assert len(changed) > 10
     assert all(_whole_png(one) for one in changed)
+
+
+def test_a_number_of_a_network_changes_and_the_network_stays_whole(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx")
+    from tests.robustness.binary_numbers import changed_number
+    from tests.robustness.seeds import network
+
+    network(tmp_path)
+    data, random = (tmp_path / "net.onnx").read_bytes(), Random(3)
+    changed = {
+        changed_number(data, "onnx", random.randrange, 77, float("nan"), "word") for _ in range(200)
+    }
+    models = [onnx.ModelProto.FromString(model) for model in changed if model is not None]
+    assert len(models) == len(changed) > 20
+    weights = [
+        onnx.numpy_helper.to_array(m.graph.initializer[0])
+        for m in models
+        if list(m.graph.initializer[0].dims) == [4, 3, 3, 3]
+        and m.graph.initializer[0].data_type == 1
+    ]
+    assert {int(np.isnan(weight).sum()) for weight in weights} == {0, 1}
+    assert {m.ir_version for m in models} == {9, 77}
+    assert "word" in {entry.value for m in models for entry in m.metadata_props}
+    assert changed_number(b"none", "onnx", random.randrange, 7, 0.0, "") is None
+
+
+def test_a_number_of_a_recording_changes_and_its_messages_stay_whole(tmp_path: Path) -> None:
+    from tests.robustness.binary_numbers import changed_number
+
+    bag = tmp_path / "walk.db3"
+    message = struct.pack("<IId", 256, 640, 600.5)
+    text = struct.pack("<II", 256, 8) + b"fps: 30\0"
+    with closing(sqlite3.connect(bag)) as connection:
+        connection.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, type TEXT)")
+        connection.execute(
+            "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)"
+        )
+        connection.execute("INSERT INTO topics VALUES (1, 'std_msgs/msg/String'), (2, 'lens')")
+        connection.execute(
+            "INSERT INTO messages VALUES (1, 1, 5, ?), (2, 2, 6, ?)", (text, message)
+        )
+        connection.commit()
+    random, rows = Random(4), set()
+    for _ in range(80):
+        changed = changed_number(bag.read_bytes(), "db3", random.randrange, -1, 0.5, "9999")
+        assert changed is not None
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.deserialize(changed)
+            rows |= set(connection.execute("SELECT timestamp, data FROM messages"))
+    assert {time_ns for time_ns, _ in rows} == {5, 6, -1}
+    assert {body for _, body in rows if b"fps" in body} == {
+        text,
+        struct.pack("<II", 256, 10) + b"fps: 9999\0",
+    }
+    assert {body[8:] for _, body in rows if b"fps" not in body} >= {
+        struct.pack("<d", 600.5),
+        struct.pack("<I", 2**32 - 1) + struct.pack("<d", 600.5)[4:],
+    }
 
 
 def test_json_damage_reaches_values(tmp_path: Path) -> None:

@@ -21,7 +21,10 @@ At these two, on real photos, scenes on the plant and drawn scenes, more fruit a
 false positives than at 640 alone, for three times its computing time.
 """
 
-_SIZE_STEP_PX, _LARGEST_PX = 32, 4096
+LARGEST_INPUT_PX = 4096
+"""Longest side of a network's input: a larger one would take gigabytes."""
+
+_SIZE_STEP_PX = 32
 
 
 def parse_input_sizes(text: str) -> tuple[int, ...]:
@@ -49,11 +52,11 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
     """
     parts = [part.strip() for part in text.split(",")] if text.strip() else []
     sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
-    if not all(0 < size <= _LARGEST_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
+    if not all(0 < size <= LARGEST_INPUT_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
         raise CucumberVisionError(
             f"{text!r} is not an input size",
             source="--input-size",
-            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {_LARGEST_PX}, such as 640, "
+            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {LARGEST_INPUT_PX}, such as 640, "
             "or several joined by commas",
         )
     return tuple(sorted(sizes))

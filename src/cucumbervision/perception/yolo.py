@@ -12,7 +12,11 @@ import numpy as np
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
-from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
+from cucumbervision.perception.input_sizes import (
+    LARGEST_INPUT_PX,
+    merge_sizes,
+    parse_input_sizes,
+)
 from cucumbervision.perception.instances import Instance, mirrored
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
@@ -417,6 +421,12 @@ class YoloDetector:
     def _check_sizes(self) -> None:
         layout = self._layout
         for size_px in self._sizes_px:
+            if not 0 < min(size_px) <= max(size_px) <= LARGEST_INPUT_PX:
+                raise ModelError(
+                    f"its input is {size_px[1]}x{size_px[0]} pixels",
+                    source=layout.source,
+                    remedy=f"export it for at most {LARGEST_INPUT_PX} pixels a side",
+                )
             if not layout.free_size and size_px != layout.size_px:
                 raise ModelError(
                     f"it takes {layout.size_px[1]}x{layout.size_px[0]} only, not {size_px[0]}",

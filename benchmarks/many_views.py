@@ -24,12 +24,12 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.matching import pooled_length
 from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, Method, Selector
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.row_fruit import joint_tube_is_used

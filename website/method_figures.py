@@ -25,6 +25,7 @@ from PIL import Image
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.geometry.axis import align_near
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.m1 import WINDOW_PX, reference_depth, sample_grid, window_depths
 from cucumbervision.measurement.m2_m3 import GATE_M
 from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
@@ -32,7 +33,6 @@ from cucumbervision.measurement.m6 import TubeView, view_tube
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.traits import TubeTraits
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
 

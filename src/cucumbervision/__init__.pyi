@@ -16,6 +16,12 @@ from .capture.source import CaptureSource as CaptureSource
 from .capture.source import ReadOptions as ReadOptions
 from .capture.source import example_captures as example_captures
 from .errors import CucumberVisionError as CucumberVisionError
+from .instances.instance import Instance as Instance
+from .instances.instance import MaskSource as MaskSource
+from .instances.interchange import from_supervision as from_supervision
+from .instances.interchange import from_ultralytics as from_ultralytics
+from .instances.interchange import to_supervision as to_supervision
+from .instances.interchange import to_ultralytics as to_ultralytics
 from .measurement.methods import run_methods as run_methods
 from .measurement.pose import FruitPose as FruitPose
 from .measurement.result import FruitMeasurement as FruitMeasurement
@@ -27,12 +33,6 @@ from .measurement.result import Method as Method
 from .measurement.result import Selector as Selector
 from .measurement.selector import measure_fruit as measure_fruit
 from .measurement.traits import TubeTraits as TubeTraits
-from .perception.instances import Instance as Instance
-from .perception.instances import MaskSource as MaskSource
-from .perception.interchange import from_supervision as from_supervision
-from .perception.interchange import from_ultralytics as from_ultralytics
-from .perception.interchange import to_supervision as to_supervision
-from .perception.interchange import to_ultralytics as to_ultralytics
 from .perception.networks import Segmenter as Segmenter
 from .perception.networks import open_segmenter as open_segmenter
 from .perception.yolo import YoloDetector as YoloDetector

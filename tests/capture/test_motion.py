@@ -14,9 +14,9 @@ from cucumbervision.capture.motion import moved_px
 from cucumbervision.capture.quality import depth_quality
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Kind, Scene, render

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture import pictures
-from cucumbervision.capture.files import read_json
 from cucumbervision.capture.pictures import (
     read_arrays,
     read_color,
@@ -26,6 +25,7 @@ from cucumbervision.capture.pictures import (
     write_png,
 )
 from cucumbervision.errors import CaptureError, DepthError
+from cucumbervision.files import read_json
 
 RNG = np.random.default_rng(0)
 COLOR = RNG.integers(0, 256, (30, 40, 3), dtype=np.uint8)

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.service.server import ServiceSettings
 from cucumbervision.service.work import Work

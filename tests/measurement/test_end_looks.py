@@ -8,6 +8,8 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.end_looks import DOUBTFUL, end_flag, with_end_looks
 from cucumbervision.measurement.flags import Flag, flag_remarks
 from cucumbervision.measurement.intervals import (
@@ -23,8 +25,6 @@ from cucumbervision.measurement.intervals import (
 from cucumbervision.measurement.result import FruitMeasurement, Method, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.end_look import EndCrop, EndLook
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -9,6 +9,8 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import (
     REAL_SD,
@@ -27,8 +29,6 @@ from cucumbervision.measurement.result import (
     Method,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.interval_fit import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render

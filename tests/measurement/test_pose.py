@@ -14,12 +14,12 @@ from pydantic import TypeAdapter
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FruitPose, Part
 from cucumbervision.measurement.result import FruitMeasurement, Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.result import Choice, Measurement, Method, Reason, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource
 
 LONG, COMPACT = np.array([0.0, 0.0, 100.0, 20.0]), np.array([0.0, 0.0, 100.0, 60.0])
 

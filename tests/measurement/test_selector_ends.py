@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import end_flags, measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource
 
 BLOSSOM, STEM = 40, 240  # the keypoints' outermost columns: 200 px apart
 

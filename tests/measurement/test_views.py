@@ -8,12 +8,12 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.intervals import IntervalModels
 from cucumbervision.measurement.result import Choice, LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render

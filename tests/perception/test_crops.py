@@ -8,8 +8,8 @@ import pytest
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import ModelError
+from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.crops import CROP_PX, CropClassifier, crop_square, lowered
-from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import load_registry
 

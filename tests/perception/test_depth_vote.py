@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.errors import ModelError
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.depth_vote import (
     FEATURES,
     DepthShape,
@@ -17,8 +19,6 @@ from cucumbervision.perception.depth_vote import (
     read_depth_vote,
     with_depth_votes,
 )
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.networks import each_fruit_once
 
 FOCAL_PX = 600.0

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
+from cucumbervision.instances.instance import Instance, with_keypoints
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier, orient
-from cucumbervision.perception.instances import Instance, with_keypoints
-from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
     from pathlib import Path

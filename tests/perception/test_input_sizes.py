@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
-from cucumbervision.perception.instances import Instance
 
 
 def find(left: float, confidence: float, size: int, name: str = "cucumber") -> Instance:

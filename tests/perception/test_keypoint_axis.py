@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.keypoint_axis import (
     body_without_stalk,
     keypoints_between,

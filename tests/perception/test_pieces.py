@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.networks import each_fruit_once
 from cucumbervision.perception.pieces import join_pieces_by_depth
 

@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.errors import ModelError, UnknownModelError
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.runtime import Network

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.errors import MissingExtraError, ModelError
-from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.perception.networks import open_segmenter
 
 pytest.importorskip("torch")

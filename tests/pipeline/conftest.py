@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.resize import fit
 

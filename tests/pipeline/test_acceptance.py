@@ -9,6 +9,7 @@ from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
@@ -19,7 +20,6 @@ from cucumbervision.measurement.result import (
     Method,
     Reason,
 )
-from cucumbervision.perception.instances import Instance
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions

@@ -11,7 +11,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.perception.registry import Registry
 from cucumbervision.pipeline.detect import DetectResult, detect_inputs
 from cucumbervision.pipeline.options import MeasureOptions

@@ -7,9 +7,9 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, fruit_row
 
 field = {one.name: one for one in FIELDS}.__getitem__

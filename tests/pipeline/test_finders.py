@@ -10,12 +10,12 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.instances.boxes import box_iou
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Reason
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.pipeline.finders import make_finder

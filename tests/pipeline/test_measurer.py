@@ -24,6 +24,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError, DiskFullError
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
@@ -35,7 +36,6 @@ from cucumbervision.measurement.result import (
     Measurement,
     Method,
 )
-from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.registry import Registry
 from cucumbervision.pipeline.measurer import (
     Boundary,

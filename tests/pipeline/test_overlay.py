@@ -7,10 +7,10 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import Choice, Length, LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.overlay import COLORS, _label, draw_overlay
 
 

@@ -16,9 +16,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, DepthError, InstancesError, IntrinsicsError
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import FruitMeasurement, LengthDefinition
-from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.results import measure
 
 CAMERA_1280 = Intrinsics(1280, 720, 924.0, 924.0, 639.5, 359.5)

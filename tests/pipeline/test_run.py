@@ -12,7 +12,6 @@ import numpy as np
 import openpyxl
 import pytest
 
-from cucumbervision.capture.files import cell_value
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
@@ -23,6 +22,7 @@ from cucumbervision.capture.source import (
     example_captures,
 )
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
+from cucumbervision.files import cell_value
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import count_captures

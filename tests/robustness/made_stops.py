@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision.measurement.result import Length, LengthDefinition
-from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,

@@ -18,8 +18,8 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.geometry.camera import Distortion
+from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision.measurement.result import Length
-from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,

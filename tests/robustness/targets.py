@@ -93,7 +93,7 @@ def _camera_files(folder: Path, name: str) -> None:
 
 def _instances(*names: str) -> Callable[[Path, str], None]:
     def read_one(path: Path) -> None:
-        from cucumbervision.perception.instance_files import read_instances
+        from cucumbervision.instances.instance_files import read_instances
 
         read_instances(path).for_capture(["a.png"], 64, 48, frame=1)
 
@@ -187,7 +187,7 @@ def _detector(folder: Path, _name: str) -> None:
     import numpy as np
 
     from cucumbervision.errors import InstancesError
-    from cucumbervision.perception.instances import in_picture
+    from cucumbervision.instances.instance import in_picture
     from cucumbervision.perception.yolo import YoloDetector
 
     color = np.full((48, 64, 3), 128, np.uint8)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.perception.masks import distances_inside
+from cucumbervision.instances.masks import distances_inside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

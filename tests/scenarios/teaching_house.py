@@ -24,13 +24,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.capture.files import read_json
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.boxes import box_iou
+from cucumbervision.files import read_json
+from cucumbervision.instances.boxes import box_iou
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.dashboard.measuring import SharedMeasurer

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.streaming.tracks import FrameView, Tracker, frame_view
 
 CAMERA = Intrinsics(848, 480, 616.0, 616.0, 424.0, 240.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.truth import parse_number, read_table
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import CucumberVisionError, wrap_reader_errors
+from cucumbervision.files import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

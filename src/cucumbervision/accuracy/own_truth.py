@@ -13,8 +13,8 @@ from cucumbervision.accuracy.measured import REPORTED, Reading
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.table import Table
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
-from cucumbervision.capture.files import write_csv
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
+from cucumbervision.files import write_csv
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cucumbervision.capture.files import json_value
+from cucumbervision.files import json_value
 
 Cell = str | int | float | bool | None
 

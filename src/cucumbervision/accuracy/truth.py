@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.files import read_text
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_reader_errors
+from cucumbervision.files import read_text
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cucumbervision.capture.files import parse_model, read_bytes
 from cucumbervision.errors import ProfileError
+from cucumbervision.files import parse_model, read_bytes
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:

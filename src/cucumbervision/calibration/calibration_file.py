@@ -10,8 +10,8 @@ from pydantic import ConfigDict, Field
 
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import CalibrationError, wrap_os_errors
+from cucumbervision.files import parse_model, read_json
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from cucumbervision.calibration.corrections import (
 )
 from cucumbervision.calibration.grid import LEAST_CROSSINGS, fit_grid
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import CalibrationError, wrap_reader_errors
+from cucumbervision.files import parse_model
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.camera_formats import camera_document
 from cucumbervision.capture.conventions import DepthAlong
-from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
+from cucumbervision.files import parse_model
 from cucumbervision.geometry.camera import Distortion
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.files import read_bytes, read_json, read_text
 from cucumbervision.capture.pictures import check_array_head
 from cucumbervision.errors import IntrinsicsError, wrap_reader_errors
+from cucumbervision.files import read_bytes, read_json, read_text
 
 if TYPE_CHECKING:
     from pathlib import Path

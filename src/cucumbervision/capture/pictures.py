@@ -11,8 +11,8 @@ from typing import IO, TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from cucumbervision.capture.files import read_bytes, read_text, write_bytes
 from cucumbervision.errors import CaptureError, DepthError, wrap_reader_errors
+from cucumbervision.files import read_bytes, read_text, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,9 +19,9 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.depth import scale_depth
-from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.errors import CaptureError, wrap_os_errors
+from cucumbervision.files import json_value
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -25,9 +25,9 @@ from rich.table import Table
 
 from cucumbervision.agronomy.grades import GradingTraits, grade
 from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.instances.instance import MaskSource
 from cucumbervision.measurement.flags import flag_remarks, is_lower_bound
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.detect import detect_inputs
 from cucumbervision.pipeline.inputs import count_captures
 from cucumbervision.pipeline.run import measure_inputs

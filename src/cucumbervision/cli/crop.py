@@ -23,8 +23,8 @@ def new(
 ) -> None:
     """Make a folder with a profile to edit."""
     from cucumbervision.agronomy.profiles import PACK_PROFILE, profile_path
-    from cucumbervision.capture.files import write_bytes
     from cucumbervision.errors import ProfileError
+    from cucumbervision.files import write_bytes
 
     path = folder / PACK_PROFILE
     if path.exists():

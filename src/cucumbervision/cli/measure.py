@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.capture.urls import as_path
 from cucumbervision.cli.choices import Quiet, loop_options, measure_options, takes
+from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.batch import LoopOptions

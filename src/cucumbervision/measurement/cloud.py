@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.instances.masks import mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_window
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

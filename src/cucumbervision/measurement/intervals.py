@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.special import ndtri
 
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, wrap_reader_errors
+from cucumbervision.files import read_json
+from cucumbervision.instances.instance import MaskSource
 from cucumbervision.measurement.flags import LOWER_BOUND, Flag
 from cucumbervision.measurement.hidden_end import DRAWN_KINDS
 from cucumbervision.measurement.result import (
@@ -21,7 +22,6 @@ from cucumbervision.measurement.result import (
     LengthDefinition,
     calibration_key,
 )
-from cucumbervision.perception.instances import MaskSource
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

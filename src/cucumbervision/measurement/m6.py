@@ -20,6 +20,7 @@ from cucumbervision.geometry.tube import (
 from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
+from cucumbervision.instances.masks import distances_inside, mask_window
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.hidden_end import (
@@ -30,7 +31,6 @@ from cucumbervision.measurement.hidden_end import (
 )
 from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
-from cucumbervision.perception.masks import distances_inside, mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
-from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_points, masked_points
 from cucumbervision.measurement.m1 import measure_m1
 from cucumbervision.measurement.m2_m3 import GATE_M, measure_m2, measure_m3
@@ -15,6 +14,7 @@ from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.result import Measurement, Method, Reason
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

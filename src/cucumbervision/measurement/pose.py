@@ -27,8 +27,8 @@ from cucumbervision.measurement.intervals import SCALE_SD
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.result import Measurement, TubeFit
-    from cucumbervision.perception.instances import Instance
 
 CAMERA_FRAME = "camera_color_optical_frame"
 """Name of the coordinates of a capture that names none: x right, y down, z forward."""
@@ -180,7 +180,7 @@ def stem_first(
     >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision.measurement.result import Measurement, Method
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     >>> blank = np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.float32)
     >>> line = np.array([[0.0, 0.1, 0.5], [0.0, -0.1, 0.5]])  # upwards: y is down

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.geometry.threads import OneThread
+from cucumbervision.instances.instance import MaskSource
+from cucumbervision.instances.masks import mask_pixels
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.depth_doubts import depth_doubts
 from cucumbervision.measurement.flags import Flag
@@ -34,8 +35,7 @@ from cucumbervision.measurement.result import (
     calibration_key,
 )
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
-from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.masks import mask_pixels
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.pose import EndJudge
-    from cucumbervision.perception.instances import Instance
 
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
 _IN_SIGHT = 0.40
@@ -266,7 +266,7 @@ def measure_fruit(
     >>> import numpy as np
     >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> capture = Capture(
     ...     np.zeros((480, 640, 3), np.uint8),
     ...     np.full((480, 640), 0.6, np.float32),

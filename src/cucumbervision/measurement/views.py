@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.threads import OneThread
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
 from cucumbervision.measurement.flags import LOWER_BOUND, Flag
 from cucumbervision.measurement.hidden_end import BeyondEnd, beyond_ends
@@ -27,6 +26,7 @@ from cucumbervision.measurement.selector import (
     measure_fruit,
     with_length,
 )
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.geometry.tube import TubeShape
     from cucumbervision.geometry.tube_fit import TubeFitting
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.m6 import TubeView
-    from cucumbervision.perception.instances import Instance
 
 _SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
 _ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
@@ -127,8 +127,8 @@ def measure_views(
     --------
     >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision.perception.instances import Instance
-    >>> from cucumbervision.perception.masks import box_of_mask
+    >>> from cucumbervision.instances.instance import Instance
+    >>> from cucumbervision.instances.masks import box_of_mask
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
     >>> from cucumbervision_lab.synthesis.scene import Scene, render
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)

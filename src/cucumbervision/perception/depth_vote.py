@@ -17,17 +17,17 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.special import expit, logit
 
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, wrap_reader_errors
+from cucumbervision.files import read_json
+from cucumbervision.instances.masks import mask_window
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
 
 FEATURES = (
     "constant",

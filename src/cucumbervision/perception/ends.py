@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
 
 STRIP_PX = (64, 192)
 """Height and width of a strip."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.boxes import box_ious
-from cucumbervision.perception.instances import TRUSTED_SHARE, Instance
+from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.instance import TRUSTED_SHARE, Instance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

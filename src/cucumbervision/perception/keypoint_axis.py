@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.perception.masks import distances_inside, mask_pixels, mask_window
+from cucumbervision.instances.masks import distances_inside, mask_pixels, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
 
     Array = NDArray[np.float64]
     _Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
@@ -51,7 +51,7 @@ def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
 
     Examples
     --------
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> mask = np.zeros((40, 120), bool)
     >>> mask[10:30, 10:91] = True
     >>> mask[19:22, 91:101] = True  # the stalk

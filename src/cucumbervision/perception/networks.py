@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.boxes import box_ious
+from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.instance import apart, merge_instances, with_keypoints
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
-from cucumbervision.perception.instances import apart, merge_instances, with_keypoints
 from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.yolo import YoloDetector
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.perception.end_look import EndCrop, EndLook
-    from cucumbervision.perception.instances import Instance
 
 
 class Detectors:
@@ -179,7 +179,7 @@ def with_pose_votes(
 
     Examples
     --------
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> seen, alone = (Instance(np.array([x, 0.0, x + 9, 40]), 0.6) for x in (0, 50))
     >>> pose = Instance(np.array([0.0, 0, 9, 38]), 0.9)
     >>> [round(one.confidence, 2) for one in with_pose_votes([alone, seen], [pose], looks=2)]
@@ -251,7 +251,7 @@ def open_segmenter(
 
     Examples
     --------
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
     >>> picture[40:80, 30:130] = (40, 140, 50)
     >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))

@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.perception.masks import box_of_mask, mask_pixels
+from cucumbervision.instances.masks import box_of_mask, mask_pixels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
 
     Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def join_pieces_by_depth(
 
     Examples
     --------
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> upper, lower = np.zeros((200, 60), bool), np.zeros((200, 60), bool)
     >>> upper[10:100, 20:40] = lower[104:180, 20:40] = True
     >>> found, weak = (Instance(box_of_mask(m), detector_mask=m) for m in (upper, lower))

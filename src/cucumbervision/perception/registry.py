@@ -19,8 +19,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
+from cucumbervision.files import parse_model, read_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

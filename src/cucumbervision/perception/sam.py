@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.geometry.threads import OneThread
-from cucumbervision.perception.boxes import box_iou, share_inside
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import (
+from cucumbervision.instances.boxes import box_iou, share_inside
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import (
     box_of_mask,
     disjoint_masks,
     mask_iou,
@@ -32,6 +31,7 @@ from cucumbervision.perception.resize import (
     rows_needed,
 )
 from cucumbervision.perception.runtime import open_network
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

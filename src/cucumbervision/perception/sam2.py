@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError, wrap_reader_errors
-from cucumbervision.perception.masks import mask_ious
+from cucumbervision.instances.masks import mask_ious
 from cucumbervision.perception.sam import Sam, accepted, clip_box, without_mask
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
 
 _NAME = re.compile(r"(sam2(?:\.1)?)_hiera_(tiny|small|base_plus|large)")
 _SIZES = {"tiny": "t", "small": "s", "base_plus": "b+", "large": "l"}

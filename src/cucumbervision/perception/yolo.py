@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.geometry.threads import OneThread
+from cucumbervision.instances.instance import Instance, mirrored
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import (
     LARGEST_INPUT_PX,
     merge_sizes,
     parse_input_sizes,
 )
-from cucumbervision.perception.instances import Instance, mirrored
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo_rows import (
@@ -27,6 +26,7 @@ from cucumbervision.perception.yolo_rows import (
     raw_of,
     row_kind,
 )
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

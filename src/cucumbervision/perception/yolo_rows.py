@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.boxes import suppress
+from cucumbervision.instances.boxes import suppress
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.profiles import PACK_PROFILE, CropProfile, load_profile
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.files import read_json
 from cucumbervision.perception.registry import file_sha256
 
 if TYPE_CHECKING:

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision.about import software
-from cucumbervision.capture.files import write_bytes, write_csv, write_json
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jpeg
 from cucumbervision.capture.source import CaptureRef, safe_name, unique_name
 from cucumbervision.errors import CaptureError, wrap_os_errors
-from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
-from cucumbervision.perception.mask_codes import encode_rle
+from cucumbervision.files import write_bytes, write_csv, write_json
+from cucumbervision.instances.instance import KEYPOINT_NAMES, SKELETON
+from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision.pipeline.batch import Item, Outcome, SearchedCapture, Worker, measure_all
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import (
@@ -37,7 +37,7 @@ from cucumbervision.pipeline.tables import FAILURE_COLUMNS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.perception.registry import Registry
 
 _JPEG_QUALITY = 90

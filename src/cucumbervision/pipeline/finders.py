@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.measurement.m6 import fits_well, measure_m6
-from cucumbervision.measurement.result import Selector
-from cucumbervision.perception.instances import (
+from cucumbervision.instances.instance import (
     Instance,
     MaskSource,
     in_picture,
     with_keypoints,
 )
+from cucumbervision.instances.masks import box_of_mask, is_box_mask, without_flower
+from cucumbervision.measurement.m6 import fits_well, measure_m6
+from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.stages import Stage
@@ -369,7 +369,7 @@ def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
 
 
 def _file_finder(path: Path) -> Find:
-    from cucumbervision.perception.instance_files import read_instances
+    from cucumbervision.instances.instance_files import read_instances
 
     file = read_instances(path)
 
@@ -399,7 +399,7 @@ def instance_notes(
     InstancesError
         If the file names none of the captures.
     """
-    from cucumbervision.perception.instance_files import read_instances
+    from cucumbervision.instances.instance_files import read_instances
 
     path = Path(instances)
     if instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":

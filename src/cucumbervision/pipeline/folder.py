@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from cucumbervision.capture.files import sync_folder
-from cucumbervision.capture.urls import is_remote, with_retries
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
+from cucumbervision.files import sync_folder
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Failure
+from cucumbervision.urls import is_remote, with_retries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

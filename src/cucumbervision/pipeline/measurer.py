@@ -19,7 +19,6 @@ from cucumbervision.errors import (
     InternalError,
     named_error,
 )
-from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FIRST_LINE
@@ -37,14 +36,15 @@ from cucumbervision.pipeline.fields import NumberedFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.pipeline.stages import StageHashes
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.result import Measurement
-    from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.finders import Detector, Finder, Found

@@ -9,9 +9,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cucumbervision.capture.files import json_value
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.files import json_value
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.pose import CUT_BEYOND_M
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector

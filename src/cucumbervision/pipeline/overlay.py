@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.masks import mask_window
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
-from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
-    from cucumbervision.perception.instances import Instance
 
 # Okabe and Ito's palette, suitable for colour-blind people (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -229,7 +229,7 @@ def draw_detections(
 
     Examples
     --------
-    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.instances.instance import Instance
     >>> picture = np.zeros((60, 80, 3), np.uint8)
     >>> drawn = draw_detections(picture, [Instance(np.array([9.5, 19.5, 49.5, 39.5]))])
     >>> picture.any(), drawn[20:40, 10].any()

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.urls import as_path
 from cucumbervision.errors import CaptureError, MissingExtraError
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.finders import instance_notes
 from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
-from cucumbervision.capture.urls import as_path
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.files import each_file_read_once, json_value, read_bytes
 from cucumbervision.pipeline.batch import (
     Item,
     LoopOptions,
@@ -42,6 +41,7 @@ from cucumbervision.pipeline.tables import (
     rows_of,
     write_reports,
 )
+from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

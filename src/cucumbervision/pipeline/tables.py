@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.about import installed_versions, software
-from cucumbervision.capture.files import cell_value, json_value, write_csv
 from cucumbervision.errors import MissingExtraError
+from cucumbervision.files import cell_value, json_value, write_csv
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Boundary, Failure
 

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.instance import visible_mask
+from cucumbervision.instances.masks import mask_window
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.measurement.matching import (
     SURFACE_DEPTH_SD_M,
@@ -28,8 +30,6 @@ from cucumbervision.measurement.matching import (
     position_ratio,
 )
 from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition
-from cucumbervision.perception.instances import visible_mask
-from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.result import LengthKind
-    from cucumbervision.perception.instances import Instance
 
 
 _STEP = 4  # pixels; the sampling step of masks

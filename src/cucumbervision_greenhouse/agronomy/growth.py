@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import ForecastError
-from cucumbervision.geometry.threads import OneThread
+from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -12,8 +12,8 @@ import numpy as np
 import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision_greenhouse.dashboard.charts import class_color
 from cucumbervision_greenhouse.dashboard.words import length_words
 

@@ -14,10 +14,10 @@ from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer

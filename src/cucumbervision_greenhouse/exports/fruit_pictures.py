@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.pipeline.overlay import COLORS, draw_bar, draw_line, draw_text
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.files import write_csv, write_json
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
+from cucumbervision.files import write_csv, write_json
 from cucumbervision.pipeline.tables import Workbook, write_parquet
 from cucumbervision_greenhouse.agronomy.picking import PickKind, hours_words
 from cucumbervision_greenhouse.exports import ExportFormat

@@ -88,7 +88,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     ...     read_poses(path)["a"].position_m
     0.41
     """
-    from cucumbervision.capture.files import parse_model, read_json, read_text
+    from cucumbervision.files import parse_model, read_json, read_text
 
     with wrap_reader_errors(path, RoundError, "give CSV or JSON"):
         if path.stat().st_size > _LARGEST:

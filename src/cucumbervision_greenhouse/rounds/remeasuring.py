@@ -12,9 +12,9 @@ import numpy as np
 from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.boxes import box_ious
-from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.instance import MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.pipeline.batch import (
     LoopOptions,
     ResultWorker,

@@ -13,14 +13,14 @@ import numpy as np
 
 from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.errors import InstancesError
+from cucumbervision.files import json_value
 from cucumbervision.geometry.curve import arc_positions
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle, encode_rle
 from cucumbervision.measurement.flags import SHOWS_LESS
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import si_values
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
 from cucumbervision.pipeline.stages import Stage

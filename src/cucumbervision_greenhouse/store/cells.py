@@ -9,8 +9,8 @@ import numpy as np
 from sqlalchemy import insert, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreError, wrap_reader_errors
+from cucumbervision.files import adapter
 from cucumbervision.measurement.result import IntervalBasis, Length, LengthDefinition, LengthKind
 from cucumbervision_greenhouse.store.engine import named
 from cucumbervision_greenhouse.store.records import DetectionRecord, ImageRef, Point, checked_key

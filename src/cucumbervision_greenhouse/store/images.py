@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from cucumbervision.capture.files import sync_folder
 from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
+from cucumbervision.files import sync_folder
 from cucumbervision_greenhouse.store.records import ImageRef
 
 if TYPE_CHECKING:

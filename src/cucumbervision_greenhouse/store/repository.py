@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, delete, func, insert, or_, select, update
 
-from cucumbervision.capture.files import adapter
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.files import adapter
 from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.cells import (
     cells_by_name,

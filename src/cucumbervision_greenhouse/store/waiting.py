@@ -16,12 +16,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.files import sync_folder
 from cucumbervision.capture.frames import Stop, fuse_burst
 from cucumbervision.capture.raw_frames import SUFFIX, read_frame
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import MANIFEST, write_native
 from cucumbervision.errors import CaptureError, StoreError, wrap_os_errors
+from cucumbervision.files import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.instances.masks import mask_window
 
 if TYPE_CHECKING:
     from types import ModuleType

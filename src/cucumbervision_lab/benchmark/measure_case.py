@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision.instances.boxes import box_iou
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
-from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
 from cucumbervision_lab.benchmark.records import LengthRecord, Masks

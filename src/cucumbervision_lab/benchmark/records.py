@@ -8,8 +8,8 @@ from enum import StrEnum
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.files import parse_model, read_text
 from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
+from cucumbervision.files import parse_model, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

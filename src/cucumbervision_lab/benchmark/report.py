@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.accuracy.table import Cell, Table
-from cucumbervision.capture.files import write_json
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.files import write_json
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.length_tables import (

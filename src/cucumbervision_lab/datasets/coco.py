@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.capture.pictures import MOST_PIXELS
 from cucumbervision.errors import (
     CaptureError,
@@ -23,9 +22,10 @@ from cucumbervision.errors import (
     DataSetError,
     wrap_reader_errors,
 )
-from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
-from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.files import parse_model, read_json
+from cucumbervision.instances.instance import KEYPOINT_NAMES, SKELETON
+from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
     SPLIT_FOLDERS,
     DataSet,

@@ -19,9 +19,9 @@ import numpy as np
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.mask_codes import Rle
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.mask_codes import Rle
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.views import Verdict
 from cucumbervision_lab.datasets.coco import write_coco

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from cucumbervision.capture.files import read_bytes
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
 from cucumbervision.errors import CaptureError, DataSetError
-from cucumbervision.perception.mask_codes import Rle
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.files import read_bytes
+from cucumbervision.instances.mask_codes import Rle
+from cucumbervision.instances.masks import box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

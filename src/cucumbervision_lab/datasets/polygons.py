@@ -1,8 +1,8 @@
 """Lossless polygons of masks, and keypoints along a mask's axis.
 
 The origin of polygons is the picture's corner, as in YOLO and COCO files, so the centre of the
-first pixel is (0.5, 0.5); `perception.masks.fill_polygon` is the inverse. Keypoints of a mask are
-pseudo-labels for photos: they follow the axis of the outline, not of the body.
+first pixel is (0.5, 0.5); `instances.mask_codes.fill_polygon` is the inverse. Keypoints of a mask
+are pseudo-labels for photos: they follow the axis of the outline, not of the body.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import points_along
+from cucumbervision.instances.masks import mask_window
 from cucumbervision.perception.keypoint_axis import SHARES, axis_line
-from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,9 +16,9 @@ import numpy as np
 
 from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.boxes import share_inside
-from cucumbervision.perception.mask_codes import Rle
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.boxes import share_inside
+from cucumbervision.instances.mask_codes import Rle
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from cucumbervision.capture.files import read_bytes, read_json, read_text
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
     wrap_reader_errors,
 )
-from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.files import read_bytes, read_json, read_text
+from cucumbervision.instances.instance import KEYPOINT_NAMES
+from cucumbervision.instances.instance_files import parse_yolo_line
+from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
     SPLIT_FOLDERS,
     SPLITS,

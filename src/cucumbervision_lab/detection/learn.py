@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.perception.boxes import box_ious, share_inside
+from cucumbervision.instances.boxes import box_ious, share_inside
 from cucumbervision.perception.depth_vote import (
     AGAINST,
     CANDIDATE_CONFIDENCE,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.accuracy.statistics import Estimate, share
-from cucumbervision.perception.boxes import box_iou, box_ious, share_inside
+from cucumbervision.instances.boxes import box_iou, box_ious, share_inside
 from cucumbervision_lab.detection.pictures import Stage, code_iou
 
 if TYPE_CHECKING:

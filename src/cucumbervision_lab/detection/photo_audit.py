@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import DataSetError, wrap_reader_errors
-from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.mask_codes import Rle, fill_polygon
+from cucumbervision.files import read_json
+from cucumbervision.instances.boxes import box_iou
+from cucumbervision.instances.instance_files import parse_yolo_line
+from cucumbervision.instances.mask_codes import Rle, fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:

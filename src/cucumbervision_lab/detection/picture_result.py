@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
     from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet

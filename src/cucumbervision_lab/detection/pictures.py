@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.instances.instance import Instance
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 T = TypeVar("T")

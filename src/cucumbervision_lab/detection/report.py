@@ -14,7 +14,7 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, Table
-from cucumbervision.capture.files import write_csv
+from cucumbervision.files import write_csv
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision_lab.benchmark.length_tables import (

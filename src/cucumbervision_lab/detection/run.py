@@ -12,13 +12,13 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.measurement.pose import Part, stem_first
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths, interval_details
 from cucumbervision_lab.benchmark.records import LengthRecord, Masks

@@ -14,7 +14,7 @@ from scipy.special import logit
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
-from cucumbervision.perception.boxes import box_ious
+from cucumbervision.instances.boxes import box_ious
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CROP_MARGIN, CROP_PX, crop_square, lowered
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import KEYPOINT_NAMES
+from cucumbervision.instances.instance import KEYPOINT_NAMES
 from cucumbervision_lab.training.checkpoint import require_layers
 from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 

@@ -19,14 +19,14 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import Rle
+from cucumbervision.instances.masks import distances_inside, mask_pixels
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.boxes import box_ious
-from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.keypoint_axis import axis_line
-from cucumbervision.perception.mask_codes import Rle
-from cucumbervision.perception.masks import distances_inside, mask_pixels
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.datasets.labels import ticked

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import TrainingError
+from cucumbervision.files import parse_model, read_json
 from cucumbervision_lab.datasets.labels import write_text
 
 _STATE_FILE = "state.json"

@@ -12,8 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelHashError, TrainingError
+from cucumbervision.files import parse_model, read_json
 from cucumbervision.perception import registry
 from cucumbervision.perception.registry import file_sha256, load_registry
 

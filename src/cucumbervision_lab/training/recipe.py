@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from cucumbervision.capture.files import read_text
 from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import TrainingError
+from cucumbervision.files import read_text
 from cucumbervision.perception.keypoint_axis import keypoints_between
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.coco import read_coco, write_coco

@@ -15,10 +15,10 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import InstancesError
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.dashboard.measuring import SharedMeasurer, is_doubtful

@@ -20,9 +20,9 @@ import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.capture.files import defused
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError, DiskFullError
+from cucumbervision.files import defused
 from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.pipeline.fields import FIELDS, Cell, Column
 from cucumbervision_greenhouse.exports import ExportFormat

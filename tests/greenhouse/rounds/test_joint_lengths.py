@@ -19,9 +19,9 @@ from cucumbervision.calibration.calibration_file import (
     MeasuredWith,
     SiteCalibration,
 )
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.result import Choice
 from cucumbervision.measurement.views import measure_views
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.from_store import joint_groups, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table

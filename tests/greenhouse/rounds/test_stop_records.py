@@ -12,11 +12,11 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions

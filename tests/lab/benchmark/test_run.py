@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.intervals import shipped_interval_models
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.cases import (
     CAMERA,
     PAPER_THREADS_CM,

@@ -12,7 +12,7 @@ import pytest
 
 from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.mask_codes import Rle
+from cucumbervision.instances.mask_codes import Rle
 from cucumbervision_lab.datasets.checks import (
     Finding,
     check_dataset,

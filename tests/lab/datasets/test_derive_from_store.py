@@ -11,7 +11,7 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.mask_codes import encode_rle
+from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     DetectionRecord,

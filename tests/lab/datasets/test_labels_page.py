@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.perception.instances import KEYPOINT_NAMES
+from cucumbervision.instances.instance import KEYPOINT_NAMES
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet
 

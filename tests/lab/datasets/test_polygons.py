@@ -9,8 +9,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.perception.mask_codes import fill_polygon
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.mask_codes import fill_polygon
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.polygons import (
     join_parts,
     keypoints_of_mask,

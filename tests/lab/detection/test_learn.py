@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
-from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision_lab.benchmark.records import Masks, read_records
 from cucumbervision_lab.detection import learn
 from cucumbervision_lab.detection.learn import set_records

@@ -26,8 +26,8 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors, NetworkLoader
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.benchmark.records import Masks

@@ -12,8 +12,8 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.capture.pictures import write_png  # noqa: E402
 from cucumbervision.errors import TrainingError  # noqa: E402
+from cucumbervision.instances.instance import Instance  # noqa: E402
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
-from cucumbervision.perception.instances import Instance  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
 from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402

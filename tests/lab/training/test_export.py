@@ -19,7 +19,7 @@ if importlib.util.find_spec("ultralytics") is None:  # its import alone would as
 pytest.importorskip("onnx")
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector

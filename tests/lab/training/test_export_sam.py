@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.errors import ModelError, ModelHashError
-from cucumbervision.perception.instances import Instance
+from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.registry import (
     Model,
     ModelFile,

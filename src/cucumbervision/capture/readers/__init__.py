@@ -22,8 +22,8 @@ from cucumbervision.capture.source import (
     ReadOptions,
     fail,
 )
-from cucumbervision.capture.urls import as_path, is_remote, with_retries
 from cucumbervision.errors import CaptureError
+from cucumbervision.urls import as_path, is_remote, with_retries
 
 if TYPE_CHECKING:
     from cucumbervision.capture.source import Listed, Opener
@@ -61,7 +61,7 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     Parameters
     ----------
     path : Path or str
-        A path, or a URL that `capture.urls.as_path` knows: a folder in which one of `READERS`
+        A path, or a URL that `urls.as_path` knows: a folder in which one of `READERS`
         finds captures, one colour picture with `options.depth`, an `.npz` with colour and depth,
         or, on this machine, a `.bag` or `.db3` recording.
     options : ReadOptions, optional

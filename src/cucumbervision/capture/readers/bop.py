@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
-from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color, read_depth, read_masks
 from cucumbervision.capture.readers.common import frame_capture
 from cucumbervision.capture.source import fail, safe_name
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
+from cucumbervision.files import parse_model, read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -18,7 +18,6 @@ from cucumbervision.capture.depth import (
     depth_to_metres,
     require_readings,
 )
-from cucumbervision.capture.files import json_value, parse_model, read_json, write_bytes
 from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
 from cucumbervision.capture.pictures import (
     MOST_BURST_PIXELS,
@@ -30,6 +29,7 @@ from cucumbervision.capture.pictures import (
 from cucumbervision.capture.readers.common import choose_intrinsics, require_same_size
 from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, as_errors_of, wrap_os_errors
+from cucumbervision.files import json_value, parse_model, read_json, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

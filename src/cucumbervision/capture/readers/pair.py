@@ -12,7 +12,6 @@ from unicodedata import normalize
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
-from cucumbervision.capture.files import read_head, read_text
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import (
     COLOR_SUFFIXES,
@@ -24,6 +23,7 @@ from cucumbervision.capture.pictures import (
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
 from cucumbervision.capture.source import CaptureSource, fail
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
+from cucumbervision.files import read_head, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

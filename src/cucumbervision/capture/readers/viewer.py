@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.camera_file import camera_file_near, read_camera_file
-from cucumbervision.capture.files import read_bytes
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.readers.common import frame_capture
 from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
+from cucumbervision.files import read_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

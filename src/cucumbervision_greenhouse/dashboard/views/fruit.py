@@ -9,9 +9,9 @@ import numpy as np
 import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import painted_mask
+from cucumbervision.instances.instance import MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import painted_mask
 from cucumbervision_greenhouse.dashboard import page_elements, resources
 from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
 from cucumbervision_greenhouse.dashboard.fruit_view import (

@@ -15,8 +15,8 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import mask_iou
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import mask_iou
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.views import DetectionDetail, Verdict

@@ -8,7 +8,7 @@ import pytest
 from streamlit.testing.v1 import AppTest
 from tests.greenhouse.rounds.test_adding import CAMERA, OPTIONS, draw
 
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision_greenhouse.dashboard.fruit_view import drawn_on, joint_tube, tube_outline
 from cucumbervision_greenhouse.dashboard.settings import Units
 from cucumbervision_greenhouse.dashboard.words import length_words

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import InstancesError, MissingExtraError
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.interchange import (
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.interchange import (
     from_supervision,
     from_ultralytics,
     to_supervision,

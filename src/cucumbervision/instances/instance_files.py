@@ -16,11 +16,11 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from cucumbervision.capture.files import read_json, read_text
 from cucumbervision.errors import InstancesError, wrap_reader_errors
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import mask_of_segmentation, polygon_points
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.files import read_json, read_text
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import mask_of_segmentation, polygon_points
+from cucumbervision.instances.masks import box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -12,9 +12,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.mask_codes import Rle, decode_rle, encode_rle
-from cucumbervision.perception.masks import (
+from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.mask_codes import Rle, decode_rle, encode_rle
+from cucumbervision.instances.masks import (
     as_mask,
     box_of_mask,
     disjoint_masks,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.files import defused, write_csv
+from cucumbervision.files import defused, write_csv
 
 
 def test_csv_cells(tmp_path: Path) -> None:

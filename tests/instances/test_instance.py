@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import (
+from cucumbervision.instances.instance import (
     Instance,
     apart,
     merge_instances,
     with_keypoints,
 )
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.instances.masks import box_of_mask
 
 HEIGHT, WIDTH = 160, 240
 Mask = NDArray[np.bool_]

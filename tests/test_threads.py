@@ -11,11 +11,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.geometry.threads import OneThread
+from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement import methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance
+from cucumbervision.threads import OneThread
 
 Seen = list[set[int]]
 

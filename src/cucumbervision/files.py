@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from cucumbervision.capture.urls import is_remote, with_retries
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
     wrap_os_errors,
     wrap_reader_errors,
 )
+from cucumbervision.urls import is_remote, with_retries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.boxes import box_areas, box_iou, box_ious
-from cucumbervision.perception.masks import (
+from cucumbervision.instances.boxes import box_areas, box_iou, box_ious
+from cucumbervision.instances.masks import (
     as_mask,
     box_of_mask,
     disjoint_masks,
@@ -232,7 +232,7 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
     Examples
     --------
-    >>> from cucumbervision.perception.masks import box_of_mask
+    >>> from cucumbervision.instances.masks import box_of_mask
     >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
     >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
     >>> found = [

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.instance_files import FileInstances, read_instances
-from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.mask_codes import decode_rle, fill_polygon
+from cucumbervision.instances.instance import MaskSource
+from cucumbervision.instances.instance_files import FileInstances, read_instances
+from cucumbervision.instances.mask_codes import decode_rle, fill_polygon
 
 WIDTH, HEIGHT = 20, 10
 
@@ -184,9 +184,9 @@ def test_more_masks_than_memory_holds_are_refused(
 ) -> None:
     square = {"segmentation": [[1, 1, 5, 1, 5, 5, 1, 5]]}
     path = coco(tmp_path / "c.json", square, square, square, {"bbox": [2, 1, 5, 4]})
-    monkeypatch.setattr("cucumbervision.perception.instance_files._MOST_MASK_BYTES", 600)
+    monkeypatch.setattr("cucumbervision.instances.instance_files._MOST_MASK_BYTES", 600)
     assert len(get(path).instances) == 4
-    monkeypatch.setattr("cucumbervision.perception.instance_files._MOST_MASK_BYTES", 599)
+    monkeypatch.setattr("cucumbervision.instances.instance_files._MOST_MASK_BYTES", 599)
     with pytest.raises(InstancesError, match=r"has 3 masks of 20x10 pixels in .*at most 2 are"):
         get(path)
 

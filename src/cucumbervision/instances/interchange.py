@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import InstancesError, MissingExtraError
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import as_mask
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.masks import as_mask
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

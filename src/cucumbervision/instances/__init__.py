@@ -1,0 +1,1 @@
+"""Detected fruit: instances, their boxes and masks, and the files and libraries that hold them."""

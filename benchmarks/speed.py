@@ -4,7 +4,8 @@
     python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
-Parts: pipeline, processor, start, kernels, workers, dashboard. Each prints a table. The exit code
+Parts: pipeline, processor, start, kernels, peers, workers, dashboard. `peers` compares with
+PlantCV and skan on a mask, and with Ultralytics' own prediction. Each prints a table. The exit code
 is 1 if an aim or a limit is missed.
 """
 
@@ -25,6 +26,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -40,10 +42,13 @@ from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import MissingExtraError
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception import runtime as runtimes
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
 from cucumbervision.pipeline.folder import OutputFolder
 from cucumbervision.pipeline.inputs import Listed, list_captures
@@ -53,9 +58,11 @@ from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measur
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
+from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
+from cucumbervision_lab.training.checkpoint import import_ultralytics
 
 MODELS = MeasureOptions(instances="models")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
@@ -323,6 +330,62 @@ def kernels(quick: bool) -> list[Figure]:
     ]
 
 
+def in_turns(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Return the median milliseconds of each task; they take turns, after two for warming up."""
+    turns = [{name: milliseconds(task) for name, task in tasks.items()} for _ in range(rounds + 2)]
+    return {name: median(turn[name] for turn in turns[2:]) for name in tasks}
+
+
+def peers(quick: bool) -> list[Figure]:
+    """Compare processor times with other programs: lengths on one mask, detection in pictures."""
+    drawn, rounds = draw_region(), 5 if quick else 30
+    mask = drawn.mask
+    assert mask is not None
+    tasks: dict[str, Callable[[], object]] = {
+        "M1 to M5": lambda: run_methods(fresh(drawn), PAPER_METHODS),
+        "M6": lambda: run_methods(fresh(drawn), [Method.M6]),
+    }
+    for name, baseline in available_baselines().items():
+        tasks[name] = partial(baseline, drawn.depth_m, mask, CAMERA)
+    taken_ms = in_turns(tasks, rounds)
+    floor_ms = in_turns({"": lambda: floor(drawn.depth_m, mask, drawn.box)}, rounds)[""]
+    figures = [
+        Figure(f"a length by {name}, times the plain NumPy floor", value / floor_ms, "x")
+        for name, value in taken_ms.items()
+    ]
+    return figures + detection_by_peers(rounds)
+
+
+def detection_by_peers(rounds: int) -> list[Figure]:
+    """Compare our detector with Ultralytics' prediction by the same network and runtime."""
+    try:
+        ultralytics = import_ultralytics()
+    except MissingExtraError:
+        return []
+    import torchvision
+    from ultralytics.utils.nms import TorchNMS
+
+    if not torchvision.extension._has_ops():  # a build for another torch
+        torchvision.ops.nms = TorchNMS.nms
+    registry = load_registry()
+    model = registry.default("segment")
+    assert model is not None
+    path = registry.resolve(model.name)["network"]
+    colors = [ref.load().color for ref in open_source(example_captures())]
+    ours = YoloDetector(path, "onnxruntime", input_sizes=(640,), full_precision=True)
+    theirs = ultralytics.YOLO(path, task="segment")
+    told = {"imgsz": 640, "conf": 0.25, "retina_masks": True, "verbose": False, "device": "cpu"}
+    taken_ms = in_turns(
+        {
+            "ours": lambda: [ours.detect(color) for color in colors],
+            "theirs": lambda: [theirs.predict(color[..., ::-1], **told) for color in colors],
+        },
+        rounds,
+    )
+    ratio = taken_ms["ours"] / taken_ms["theirs"]
+    return [Figure("detection at 640, times Ultralytics' prediction (ONNX Runtime)", ratio, "x")]
+
+
 def workers(quick: bool) -> list[Figure]:
     """Compare two workers with one on one core, with all networks and with given masks."""
     figures = []
@@ -496,7 +559,7 @@ def dashboard(quick: bool) -> list[Figure]:
 
 
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
-    part.__name__: part for part in (pipeline, processor, start, kernels, workers, dashboard)
+    part.__name__: part for part in (pipeline, processor, start, kernels, peers, workers, dashboard)
 }
 
 

@@ -47,13 +47,13 @@ def align_near(points_m: NDArray[Any], half_width_m: float) -> AlignedCloud:
     >>> cloud.along_m.tolist()
     [-0.1, 0.1]
     """
-    near = depth_gate(points_m, half_width_m)
-    if len(near) < 2:
+    gated = depth_gate(points_m, half_width_m)
+    if len(gated) < 2:
         nowhere = np.full(3, np.nan)
-        return AlignedCloud(near, nowhere, nowhere, np.full(len(near), np.nan))
-    centroid, axis = principal_axis(near)
-    along = np.asarray(near @ axis - centroid @ axis, dtype=np.float64)
-    return AlignedCloud(near, centroid, axis, along)
+        return AlignedCloud(gated, nowhere, nowhere, np.full(len(gated), np.nan))
+    centroid, axis = principal_axis(gated)
+    along = np.asarray(gated @ axis - centroid @ axis, dtype=np.float64)
+    return AlignedCloud(gated, centroid, axis, along)
 
 
 def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
@@ -80,8 +80,8 @@ def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
     if not len(points_m):
         return points_m
     z = points_m[:, 2]
-    near: NDArray[np.bool_] = np.abs(z - np.median(z)) <= half_width_m
-    return points_m[near]
+    inside: NDArray[np.bool_] = np.abs(z - np.median(z)) <= half_width_m
+    return points_m[inside]
 
 
 def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -146,10 +146,10 @@ def bin_centroids(
     >>> bin_centroids(points, points[:, 0], bins=2, at_least=2).tolist()
     [[0.5, 0.0, 0.0], [9.5, 1.0, 0.0]]
     """
-    low, high = float(along_m.min()), float(along_m.max())
-    if high <= low:
+    start, stop = float(along_m.min()), float(along_m.max())
+    if stop <= start:
         return np.empty((0, 3))
-    index = np.minimum(((along_m - low) * (bins / (high - low))).astype(np.intp), bins - 1)
+    index = np.minimum(((along_m - start) * (bins / (stop - start))).astype(np.intp), bins - 1)
     count = np.bincount(index, minlength=bins)
     sums = [np.bincount(index, points_m[:, k], minlength=bins) for k in range(3)]
     filled = count >= at_least

@@ -110,5 +110,7 @@ def points_along(vertices: NDArray[Any], shares: ArrayLike) -> NDArray[np.float6
     [[2.0, 0.0], [4.0, 2.0]]
     """
     run = arc_positions(vertices)
-    at = np.asarray(shares) * run[-1]
-    return np.stack([np.interp(at, run, column) for column in np.asarray(vertices).T], axis=1)
+    positions = np.asarray(shares) * run[-1]
+    return np.stack(
+        [np.interp(positions, run, column) for column in np.asarray(vertices).T], axis=1
+    )

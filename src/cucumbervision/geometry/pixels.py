@@ -38,10 +38,10 @@ def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) 
     # Invalid entries sort to the end, so the middle of the valid ones is found by their count.
     ordered = np.sort(np.where(valid, values, np.inf), axis=axis)
     count = valid.sum(axis=axis, keepdims=True)
-    low = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis)
-    high = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[axis] - 1), axis)
+    lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis)
+    upper = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[axis] - 1), axis)
     with np.errstate(invalid="ignore"):  # inf - inf where nothing is valid
-        middle = low + (high - low) / 2
+        middle = lower + (upper - lower) / 2
     return np.where(count > 0, middle, np.nan).squeeze(axis).astype(values.dtype)
 
 
@@ -74,12 +74,12 @@ def outline_cracks(
     ([[0.5, 1.0], [2.5, 1.0]], [[-1.0, 0.0], [1.0, 0.0]])
     """
     v, u = np.nonzero(mask[:, 1:] != mask[:, :-1])
-    beside = np.where(mask[v, u], 1.0, -1.0)
+    across = np.where(mask[v, u], 1.0, -1.0)
     y, x = np.nonzero(mask[1:] != mask[:-1])
     below = np.where(mask[y, x], 1.0, -1.0)
     points = np.concatenate([np.stack([u + 0.5, v], axis=1), np.stack([x, y + 0.5], axis=1)])
     outward = np.concatenate(
-        [np.stack([beside, np.zeros(len(u))], axis=1), np.stack([np.zeros(len(x)), below], axis=1)]
+        [np.stack([across, np.zeros(len(u))], axis=1), np.stack([np.zeros(len(x)), below], axis=1)]
     )
     return points, outward
 
@@ -114,8 +114,8 @@ def depth_across(
     ([0.9], [0.5])
     """
     height, width = depth_m.shape
-    at = points_px[:, None, :] + outward[:, None, :] * np.asarray(steps_px)[:, None]
-    pixel = np.rint(at).astype(np.intp)
+    places_px = points_px[:, None, :] + outward[:, None, :] * np.asarray(steps_px)[:, None]
+    pixel = np.rint(places_px).astype(np.intp)
     u, v = pixel[..., 0], pixel[..., 1]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z = depth_m[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(np.float64)

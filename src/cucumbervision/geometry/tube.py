@@ -136,18 +136,18 @@ def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     >>> near_depths(np.vstack([steep, [[0.05, 0.0, 0.9]]])).tolist()[-2:]
     [True, False]
     """
-    far = points_m[:, 2]
+    depth_m = points_m[:, 2]
     # A plane in space is linear in the inverse depth over the picture.
-    terms = np.column_stack([points_m[:, :2] / far[:, None], np.ones(len(far))])
-    weight = np.ones(len(far))
+    terms = np.column_stack([points_m[:, :2] / depth_m[:, None], np.ones(len(depth_m))])
+    weight = np.ones(len(depth_m))
     for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
         weighted = terms * weight[:, None]
         ridge = _PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
-        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / far))
-        off = np.abs(1 / far - terms @ plane) * far**2
+        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / depth_m))
+        off = np.abs(1 / depth_m - terms @ plane) * depth_m**2
         weight = 1 / np.maximum(off, _LEAST_OFF_M)
-    near: NDArray[np.bool_] = off <= 3.0 * np.median(off) + _DEEP_M
-    return near
+    inliers: NDArray[np.bool_] = off <= 3.0 * np.median(off) + _DEEP_M
+    return inliers
 
 
 def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None = None) -> TubeShape:
@@ -175,24 +175,24 @@ def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None =
     """
     if level is None:
         level = np.ones(len(points_m), dtype=bool)
-    near = level
+    inliers = level
     for _ in range(_ROUNDS):
-        centroid, axis = principal_axis(points_m[near])
+        centroid, axis = principal_axis(points_m[inliers])
         along = (points_m - centroid) @ axis
         off = points_m - centroid - along[:, None] * axis
         power = np.stack([np.ones_like(along), along, along**2], axis=1)
-        bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
-        rest = off - power @ bow
-        left = np.linalg.norm(rest, axis=1)
-        near = level & (left <= 3.0 * np.median(left[near]) + 1e-6)
+        bow = np.linalg.lstsq(power[inliers], off[inliers], rcond=None)[0]
+        residual = off - power @ bow
+        distance = np.linalg.norm(residual, axis=1)
+        inliers = level & (distance <= 3.0 * np.median(distance[inliers]) + 1e-6)
     view = centroid / np.linalg.norm(centroid)
     side = np.cross(axis, view)
     norm = float(np.linalg.norm(side))
-    across = np.abs(rest[near] @ side) / norm if norm > 0.05 else left[near]
+    across = np.abs(residual[inliers] @ side) / norm if norm > 0.05 else distance[inliers]
     radius = 2.0 * float(np.median(across))
-    low, high = np.quantile(along[near], [0.002, 0.998])
-    short = min(radius, 0.4 * (high - low))
-    t = np.linspace(low + short, high - short, 33)
+    start, stop = np.quantile(along[inliers], [0.002, 0.998])
+    short = min(radius, 0.4 * (stop - start))
+    t = np.linspace(start + short, stop - short, 33)
     curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, max(radius, 1e-3))
@@ -200,7 +200,7 @@ def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None =
 
 def guess_from_picture(
     picture: NDArray[np.float64],
-    known: NDArray[np.bool_],
+    has_depth: NDArray[np.bool_],
     inverse_depth: NDArray[np.float64],
     *,
     by_girth: bool = False,
@@ -215,7 +215,7 @@ def guess_from_picture(
     ----------
     picture : ndarray of float64, shape (N, 2)
         The mask's pixels as x / z and y / z.
-    known : ndarray of bool, shape (N,)
+    has_depth : ndarray of bool, shape (N,)
         Which of them have a depth reading.
     inverse_depth : ndarray of float64, shape (K,)
         One over the depth of these, 1/m.
@@ -242,23 +242,23 @@ def guess_from_picture(
     power = np.stack([np.ones_like(along), along, along**2], axis=1)
     bow = np.linalg.lstsq(power, across, rcond=None)[0]
     half = 2.0 * float(np.median(np.abs(across - power @ bow)))
-    terms, weight = power[known][:, :2], np.ones(len(inverse_depth))
-    wide = np.linalg.lstsq(power[:, :2], np.abs(across - power @ bow), rcond=None)[0]
-    plane = wide * np.median(inverse_depth / np.maximum(terms @ wide, 0.05 * half))
+    terms, weight = power[has_depth][:, :2], np.ones(len(inverse_depth))
+    girth = np.linalg.lstsq(power[:, :2], np.abs(across - power @ bow), rcond=None)[0]
+    plane = girth * np.median(inverse_depth / np.maximum(terms @ girth, 0.05 * half))
     for _ in range(0 if by_girth else _PLANE_ROUNDS):  # to the least sum of absolute deviations
         weighted = terms * weight[:, None]
         plane = np.linalg.lstsq(weighted.T @ terms, weighted.T @ inverse_depth, rcond=None)[0]
         off = np.abs(inverse_depth - terms @ plane) / np.median(inverse_depth) ** 2
         weight = 1 / np.maximum(off, _LEAST_OFF_M)
-    low, high = np.quantile(along, [0.005, 0.995])
-    short = min(half, 0.4 * (high - low))
-    t = np.linspace(low + short, high - short, 33)
+    start, stop = np.quantile(along, [0.005, 0.995])
+    short = min(half, 0.4 * (stop - start))
+    t = np.linspace(start + short, stop - short, 33)
     powers = np.stack([np.ones_like(t), t, t**2], axis=1)
     line = middle + t[:, None] * axes[:, 1] + (powers @ bow)[:, None] * axes[:, 0]
     usual = float(np.median(inverse_depth))
-    far = 1 / np.clip(powers[:, :2] @ plane, 0.5 * usual, 2.0 * usual)
+    depth_m = 1 / np.clip(powers[:, :2] @ plane, 0.5 * usual, 2.0 * usual)
     radius = max(half / usual, 1e-3)
-    curve = np.column_stack([line, np.ones(len(line))]) * far[:, None]
+    curve = np.column_stack([line, np.ones(len(line))]) * depth_m[:, None]
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, radius)
 
@@ -301,17 +301,17 @@ def guess_from_midline(
     """
     from scipy.spatial import cKDTree
 
-    points, known = picture[mask], mask & (depth_m > 0)
-    if len(points) < _LEAST_MIDLINE or known.sum() < _LEAST_MIDLINE or mask.all():
+    points, readable = picture[mask], mask & (depth_m > 0)
+    if len(points) < _LEAST_MIDLINE or readable.sum() < _LEAST_MIDLINE or mask.all():
         return None
     tree = cKDTree(points)
     step = float(np.median(_nearest(tree, points, 2)[0][:, 1]))
     inside = _nearest(cKDTree(picture[~mask]), points, 1)[0][:, 0]
     pairs = tree.query_pairs(1.6 * step, output_type="ndarray")
-    long = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    first = _farthest(_paths(pairs, long, len(points), int(np.argmax(inside)))[0])
-    last = _farthest(_paths(pairs, long, len(points), first)[0])
-    cost = long / (inside[pairs].mean(axis=1) / inside.max()) ** 2
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    first = _farthest(_paths(pairs, lengths, len(points), int(np.argmax(inside)))[0])
+    last = _farthest(_paths(pairs, lengths, len(points), first)[0])
+    cost = lengths / (inside[pairs].mean(axis=1) / inside.max()) ** 2
     before = _paths(pairs, cost, len(points), first)[1]
     line = [last]
     while line[-1] != first and len(line) < len(points):
@@ -319,12 +319,12 @@ def guess_from_midline(
     half = float(np.median(inside[line]))
     along = arc_positions(points[line])
     short = min(half, 0.4 * along[-1])
-    at = np.linspace(short, along[-1] - short, 33)
-    path = np.stack([np.interp(at, along, points[line][:, k]) for k in (0, 1)], axis=1)
-    near = _nearest(cKDTree(picture[known]), path, _LEAST_MIDLINE)[1]
-    far = np.median(depth_m[known][near], axis=1)
-    curve = np.column_stack([path, np.ones(len(path))]) * far[:, None]
-    radius = max(half * float(np.median(far)), 1e-3)
+    positions = np.linspace(short, along[-1] - short, 33)
+    path = np.stack([np.interp(positions, along, points[line][:, k]) for k in (0, 1)], axis=1)
+    neighbours = _nearest(cKDTree(picture[readable]), path, _LEAST_MIDLINE)[1]
+    line_depth_m = np.median(depth_m[readable][neighbours], axis=1)
+    curve = np.column_stack([path, np.ones(len(path))]) * line_depth_m[:, None]
+    radius = max(half * float(np.median(line_depth_m)), 1e-3)
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, radius)
 
@@ -333,8 +333,8 @@ def _nearest(
     tree: Any, points: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     # Distances and numbers of the nearest points, (N, count) each.
-    far, number = tree.query(points, k=range(1, count + 1))
-    return np.asarray(far), np.asarray(number)
+    distance, number = tree.query(points, k=range(1, count + 1))
+    return np.asarray(distance), np.asarray(number)
 
 
 def _paths(
@@ -345,8 +345,8 @@ def _paths(
 
     ends = pairs.T.astype(np.int32)  # SciPy 1.13 takes no other indices
     graph = coo_array((cost, (ends[0], ends[1])), shape=(count, count)).tocsr()
-    found: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]
-    return np.asarray(found[0]), np.asarray(found[1])
+    result: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]
+    return np.asarray(result[0]), np.asarray(result[1])
 
 
 def _farthest(distance: NDArray[np.float64]) -> int:
@@ -375,10 +375,10 @@ def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.floa
     >>> axis_path(centres, np.full(3, 0.02))[[0, -1], 0].round(3).tolist()
     [-0.02, 0.22]
     """
-    kept, radii = _reaching(centres_m, radii_m)
-    start = _unit(kept[1] - kept[0])
-    end = _unit(kept[-1] - kept[-2])
-    return np.vstack([kept[0] - radii[0] * start, kept, kept[-1] + radii[-1] * end])
+    centres, radii = _reaching(centres_m, radii_m)
+    start = _unit(centres[1] - centres[0])
+    end = _unit(centres[-1] - centres[-2])
+    return np.vstack([centres[0] - radii[0] * start, centres, centres[-1] + radii[-1] * end])
 
 
 def with_tips(
@@ -403,11 +403,11 @@ def with_tips(
     [-0.02, 0.23]
     """
     shares = np.linspace(0, 1, _TIP_BALLS + 1)[1:]
-    for end, inner, beyond in ((0, 1, overhangs_m[0]), (-1, -2, overhangs_m[1])):
-        if beyond <= 0:
+    for end, inner, overhang in ((0, 1, overhangs_m[0]), (-1, -2, overhangs_m[1])):
+        if overhang <= 0:
             continue
         ahead = _unit(centres_m[end] - centres_m[inner])
-        tip = centres_m[end] + shares[:, None] * (radii_m[end] + beyond) * ahead
+        tip = centres_m[end] + shares[:, None] * (radii_m[end] + overhang) * ahead
         cone = radii_m[end] * (1 - shares)
         if end:
             centres_m, radii_m = np.vstack([centres_m, tip]), np.append(radii_m, cone)
@@ -548,12 +548,12 @@ def profile(
     >>> along.round(3).tolist(), wide.round(3).tolist()
     ([0.0, 0.06, 0.12, 0.18, 0.24], [0.0, 0.04, 0.04, 0.04, 0.0])
     """
-    at = arc_positions(centres_m)
+    position = arc_positions(centres_m)
     radii = np.maximum(radii_m, 0.0)
-    low, high = float((at - radii).min()), float((at + radii).max())
-    along = np.linspace(low, high, samples)
-    half = radii**2 - (along[:, None] - at) ** 2
-    return along - low, 2 * np.sqrt(np.maximum(half.max(axis=1), 0.0))
+    start, stop = float((position - radii).min()), float((position + radii).max())
+    along = np.linspace(start, stop, samples)
+    half = radii**2 - (along[:, None] - position) ** 2
+    return along - start, 2 * np.sqrt(np.maximum(half.max(axis=1), 0.0))
 
 
 def _reaching(
@@ -564,8 +564,8 @@ def _reaching(
     first, last = int(np.argmin(along - radii)), int(np.argmax(along + radii))
     if last <= first:
         first, last = 0, len(along) - 1
-    kept = np.asarray(centres_m[first : last + 1], dtype=np.float64)
-    return kept, np.asarray(radii[first : last + 1], dtype=np.float64)
+    centres = np.asarray(centres_m[first : last + 1], dtype=np.float64)
+    return centres, np.asarray(radii[first : last + 1], dtype=np.float64)
 
 
 def _contacts(

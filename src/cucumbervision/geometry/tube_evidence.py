@@ -90,7 +90,7 @@ class Readings:
 
     Parameters
     ----------
-    found : Gaps
+    contacts : Gaps
         Their gaps, metres.
     sd_m : ndarray of float64, shape (N,)
         The gaps' standard deviations, metres.
@@ -99,25 +99,25 @@ class Readings:
         waves too for depth points.
     """
 
-    found: Gaps
+    contacts: Gaps
     sd_m: NDArray[np.float64]
     slope: NDArray[np.float64]
 
     def misfit(self, share: float) -> float:
         """Return the sum of squared gaps in their own errors, each up to `_MISFIT_SD`."""
         return share * float(
-            (np.minimum(np.abs(self.found.gap_m / self.sd_m), _MISFIT_SD) ** 2).sum()
+            (np.minimum(np.abs(self.contacts.gap_m / self.sd_m), _MISFIT_SD) ** 2).sum()
         )
 
     def scatter(self, limits: tuple[float, float]) -> float:
         """Return how many times their own errors the gaps scatter, robustly, within limits."""
         if not len(self.sd_m):
             return 1.0
-        spread = 1.4826 * median_of(np.abs(self.found.gap_m / self.sd_m))
+        spread = 1.4826 * median_of(np.abs(self.contacts.gap_m / self.sd_m))
         return min(max(spread, limits[0]), limits[1])
 
 
-def point_readings(evidence: Evidence, shape: TubeShape, beside: NDArray[np.float64]) -> Readings:
+def point_readings(evidence: Evidence, shape: TubeShape, nuisance: NDArray[np.float64]) -> Readings:
     """Return the depth points against a body.
 
     Depth errs along its ray, so the gap is the one along the ray, times how squarely that meets
@@ -129,18 +129,18 @@ def point_readings(evidence: Evidence, shape: TubeShape, beside: NDArray[np.floa
         What was seen.
     shape : TubeShape
         The body, camera coordinates.
-    beside : ndarray of float64, shape (SLIPS + W,)
+    nuisance : ndarray of float64, shape (SLIPS + W,)
         The outline's slips, which do not matter here, and the strength of each wave.
     """
-    found, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
+    contacts, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
     across = _ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
     sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + _GROUND_M**2)
-    slope = _slope(found, evidence.waves)
+    slope = _slope(contacts, evidence.waves)
     slope[:, SHAPE:BODY] = 0.0
     if evidence.waves_m is None:
-        return Readings(found, sd, slope)
+        return Readings(contacts, sd, slope)
     waves = np.multiply(evidence.waves_m, facing[:, None], out=slope[:, BODY:])
-    return Readings(replace(found, gap_m=found.gap_m + waves @ beside[SLIPS:]), sd, slope)
+    return Readings(replace(contacts, gap_m=contacts.gap_m + waves @ nuisance[SLIPS:]), sd, slope)
 
 
 def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> Readings:
@@ -156,24 +156,24 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
         How far the whole outline lies beside the depth picture's in x and y, and how much too
         wide it is; metres at the fruit's distance.
     """
-    found = gaps(shape, evidence.rays, rays=True)
-    far = np.sqrt(np.einsum("ij,ij->i", found.centres_m, found.centres_m))
-    sd = np.hypot(evidence.rays_sd_rad * far, _GROUND_M)
-    slope = _slope(found, 0)
-    by_far = far / evidence.far_m
-    slope[:, SHAPE : BODY - 1] = by_far[:, None] * found.away[:, :2]
+    contacts = gaps(shape, evidence.rays, rays=True)
+    distance = np.sqrt(np.einsum("ij,ij->i", contacts.centres_m, contacts.centres_m))
+    sd = np.hypot(evidence.rays_sd_rad * distance, _GROUND_M)
+    slope = _slope(contacts, 0)
+    by_far = distance / evidence.far_m
+    slope[:, SHAPE : BODY - 1] = by_far[:, None] * contacts.away[:, :2]
     slope[:, BODY - 1] = -by_far
-    slipped = replace(found, gap_m=found.gap_m + slope[:, SHAPE:] @ slip_m)
+    slipped = replace(contacts, gap_m=contacts.gap_m + slope[:, SHAPE:] @ slip_m)
     return Readings(slipped, sd, slope)
 
 
-def _slope(found: Gaps, waves: int) -> NDArray[np.float64]:
+def _slope(contacts: Gaps, waves: int) -> NDArray[np.float64]:
     # By the body; the rest is left to be filled in.
-    slope = np.empty((len(found.gap_m), BODY + waves))
+    slope = np.empty((len(contacts.gap_m), BODY + waves))
     for axis in range(3):
-        away = found.away[:, axis : axis + 1]
-        np.multiply(found.bend_basis, away, out=slope[:, axis:_BENDS:3])
-    np.negative(found.width_basis, out=slope[:, _BENDS:SHAPE])
+        away = contacts.away[:, axis : axis + 1]
+        np.multiply(contacts.bend_basis, away, out=slope[:, axis:_BENDS:3])
+    np.negative(contacts.width_basis, out=slope[:, _BENDS:SHAPE])
     return slope
 
 
@@ -210,14 +210,14 @@ def normal_equations(
     normal, target = np.zeros((size, size)), np.zeros(size)
     # A rough outline is rough over longer runs: it counts for fewer independent readings.
     shares = shares[0], shares[1] / max(1.0, scatter[1]) ** 2
-    for seen, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
-        error = seen.sd_m * by * scale
-        gap = seen.found.gap_m / error
+    for kind, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
+        error = kind.sd_m * by * scale
+        gap = kind.contacts.gap_m / error
         root = np.sqrt(share * trust(gap))
-        weighted = seen.slope * (root / error)[:, None]
-        own = slice(0, seen.slope.shape[1])
-        normal[own, own] += weighted.T @ weighted
-        target[own] -= (root * gap) @ weighted
+        weighted = kind.slope * (root / error)[:, None]
+        columns = slice(0, kind.slope.shape[1])
+        normal[columns, columns] += weighted.T @ weighted
+        target[columns] -= (root * gap) @ weighted
     return normal, target
 
 
@@ -244,7 +244,7 @@ def _cauchy(u: NDArray[np.float64]) -> NDArray[np.float64]:
     return 1 / (1 + (u / _CAUCHY) ** 2)
 
 
-def ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
+def ends_seen(shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
     """Return whether the outline goes round a body's first and last end.
 
     There it touches the last ball on its far side, as seen from the body.
@@ -253,24 +253,28 @@ def ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple
     ----------
     shape : TubeShape
         The body, camera coordinates.
-    found : Gaps
+    contacts : Gaps
         Of the outline's rays.
     rays : ndarray of float64, shape (M, 3)
         Unit directions through the outline.
     """
-    first, last = (len(beyond) >= _TIP_RAYS for beyond in _beyond_ends(shape, found, rays))
+    first, last = (len(overhangs) >= _TIP_RAYS for overhangs in _beyond_ends(shape, contacts, rays))
     return first, last
 
 
-def end_overhangs(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[float, float]:
+def end_overhangs(
+    shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]
+) -> tuple[float, float]:
     """Return how far the outline goes beyond a body's first and last end, metres.
 
     A pointed end is one that balls do not enter. At most the body's median radius, and 0 where
     the outline does not go round the end or is not significantly beyond it. Parameters as those
     of `ends_seen`.
     """
-    most = median_of(shape.width_m)
-    first, last = (min(_overhang(beyond), most) for beyond in _beyond_ends(shape, found, rays))
+    limit = median_of(shape.width_m)
+    first, last = (
+        min(_overhang(overhangs), limit) for overhangs in _beyond_ends(shape, contacts, rays)
+    )
     return first, last
 
 
@@ -284,19 +288,19 @@ def _overhang(beyond_m: NDArray[np.float64]) -> float:
 
 
 def _beyond_ends(
-    shape: TubeShape, found: Gaps, rays: NDArray[np.float64]
+    shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     # Of the rays that touch each end's ball on its far side: how far along the axis they lie.
-    both = []
+    overhangs = []
     centres, _ = shape.balls()
     for share, tip, inner in ((0.0, 0, 1), (1.0, -1, -2)):
-        at_end = np.abs(found.share - share) < 0.5 / BALLS
+        at_end = np.abs(contacts.share - share) < 0.5 / BALLS
         tangent = centres[tip] - centres[inner]
         ray = rays[at_end]
         ahead = tangent - (ray @ tangent)[:, None] * ray
-        seen = np.maximum(np.linalg.norm(ahead, axis=1), 1e-12)
-        cosine = -np.einsum("ij,ij->i", ahead, found.away[at_end]) / seen
-        foreshortened = np.maximum(seen / np.linalg.norm(tangent), _LEAST_FORESHORTENED)
-        beyond = found.gap_m[at_end] * cosine / foreshortened
-        both.append(beyond[cosine > _TIP_COSINE])
-    return both
+        norm = np.maximum(np.linalg.norm(ahead, axis=1), 1e-12)
+        cosine = -np.einsum("ij,ij->i", ahead, contacts.away[at_end]) / norm
+        foreshortened = np.maximum(norm / np.linalg.norm(tangent), _LEAST_FORESHORTENED)
+        overhang = contacts.gap_m[at_end] * cosine / foreshortened
+        overhangs.append(overhang[cosine > _TIP_COSINE])
+    return overhangs

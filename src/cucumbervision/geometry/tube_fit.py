@@ -19,7 +19,7 @@ from cucumbervision.geometry.tube_evidence import (
     point_readings,
     ray_readings,
 )
-from cucumbervision.geometry.tube_prior import add_beside_prior, add_shape_prior, end_hold
+from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,7 +85,7 @@ class TubeFitting:
         centres, radii = self.shape.balls()
         bend, width = bases(BALLS)
         within = round(END_SHARE * BALLS)
-        found = []
+        covariances = []
         for end, inner in ((0, within), (-1, -1 - within)):
             run = centres[end] - centres[inner]
             out = run / max(float(np.linalg.norm(run)), 1e-9)
@@ -95,8 +95,8 @@ class TubeFitting:
             slope = np.zeros((6, len(self.covariance)))
             slope[:, : by_bend.shape[1]] = np.vstack([place, by_bend])
             slope[:3, by_bend.shape[1] : SHAPE] = np.outer(out, width[end])
-            found.append(slope @ self.covariance @ slope.T)
-        return np.stack(found)
+            covariances.append(slope @ self.covariance @ slope.T)
+        return np.stack(covariances)
 
 
 def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
@@ -131,23 +131,23 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
     """
-    shape, beside = guess, np.zeros(SLIPS + evidence.waves)
+    shape, nuisance = guess, np.zeros(SLIPS + evidence.waves)
     scatter, hold = (1.0, 1.0), end_hold((True, True))
     anchors = guess.balls(2)[0]
     settled, length_m, still = False, 0.0, 0
     for step, scale in enumerate((*_SCHEDULE, *[_SCHEDULE[-1]] * _MORE_STEPS)):
         if settled and step >= len(_SCHEDULE):
             break
-        points = point_readings(evidence, shape, beside)
-        rays = ray_readings(evidence, shape, beside[:SLIPS])
+        points = point_readings(evidence, shape, nuisance)
+        rays = ray_readings(evidence, shape, nuisance[:SLIPS])
         if step >= _SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
-            seen = ends_seen(shape, rays.found, evidence.rays)
-            hold = end_hold(seen)
+            visible = ends_seen(shape, rays.contacts, evidence.rays)
+            hold = end_hold(visible)
         shares = evidence.points_share, evidence.rays_share
         normal, target = normal_equations((points, rays), shares, scatter, scale)
         add_shape_prior(normal, target, shape, anchors, hold)
-        add_beside_prior(normal, target, beside, evidence)
+        add_nuisance_prior(normal, target, nuisance, evidence)
         move = solve_held(normal, target, BODY)
         settled = float(np.abs(move[:SHAPE]).max()) < _STILL_M
         shape, move = stepped(shape, move, BODY)
@@ -155,15 +155,15 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
             before, length_m = length_m, shape.length_m
             still = still + 1 if abs(length_m - before) < _STILL_SHARE * length_m else 0
             settled = settled or still > 1
-        beside = beside + move[SHAPE:]
-    rays = ray_readings(evidence, shape, beside[:SLIPS])
-    points = point_readings(evidence, shape, beside)
+        nuisance = nuisance + move[SHAPE:]
+    rays = ray_readings(evidence, shape, nuisance[:SLIPS])
+    points = point_readings(evidence, shape, nuisance)
     misfit = sum(r.misfit(n) for r, n in zip((points, rays), shares, strict=True))
-    waves = points.slope[:, BODY:] @ beside[SLIPS:]
-    remains = replace(points.found, gap_m=points.found.gap_m - waves)
+    waves = points.slope[:, BODY:] @ nuisance[SLIPS:]
+    remains = replace(points.contacts, gap_m=points.contacts.gap_m - waves)
     covariance = np.asarray(np.linalg.solve(normal, np.eye(len(normal), BODY))[:BODY])
-    seen = ends_seen(shape, rays.found, evidence.rays)
-    return TubeFitting(shape, covariance, remains, rays.found, seen, misfit)
+    visible = ends_seen(shape, rays.contacts, evidence.rays)
+    return TubeFitting(shape, covariance, remains, rays.contacts, visible, misfit)
 
 
 def solve_held(

@@ -99,9 +99,9 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
         away = centre - np.einsum("ij,ij->i", centre, readings)[:, None] * readings
     else:
         away = centre - readings
-    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
-    away /= far[:, None]
-    return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / _FINE)
+    norm = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
+    away /= norm[:, None]
+    return Gaps(norm - width @ shape.width_m, away, bend, width, centre, index / _FINE)
 
 
 def depth_gaps(
@@ -120,7 +120,7 @@ def depth_gaps(
 
     Returns
     -------
-    found : Gaps
+    contacts : Gaps
         `gap_m` is the distance along the ray times `facing`, positive before the surface; for
         a ray that misses the body or only grazes it, the point's own gap.
     facing : ndarray of float64, shape (N,)
@@ -131,8 +131,8 @@ def depth_gaps(
     >>> from cucumbervision.geometry.tube import shape_from_curve
     >>> x = np.linspace(0, 0.2, 33)
     >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
-    >>> found, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))
-    >>> found.gap_m.round(6).tolist(), facing.round(6).tolist()
+    >>> contacts, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))
+    >>> contacts.gap_m.round(6).tolist(), facing.round(6).tolist()
     ([0.01], [1.0])
     """
     centres, radii = shape.balls()
@@ -146,17 +146,17 @@ def depth_gaps(
     index, bend, width, centre = _ball_at(shape, nearest + _vertex(*distance.T))
     radius = np.maximum(width @ shape.width_m, 1e-4)
     along_one = np.einsum("ij,ij->i", centre, rays)
-    beside = np.einsum("ij,ij->i", centre, centre) - along_one**2
-    facing = np.sqrt(np.minimum(np.maximum(1 - beside / radius**2, 0.0), 1.0))
-    at = along_one - facing * radius
-    away = (centre - at[:, None] * rays) / radius[:, None]
-    gap = (at - far_m) * facing
+    squared = np.einsum("ij,ij->i", centre, centre) - along_one**2
+    facing = np.sqrt(np.minimum(np.maximum(1 - squared / radius**2, 0.0), 1.0))
+    entry = along_one - facing * radius
+    away = (centre - entry[:, None] * rays) / radius[:, None]
+    gap = (entry - far_m) * facing
     missed = np.flatnonzero(facing <= _GRAZING)
     if len(missed):
-        own = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
-        gap[missed], away[missed], centre[missed] = own.gap_m, own.away, own.centres_m
-        bend[missed], width[missed] = own.bend_basis, own.width_basis
-        index[missed] = np.rint(own.share * _FINE)
+        points = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
+        gap[missed], away[missed], centre[missed] = points.gap_m, points.away, points.centres_m
+        bend[missed], width[missed] = points.bend_basis, points.width_basis
+        index[missed] = np.rint(points.share * _FINE)
     return Gaps(gap, away, bend, width, centre, index / _FINE), facing
 
 
@@ -188,8 +188,10 @@ def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     # Position of each row's minimum, by a parabola through the lowest value and its neighbours.
     count = values.shape[1]
     k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), count - 2)
-    at = np.arange(0, values.size, count) + k
-    return np.asarray(k + _vertex(values.take(at - 1), values.take(at), values.take(at + 1)))
+    middle = np.arange(0, values.size, count) + k
+    return np.asarray(
+        k + _vertex(values.take(middle - 1), values.take(middle), values.take(middle + 1))
+    )
 
 
 def _vertex(

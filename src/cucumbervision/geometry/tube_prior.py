@@ -31,9 +31,9 @@ _ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
 _SLIP_SD_PX = (1.0, 1.0, 0.1)
 
 
-def end_hold(seen: tuple[bool, bool]) -> NDArray[np.float64]:
+def end_hold(visible: tuple[bool, bool]) -> NDArray[np.float64]:
     """Return how far each end may be from where it was guessed, radii, shape (2,)."""
-    return np.where(seen, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
+    return np.where(visible, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
 
 
 def add_shape_prior(
@@ -103,10 +103,10 @@ def _differences(
     return second, second.T @ second, third.T @ third
 
 
-def add_beside_prior(
+def add_nuisance_prior(
     normal: NDArray[np.float64],
     target: NDArray[np.float64],
-    beside: NDArray[np.float64],
+    nuisance: NDArray[np.float64],
     evidence: Evidence,
 ) -> None:
     """Add to normal equations, in place, how far the outline may slip and how strong waves are.
@@ -117,7 +117,7 @@ def add_beside_prior(
         1/m² for the slips, 1 for the waves.
     target : ndarray of float64, shape (BODY + W,)
         1/m, and 1.
-    beside : ndarray of float64, shape (SLIPS + W,)
+    nuisance : ndarray of float64, shape (SLIPS + W,)
         The present slips, metres, and waves.
     evidence : Evidence
         What was seen: a pixel's size at its distance.
@@ -126,4 +126,4 @@ def add_beside_prior(
     weight = np.concatenate([slips, np.ones(evidence.waves)])
     last = np.arange(BODY - SLIPS, len(target))
     normal[last, last] += weight
-    target[last] -= weight * beside
+    target[last] -= weight * nuisance

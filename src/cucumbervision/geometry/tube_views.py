@@ -29,7 +29,7 @@ from cucumbervision.geometry.tube_fit import (
     solve_held,
     stepped,
 )
-from cucumbervision.geometry.tube_prior import add_beside_prior, add_shape_prior, end_hold
+from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,16 +85,16 @@ class ViewsFitting:
 class _Camera:
     """A view while it is fitted: its present pose, and what it has beside the body."""
 
-    seen: SeenFrom
+    view: SeenFrom
     turn: NDArray[np.float64]
     shift_m: NDArray[np.float64]
-    beside: NDArray[np.float64]
+    nuisance: NDArray[np.float64]
     moved: NDArray[np.float64]
 
     @classmethod
-    def of(cls, seen: SeenFrom) -> _Camera:
-        beside = np.zeros(SLIPS + seen.evidence.waves)
-        return cls(seen, seen.turn, seen.shift_m, beside, np.zeros(_TURNS))
+    def of(cls, view: SeenFrom) -> _Camera:
+        nuisance = np.zeros(SLIPS + view.evidence.waves)
+        return cls(view, view.turn, view.shift_m, nuisance, np.zeros(_TURNS))
 
     def body(self, shape: TubeShape) -> TubeShape:
         return TubeShape(shape.bend_m @ self.turn.T + self.shift_m, shape.width_m)
@@ -140,38 +140,38 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> ViewsFitting:
     >>> one = Evidence(cloud, np.full(540, 1e-3), none, 1e-3, 1e-3, 1.0, 1.0)
     >>> off = replace(one, points_m=cloud + [0.0, 0.01, 0.0])
     >>> views = [SeenFrom(one, still, np.zeros(3)), SeenFrom(off, still, np.zeros(3))]
-    >>> found = fit_views(views, shape_from_curve(curve, 0.019))
-    >>> centres, radii = found.body.shape.balls(5)
+    >>> fitted = fit_views(views, shape_from_curve(curve, 0.019))
+    >>> centres, radii = fitted.body.shape.balls(5)
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
-    >>> (found.poses[1][:3, 3].round(3) + 0.0).tolist()
+    >>> (fitted.poses[1][:3, 3].round(3) + 0.0).tolist()
     [0.0, 0.01, 0.0]
     """
     cameras = [_Camera.of(view) for view in views]
     shape, anchors = guess, guess.balls(2)[0]
     for step, scale in enumerate(_SCHEDULE):
-        seen = _seen_by_any(cameras, shape)
-        hold = end_hold(seen)
-        sizes = [len(c.beside) + (_TURNS if k else 0) for k, c in enumerate(cameras)]
+        visible = _seen_by_any(cameras, shape)
+        hold = end_hold(visible)
+        sizes = [len(c.nuisance) + (_TURNS if k else 0) for k, c in enumerate(cameras)]
         starts = SHAPE + np.concatenate([[0], np.cumsum(sizes)])
         normal, target = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
         for k, camera in enumerate(cameras):
-            own = np.concatenate([np.arange(SHAPE), np.arange(starts[k], starts[k + 1])])
+            columns = np.concatenate([np.arange(SHAPE), np.arange(starts[k], starts[k + 1])])
             part, pull = _view_equations(camera, shape, scale, step >= _SETTLED, moves=k > 0)
-            normal[np.ix_(own, own)] += part
-            target[own] += pull
+            normal[np.ix_(columns, columns)] += part
+            target[columns] += pull
         add_shape_prior(normal, target, shape, anchors, hold)
         shape = _moved(shape, cameras, solve_held(normal, target, SHAPE), starts)
     covariance = np.zeros((BODY, BODY))
     covariance[:SHAPE, :SHAPE] = np.linalg.inv(normal)[:SHAPE, :SHAPE]
     first = cameras[0]
-    points = point_readings(first.seen.evidence, shape, np.zeros(len(first.beside)))
-    rays = ray_readings(first.seen.evidence, shape, first.beside[:SLIPS])
+    points = point_readings(first.view.evidence, shape, np.zeros(len(first.nuisance)))
+    rays = ray_readings(first.view.evidence, shape, first.nuisance[:SLIPS])
     body = TubeFitting(
         shape,
         covariance,
-        points.found,
-        rays.found,
+        points.contacts,
+        rays.contacts,
         _seen_by_any(cameras, shape),
         _misfit(cameras, shape),
     )
@@ -183,15 +183,15 @@ def _view_equations(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # One camera's equations: of the body in the first camera's coordinates, of what the view has
     # beside it, and of its pose.
-    evidence, body = camera.seen.evidence, camera.body(shape)
-    points = point_readings(evidence, body, camera.beside)
-    rays = ray_readings(evidence, body, camera.beside[:SLIPS])
+    evidence, body = camera.view.evidence, camera.body(shape)
+    points = point_readings(evidence, body, camera.nuisance)
+    rays = ray_readings(evidence, body, camera.nuisance[:SLIPS])
     scatter = (1.0, 1.0)
     if settled:
         scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
     middle = body.bend_m.mean(axis=0)
     width = BODY + evidence.waves
-    both = []
+    kinds = []
     for read in (points, rays):
         slope = np.zeros((len(read.sd_m), width + (_TURNS if moves else 0)))
         slope[:, : read.slope.shape[1]] = read.slope
@@ -200,17 +200,17 @@ def _view_equations(
             len(slope), SHAPE - shape.width_m.size
         )
         if moves:
-            arm = read.found.centres_m - middle
-            slope[:, width:] = np.hstack([read.found.away, np.cross(arm, read.found.away)])
-        both.append(replace(read, slope=slope))
+            arm = read.contacts.centres_m - middle
+            slope[:, width:] = np.hstack([read.contacts.away, np.cross(arm, read.contacts.away)])
+        kinds.append(replace(read, slope=slope))
     shares = evidence.points_share, evidence.rays_share
-    normal, target = normal_equations((both[0], both[1]), shares, scatter, scale)
+    normal, target = normal_equations((kinds[0], kinds[1]), shares, scatter, scale)
     alone, pull = np.zeros((width, width)), np.zeros(width)
-    add_beside_prior(alone, pull, camera.beside, evidence)
+    add_nuisance_prior(alone, pull, camera.nuisance, evidence)
     normal[:width, :width] += alone
     target[:width] += pull
     if moves:
-        sd = np.repeat([camera.seen.shift_sd_m, camera.seen.turn_sd_rad], 3)
+        sd = np.repeat([camera.view.shift_sd_m, camera.view.turn_sd_rad], 3)
         last = np.arange(width, width + _TURNS)
         normal[last, last] += 1 / sd**2
         target[last] -= camera.moved / sd**2
@@ -222,27 +222,27 @@ def _moved(
 ) -> TubeShape:
     after, move = stepped(shape, move, SHAPE)
     for k, camera in enumerate(cameras):
-        own = move[starts[k] : starts[k + 1]]
-        camera.beside = camera.beside + own[: len(camera.beside)]
+        step = move[starts[k] : starts[k + 1]]
+        camera.nuisance = camera.nuisance + step[: len(camera.nuisance)]
         if k:
-            camera.move(own[len(camera.beside) :], camera.body(shape).bend_m.mean(axis=0))
+            camera.move(step[len(camera.nuisance) :], camera.body(shape).bend_m.mean(axis=0))
     return after
 
 
 def _seen_by_any(cameras: list[_Camera], shape: TubeShape) -> tuple[bool, bool]:
-    found = []
+    visible = []
     for camera in cameras:
-        evidence, body = camera.seen.evidence, camera.body(shape)
-        rays = ray_readings(evidence, body, camera.beside[:SLIPS])
-        found.append(ends_seen(body, rays.found, evidence.rays))
-    return any(one[0] for one in found), any(one[1] for one in found)
+        evidence, body = camera.view.evidence, camera.body(shape)
+        rays = ray_readings(evidence, body, camera.nuisance[:SLIPS])
+        visible.append(ends_seen(body, rays.contacts, evidence.rays))
+    return any(ends[0] for ends in visible), any(ends[1] for ends in visible)
 
 
 def _misfit(cameras: list[_Camera], shape: TubeShape) -> float:
     total = 0.0
     for camera in cameras:
-        evidence, body = camera.seen.evidence, camera.body(shape)
-        total += point_readings(evidence, body, camera.beside).misfit(evidence.points_share)
-        rays = ray_readings(evidence, body, camera.beside[:SLIPS])
+        evidence, body = camera.view.evidence, camera.body(shape)
+        total += point_readings(evidence, body, camera.nuisance).misfit(evidence.points_share)
+        rays = ray_readings(evidence, body, camera.nuisance[:SLIPS])
         total += rays.misfit(evidence.rays_share)
     return total

@@ -14,7 +14,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -63,7 +63,7 @@ def _network(data: bytes, pick: Pick, integer: int, real: float, word: str) -> b
     if not places:
         return None
     places[pick(len(places))](pick)
-    return model.SerializeToString()
+    return bytes(model.SerializeToString())
 
 
 def _network_places(
@@ -143,11 +143,10 @@ def _recording(data: bytes, pick: Pick, integer: int, real: float, word: str) ->
 def _text(message: bytes, pick: Pick, word: str) -> bytes:
     """Change a number in a text message, whose length stands before it."""
     text = message[_CDR_HEAD + 4 :].rstrip(b"\0")
-    numbers = list(re.finditer(rb"-?\d[\d.e+-]*", text)) or [re.match(b"", text)]
-    number = numbers[pick(len(numbers))]
-    assert number is not None
+    spans = [number.span() for number in re.finditer(rb"-?\d[\d.e+-]*", text)] or [(0, 0)]
+    start, stop = spans[pick(len(spans))]
     put = word.encode(errors="surrogatepass").replace(b"\0", b"")
-    text = text[: number.start()] + put + text[number.end() :] + b"\0"
+    text = text[:start] + put + text[stop:] + b"\0"
     return message[:_CDR_HEAD] + struct.pack("<I", len(text)) + text
 
 

@@ -1,4 +1,4 @@
-"""What the program is: licence, where its source is, and what it runs on."""
+"""Licence, source address and library versions of the program."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _VERSIONS_OF = (
 
 
 def source_offer() -> str:
-    """Return the address of the program's source, or a sentence that none is given.
+    """Return the address of the program's source, or a sentence if there is none.
 
-    The AGPL-3.0, section 13, asks for the offer. The address is the installed package's `Source` in
-    `[project.urls]` of `pyproject.toml`: distributors of a changed program change it there.
-    Operators set it by the environment's `CUCUMBERVISION_SOURCE`, which comes first.
+    The AGPL-3.0, section 13, requires this offer. The address is `Source` of the installed
+    package in `[project.urls]` of `pyproject.toml`: distributors of a changed program change it.
+    The environment variable `CUCUMBERVISION_SOURCE` overrides it.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def source_offer() -> str:
 
 
 def software() -> dict[str, str]:
-    """Return what every file that the program writes says of the program.
+    """Return the description of the program that every output file contains.
 
     Examples
     --------
@@ -65,10 +65,10 @@ def installed_versions() -> dict[str, str]:
     >>> "numpy" in installed_versions()
     True
     """
-    found = {}
+    versions = {}
     for name in _VERSIONS_OF:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

@@ -1,7 +1,7 @@
 """Every error that a user can cause, each with one line: the file, the fault and the remedy.
 
 All of them derive from `CucumberVisionError`, so that a batch can catch one class, note the
-failure and go on with the rest; `named_error` makes one of whatever else was raised.
+failure and continue; `named_error` converts any other exception to one of them.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class OutOfMemoryError(CucumberVisionError):
 
 
 class InternalError(CucumberVisionError):
-    """A defect of this software: an error that has no name of its own."""
+    """A defect of this software: an exception of no other class here."""
 
 
 class CaptureError(CucumberVisionError):
@@ -138,7 +138,7 @@ class StoreVersionError(StoreError):
 
 
 class StoreConflictError(StoreError):
-    """The same key with another content, or an action that a later one stands on."""
+    """A key that exists with other content, or an action that a later one depends on."""
 
 
 class StoredImageError(StoreError):
@@ -181,8 +181,8 @@ class MissingExtraError(CucumberVisionError):
     """
 
     def __init__(self, package: str, extra: str = "") -> None:
-        wanted = f"'cucumbervision[{extra}]'" if extra else package
-        super().__init__(f"{package} is not installed", remedy=f"pip install {wanted}")
+        requirement = f"'cucumbervision[{extra}]'" if extra else package
+        super().__init__(f"{package} is not installed", remedy=f"pip install {requirement}")
 
     def at(self, source: object) -> Self:  # noqa: ARG002 - no file is at fault
         """Return the error itself."""
@@ -214,12 +214,12 @@ def wrap_os_errors(
     remedy: str = "choose another --out",
     kind: type[CucumberVisionError] = CucumberVisionError,
 ) -> Iterator[None]:
-    """Raise a named error for what the operating system refuses inside.
+    """Raise a named error for an OSError raised inside the context.
 
     Parameters
     ----------
     fault : str
-        What cannot be done, in words: the system's own reason follows in brackets.
+        What cannot be done; the system's reason is added in brackets.
     source : object
         The file or folder at fault.
     remedy : str
@@ -243,7 +243,7 @@ def wrap_os_errors(
             kind, remedy = DiskFullError, _FILE_REMEDIES[errno.ENOSPC]
         raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
     except ValueError as error:
-        # A name that no file can have: Python does not even ask the system.
+        # An invalid file name: Python raises this without a system call.
         if "\0" not in str(source):
             raise
         name = str(source).replace("\0", "�")
@@ -314,7 +314,7 @@ _FILE_REMEDIES = {
 }
 
 
-# What libraries and the system's loader say where they should raise MemoryError.
+# Messages of libraries and the dynamic loader that mean MemoryError.
 _NO_MEMORY = re.compile(
     "cannot allocate memory|insufficient memory|failed to map segment|can't start new thread|"
     "bad.?alloc",
@@ -323,14 +323,14 @@ _NO_MEMORY = re.compile(
 
 
 def named_error(error: Exception, source: object = None) -> CucumberVisionError:
-    """Return an error of this family for any exception.
+    """Return a named error for any exception.
 
     Parameters
     ----------
     error : Exception
-        What was raised; one of this family is returned as it is.
+        The exception; a named error is returned unchanged.
     source : object, optional
-        The file or capture that was worked on.
+        The file or capture that was processed.
 
     Returns
     -------
@@ -350,7 +350,7 @@ def named_error(error: Exception, source: object = None) -> CucumberVisionError:
         return OutOfMemoryError("there is not enough memory", source=source, remedy=remedy)
     if isinstance(error, OSError):
         text = error.strerror or str(error) or type(error).__name__
-        # A name that is too long is itself no source that anybody wants to read.
+        # A name that is too long is not useful in a message.
         file = error.filename if error.errno != errno.ENAMETOOLONG else None
         remedy = _FILE_REMEDIES.get(error.errno or 0, "check the disk and its permissions")
         kind = DiskFullError if error.errno in _FULL else FileError

@@ -1,4 +1,4 @@
-"""Names that people give: of rows, sides, rounds, houses, stops. One rule for every door."""
+"""Check the names that people give to rows, sides, rounds, houses and stops."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from unicodedata import category, normalize
 
 from cucumbervision.errors import NameRefusedError
 
-# They turn the direction of what follows, in every list and file that quotes the name.
+# They change the direction of the text after the name, in every list and file.
 _TURNING = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 _NO_LETTERS = ("Cc", "Cs", "Zl", "Zp")  # control, half of a pair, ends of lines and paragraphs
 _SHOWN = 40
@@ -18,15 +18,15 @@ _HOUSE = re.compile(r"^house(?:[\W_]+|(?=\d))(?=.)")
 def checked_name(text: str, what: str = "name") -> str:
     r"""Return a name without spaces around it, after checking that it is one line that can be read.
 
-    Letters of every script are allowed, and so is whatever looks like markup or a formula: pages
-    and files show it as it is.
+    Letters of every script are allowed, and so is text that looks like markup or a formula: pages
+    and files show it unchanged.
 
     Parameters
     ----------
     text : str
-        As it was given.
+        The name as entered.
     what : str
-        What it names, for the error.
+        Kind of name, for the error message.
 
     Raises
     ------
@@ -45,16 +45,16 @@ def checked_name(text: str, what: str = "name") -> str:
     name = text.strip()
     bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
-        shown = readable(name)[:_SHOWN]
+        name_start = readable(name)[:_SHOWN]
         raise NameRefusedError(
-            f"the {what} '{shown}' contains U+{ord(bad):04X}, which is no letter or sign",
+            f"the {what} '{name_start}' contains U+{ord(bad):04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",
         )
     return name
 
 
 def readable(text: str) -> str:
-    r"""Return a text with a question mark in place of what no name may contain.
+    r"""Return a text with a question mark for every character that a name may not contain.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def _is_unreadable(character: str) -> bool:
 
 
 def house_key(house: str) -> str:
-    """Return what tells a house from others: no case, no spaces, no leading word 'house'.
+    """Return a house name for comparison: no case, no spaces, no leading word 'house'.
 
     Examples
     --------
@@ -82,15 +82,17 @@ def house_key(house: str) -> str:
     return "".join(_HOUSE.sub("", name).split())
 
 
-def same_house(house: str, known: Iterable[str]) -> str:
-    """Return the known house that a name means: of that name, or the first; else the name itself.
+def same_house(house: str, houses: Iterable[str]) -> str:
+    """Return the known house that a name means, or the name itself if none is meant.
+
+    A house of exactly this name wins; otherwise the first with the same `house_key`.
 
     Examples
     --------
     >>> same_house("7", ["Nord", "House 7"]), same_house(" Süd  2", ["Nord"])
     ('House 7', 'Süd 2')
     """
-    name, houses = " ".join(house.split()), [one for one in known if one]
-    if not name or name in houses:
+    name, house_names = " ".join(house.split()), [text for text in houses if text]
+    if not name or name in house_names:
         return name
-    return next((one for one in houses if house_key(one) == house_key(name)), name)
+    return next((text for text in house_names if house_key(text) == house_key(name)), name)

@@ -67,7 +67,7 @@ def test_a_stream_measures_as_measure_does_and_numbers_its_fruit(walk: list[Capt
     for k, capture in enumerate(walk):
         frame = stream.take(capture)
         assert [one.track for one in frame.fruit] == [1, 2, 3]
-        assert [one.seen for one in frame.fruit] == [k + 1] * 3
+        assert [one.seen_frames for one in frame.fruit] == [k + 1] * 3
         assert frame.result.rows() == measurer.measure(capture).rows()
     lengths = [one.length for one in frame.fruit if one.length is not None]
     assert lengths
@@ -151,7 +151,7 @@ def test_pictures_of_different_scenes_share_no_fruit_without_stops_either() -> N
     stream, numbers = by_masks(), []
     for ref in open_source(example_captures()):
         frame = stream.take(replace(ref.load(), stop=Stop()))
-        assert all(one.seen == 1 and one.frames <= 1 for one in frame.fruit)
+        assert all(one.seen_frames == 1 and one.frames <= 1 for one in frame.fruit)
         numbers += [one.track for one in frame.fruit]
     assert numbers == list(range(1, 9))
 
@@ -187,7 +187,7 @@ def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:
 
 
 def test_a_recording_is_streamed(recording: Path) -> None:
-    every = [one.item for one in open_stream(recording, every=True)]
+    every = [one.item for one in open_stream(recording, every_frame=True)]
     assert [one.frame for one in every if isinstance(one, Capture)] == list(range(1, 23))
     # As a camera, whoever takes each at once gets all that were not dropped meanwhile.
     arrivals = list(open_stream(recording))
@@ -217,7 +217,7 @@ def test_a_folder_that_fills_is_a_camera(walk: list[Capture], tmp_path: Path) ->
     with pytest.raises(CameraError, match="no capture has appeared for 30 s"):
         names.extend(
             one.item.name if isinstance(one.item, Capture) else one.item.error
-            for one in stream_camera(lambda: camera, every=True)
+            for one in stream_camera(lambda: camera, every_frame=True)
         )
     assert names == ["walk_1", "walk_2", "CaptureError"]
 

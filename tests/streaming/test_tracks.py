@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
-from cucumbervision.streaming.tracks import FrameView, Tracker, frame_view
+from cucumbervision.streaming.tracks import Sighting, Tracker, sighting_of
 
 CAMERA = Intrinsics(848, 480, 616.0, 616.0, 424.0, 240.0)
 
@@ -24,7 +24,7 @@ class Row:
     rng: np.random.Generator
     noise_m: float = 0.004
 
-    def seen(self, camera_m: float) -> tuple[list[int], list[FrameView]]:
+    def seen(self, camera_m: float) -> tuple[list[int], list[Sighting]]:
         """The fruit in the picture, in an order of their own each time."""
         names, views = [], []
         for k in self.rng.permutation(len(self.at_m)).tolist():
@@ -37,7 +37,7 @@ class Row:
             noisy = place + self.rng.normal(0, self.noise_m, 3) * [1, 1, 2]
             names.append(k)
             views.append(
-                FrameView(noisy, round(v - half[1]), round(u - half[0]), np.ones(shape, bool))
+                Sighting(noisy, round(v - half[1]), round(u - half[0]), np.ones(shape, bool))
             )
         return names, views
 
@@ -96,22 +96,22 @@ def test_a_fruit_that_a_leaf_hides_comes_back_with_its_number() -> None:
 
 def test_a_fruit_out_of_sight_for_too_long_is_another() -> None:
     tracker = Tracker(keep_s=1.0)
-    view = FrameView(np.array([0.0, 0.0, 0.5]), 100, 100, np.ones((20, 5), bool))
+    view = Sighting(np.array([0.0, 0.0, 0.5]), 100, 100, np.ones((20, 5), bool))
     assert tracker.assign([view], CAMERA, 0.0) == [1]
     assert tracker.assign([], CAMERA, 0.9) == []
-    assert tracker.known == {1}
+    assert tracker.numbers == {1}
     assert tracker.assign([view], CAMERA, 1.2) == [2]
 
 
 def test_without_depth_the_masks_tell() -> None:
     nowhere = np.full(3, np.nan)
-    a = FrameView(nowhere, 100, 100, np.ones((20, 5), bool))
-    b = FrameView(nowhere, 100, 300, np.ones((20, 5), bool))
+    a = Sighting(nowhere, 100, 100, np.ones((20, 5), bool))
+    b = Sighting(nowhere, 100, 300, np.ones((20, 5), bool))
     tracker = Tracker()
     assert tracker.assign([a, b], CAMERA, 0.0) == [1, 2]
-    moved = FrameView(nowhere, 104, 304, np.ones((20, 5), bool))
+    moved = Sighting(nowhere, 104, 304, np.ones((20, 5), bool))
     assert tracker.assign([moved, a], CAMERA, 0.1) == [2, 1]
-    far = FrameView(nowhere, 100, 600, np.ones((20, 5), bool))
+    far = Sighting(nowhere, 100, 600, np.ones((20, 5), bool))
     assert tracker.assign([far], CAMERA, 0.2) == [3]
 
 
@@ -126,8 +126,8 @@ def test_the_middle_of_a_mask_lies_where_its_readings_are() -> None:
     # The box's middle is (419.5, 199.5): (419.5 - 424) / 616 * 0.5, (199.5 - 240) / 616 * 0.5.
     expected = [-0.0036526, -0.0328734, 0.5]
     for instance in (Instance(box, mask=mask), Instance(box)):
-        view = frame_view(capture, instance)
+        view = sighting_of(capture, instance)
         np.testing.assert_allclose(view.at_m, expected, atol=5e-4)
         assert view.outline.shape == (50, 10)
     depth_m[:] = 0.0
-    assert np.isnan(frame_view(capture, Instance(box, mask=mask)).at_m).all()
+    assert np.isnan(sighting_of(capture, Instance(box, mask=mask)).at_m).all()

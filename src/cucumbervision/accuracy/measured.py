@@ -93,12 +93,12 @@ def read_measured(path: Path) -> Measured:
         If the file is not the output of a run, or contains no fruit.
     """
     if path.is_dir():
-        found = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
-        if not found:
+        tables = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
+        if not tables:
             raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
-        path = found[0]
-    beside = path.with_suffix(".json")
-    report = _read_report(beside) if beside.exists() else {}
+        path = tables[0]
+    report_path = path.with_suffix(".json")
+    report = _read_report(report_path) if report_path.exists() else {}
     with wrap_reader_errors(path, remedy=_REMEDY):
         if path.suffix.lower() == ".json":
             if not report:
@@ -122,13 +122,13 @@ def read_measured(path: Path) -> Measured:
 def _read_report(path: Path) -> dict[str, Any]:
     report = read_json(path, CucumberVisionError, _REMEDY)
     captures = report.get("captures") if isinstance(report, dict) else None
-    known = isinstance(captures, list) and all(
+    is_report = isinstance(captures, list) and all(
         isinstance(c, dict)
         and {"name", "fruit", "intrinsics"} <= set(c)
         and isinstance(c["intrinsics"], dict)
         for c in captures
     )
-    if not known:
+    if not is_report:
         raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
     return dict(report)
 
@@ -158,7 +158,7 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
         capture=str(row["capture"]),
         fruit=int(row["fruit"]),
         lengths_m={**lengths, REPORTED: _metres(row.get("length_cm"))},
-        fell_back=frozenset(m for m, said in methods.items() if said.get("fallback")),
+        fell_back=frozenset(m for m, outcome in methods.items() if outcome.get("fallback")),
         kind=_word(row, "length_kind"),
         method=_word(row, "method"),
         mask_source=_word(row, "mask_source"),
@@ -169,10 +169,10 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
 
 
 def _word(row: Mapping[str, Any], name: str) -> str:
-    found = row.get(name) or ""
-    if not isinstance(found, str):
+    text = row.get(name) or ""
+    if not isinstance(text, str):
         raise ValueError(f"{name} is not text")
-    return found
+    return text
 
 
 def _metres(length_cm: float | None) -> float | None:

@@ -99,7 +99,7 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
     floor = floor_of(truth.lengths)
     notes = _notes(truth, floor, pairs)
     simulated = {c["name"] for c in measured.report.get("captures", []) if c.get("simulated")}
-    if any(one.capture in simulated for one, _ in pairs):
+    if any(length.capture in simulated for length, _ in pairs):
         notes.append("Some of these captures are simulated.")
     return OwnTruth(tuple(pairs), tuple(_score_methods(pairs)), floor, tuple(notes))
 
@@ -119,23 +119,23 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
     ran = sorted({key for r in measured.readings for key in r.lengths_m})
     counts = Counter(r.capture for r in measured.readings)
     pairs = []
-    for one in truth.lengths:
-        if one.capture not in measured.captures:
+    for length in truth.lengths:
+        if length.capture not in measured.captures:
             raise TruthError(
-                f"line {one.line}: capture '{one.capture}' is not among the measurements of "
+                f"line {length.line}: capture '{length.capture}' is not among the measurements of "
                 f"{measured.path} ({_some(measured.captures)})",
                 source=truth.path,
                 remedy="measure it, correct its name, or drop the line",
             )
-        if one.fruit is None:
-            missed = Reading(one.capture, 0, dict.fromkeys(ran), flags=MISSED)
-            pairs.append((one, missed))
-        elif (one.capture, one.fruit) in readings:
-            pairs.append((one, readings[one.capture, one.fruit]))
+        if length.fruit is None:
+            missed = Reading(length.capture, 0, dict.fromkeys(ran), flags=MISSED)
+            pairs.append((length, missed))
+        elif (length.capture, length.fruit) in readings:
+            pairs.append((length, readings[length.capture, length.fruit]))
         else:
             raise TruthError(
-                f"line {one.line}: capture '{one.capture}' has {counts[one.capture]} measured "
-                f"fruit, no number {one.fruit}",
+                f"line {length.line}: capture '{length.capture}' has {counts[length.capture]} "
+                f"measured fruit, no number {length.fruit}",
                 source=truth.path,
                 remedy=f"see the numbers in the overlay; write '{MISSED}' for a fruit that the "
                 "run did not find",
@@ -170,9 +170,9 @@ def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> list[MethodSc
     for kind in LengthDefinition:
         for method in methods:
             chosen = [
-                (reading.lengths_m[method], one.length_m, one.specimen)
-                for one, reading in pairs
-                if one.kind is kind
+                (reading.lengths_m[method], length.length_m, length.specimen)
+                for length, reading in pairs
+                if length.kind is kind
                 and method in reading.lengths_m
                 and comparable(method, kind, reading.kind)
             ]
@@ -187,30 +187,34 @@ def _score(
     lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
     truth = np.array([true for _, true, _ in chosen])
     fruit = [name for _, _, name in chosen]
-    low, high = math.nan, math.nan
+    low_percent, high_percent = math.nan, math.nan
     if len(set(fruit)) >= _LEAST_FRUIT:
-        found = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
-        low, high = found.low, found.high
-    return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
+        error = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
+        low_percent, high_percent = error.low, error.high
+    return MethodScore(
+        method, kind, score(lengths, truth), low_percent, high_percent, len(set(fruit))
+    )
 
 
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
-    measured = [(one, [x for x in reading.lengths_m.values() if x]) for one, reading in pairs]
-    ratios = [one.length_m / float(np.median(known)) for one, known in measured if known]
+    measured = [(length, [x for x in reading.lengths_m.values() if x]) for length, reading in pairs]
+    ratios = [
+        length.length_m / float(np.median(lengths_m)) for length, lengths_m in measured if lengths_m
+    ]
     ratio = float(np.median(ratios)) if ratios else 1.0
-    for about, factor, words, remedy in _UNITS:
-        if about / factor < ratio < about * factor:
+    for usual_ratio, factor, words, remedy in _UNITS:
+        if usual_ratio / factor < ratio < usual_ratio * factor:
             raise TruthError(
                 f"the lengths are not in centimetres: their median is {ratio:.3g} times what was "
                 f"measured, about {words}",
                 source=path,
                 remedy=f"{remedy}; the columns hold centimetres",
             )
-    for one, _ in pairs:
-        for length_m in one.lengths_m:
+    for length, _ in pairs:
+        for length_m in length.lengths_m:
             if not _SHORTEST_M <= length_m <= _LONGEST_M:
                 raise TruthError(
-                    f"line {one.line}: {100 * length_m:g} cm is not a plausible length",
+                    f"line {length.line}: {100 * length_m:g} cm is not a plausible length",
                     source=path,
                     remedy="give centimetres, between 1 and 100",
                 )
@@ -242,11 +246,11 @@ def _notes(
 
 
 def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more
+    remainder = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + remainder
 
 
-def write_own_truth(found: OwnTruth, out: Path) -> None:
+def write_own_truth(evaluation: OwnTruth, out: Path) -> None:
     """Write `scores.csv` and `lengths.csv` to a folder.
 
     `lengths.csv` has a row for each manual length with the length of each method in centimetres.
@@ -256,24 +260,28 @@ def write_own_truth(found: OwnTruth, out: Path) -> None:
     CucumberVisionError
         If the folder is not writable, or there are no scores.
     """
-    if not found.pairs:
+    if not evaluation.pairs:
         raise CucumberVisionError(
             "there is nothing to report", source=out, remedy="measure at least one fruit first"
         )
     lengths = [
         {
-            "capture": one.capture,
-            "fruit": one.fruit,
-            "specimen": one.specimen,
-            "kind": str(one.kind),
-            "true_cm": 100 * one.length_m,
+            "capture": length.capture,
+            "fruit": length.fruit,
+            "specimen": length.specimen,
+            "kind": str(length.kind),
+            "true_cm": 100 * length.length_m,
             **{f"{key}_cm": x and 100 * x for key, x in reading.lengths_m.items()},
         }
-        for one, reading in found.pairs
+        for length, reading in evaluation.pairs
     ]
     scores = [
-        {key: value for key, value in (vars(one) | asdict(one.metrics)).items() if key != "metrics"}
-        for one in found.scores
+        {
+            key: value
+            for key, value in (vars(method_score) | asdict(method_score.metrics)).items()
+            if key != "metrics"
+        }
+        for method_score in evaluation.scores
     ]
     with wrap_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
@@ -302,7 +310,9 @@ _SCORES = {
 def scores_table(scores: Sequence[MethodScore]) -> Table:
     """Return the errors of each method for each definition of length."""
     rows = [
-        vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
-        for one in scores
+        vars(method_score.metrics)
+        | vars(method_score)
+        | {"measured_percent": 100 * method_score.metrics.measured}
+        for method_score in scores
     ]
     return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)

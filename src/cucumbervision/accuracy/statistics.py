@@ -88,24 +88,30 @@ def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
     lengths, truth = np.asarray(lengths_m, float), np.asarray(truth_m, float)
     if not truth.size or not (truth > 0).all():
         raise ValueError("true lengths must be positive, and at least one")
-    known = np.isfinite(lengths)
+    has_length = np.isfinite(lengths)
     error_cm = 100 * (np.nan_to_num(lengths) - truth)
     percent = percent_errors(lengths, truth)
     spread = float(((truth - truth.mean()) ** 2).sum())
     r2 = 1 - float((error_cm**2).sum()) / (1e4 * spread) if spread > 0 else np.nan
-    enough = known.sum() >= 3 and np.ptp(truth[known]) > 0 and np.ptp(lengths[known]) > 0
+    enough = (
+        has_length.sum() >= 3 and np.ptp(truth[has_length]) > 0 and np.ptp(lengths[has_length]) > 0
+    )
     return Metrics(
         count=int(truth.size),
-        measured=float(known.mean()),
+        measured=float(has_length.mean()),
         mae_cm=float(np.abs(error_cm).mean()),
         mape_percent=float(percent.mean()),
         rmse_cm=float(np.sqrt((error_cm**2).mean())),
         r2=float(r2),
-        pearson_r=float(np.corrcoef(lengths[known], truth[known])[0, 1]) if enough else np.nan,
+        pearson_r=float(np.corrcoef(lengths[has_length], truth[has_length])[0, 1])
+        if enough
+        else np.nan,
         median_percent=float(np.median(percent)),
         worst_percent=float(percent.max()),
         bias_percent=(
-            float((100 * (lengths[known] / truth[known] - 1)).mean()) if known.any() else np.nan
+            float((100 * (lengths[has_length] / truth[has_length] - 1)).mean())
+            if has_length.any()
+            else np.nan
         ),
     )
 
@@ -178,8 +184,8 @@ def estimate(
         order = np.argsort(data, kind="stable")
         data, member = data[order], member[order]
         drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return Estimate(value, float(low), float(high), len(data), len(index))
+    low_value, high_value = np.percentile(drawn, [2.5, 97.5])
+    return Estimate(value, float(low_value), float(high_value), len(data), len(index))
 
 
 def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
@@ -194,11 +200,13 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
     >>> found.value, round(found.low, 3), found.high
     (1.0, 0.478, 1.0)
     """
-    found = estimate(np.asarray(hits, float), groups)
-    if found.groups < _FEWEST_GROUPS or found.value not in (0.0, 1.0):
-        return found
-    low, high = binomial_interval(int(found.value) * found.groups, found.groups)
-    return Estimate(found.value, low, high, found.count, found.groups)
+    hit_rate = estimate(np.asarray(hits, float), groups)
+    if hit_rate.groups < _FEWEST_GROUPS or hit_rate.value not in (0.0, 1.0):
+        return hit_rate
+    low_share, high_share = binomial_interval(
+        int(hit_rate.value) * hit_rate.groups, hit_rate.groups
+    )
+    return Estimate(hit_rate.value, low_share, high_share, hit_rate.count, hit_rate.groups)
 
 
 def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
@@ -231,5 +239,5 @@ def binomial_interval(hits: int, count: int) -> tuple[float, float]:
     """
     from scipy.stats import binomtest
 
-    found = binomtest(hits, count).proportion_ci(0.95, method="exact")
-    return float(found.low), float(found.high)
+    interval = binomtest(hits, count).proportion_ci(0.95, method="exact")
+    return float(interval.low), float(interval.high)

@@ -70,11 +70,11 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     (('capture', 'length_cm'), Line(number=2, cells={'capture': 'row-3', 'length_cm': '23,5'}))
     """
     text = read_text(path, error)
-    first, _, rest = text.partition("\n")
+    first, _, further_lines = text.partition("\n")
     skipped = 0
     if first.strip().strip('"').lower().startswith("sep="):
-        text, skipped = rest, 1
-        first = rest.partition("\n")[0]
+        text, skipped = further_lines, 1
+        first = further_lines.partition("\n")[0]
     if not text.strip():
         raise error("the file is empty", source=path, remedy="write a head and a line a length")
     separator = max(_SEPARATORS, key=first.count)
@@ -304,8 +304,10 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
         raise TruthError(
             f"line {line.number}: has no length", source=path, remedy="fill it or drop the line"
         )
-    own = f"{cells['capture']} {MISSED if fruit is None else fruit}"
-    specimen = cells.get("specimen") or (f"{own} line {line.number}" if fruit is None else own)
+    fruit_name = f"{cells['capture']} {MISSED if fruit is None else fruit}"
+    specimen = cells.get("specimen") or (
+        f"{fruit_name} line {line.number}" if fruit is None else fruit_name
+    )
     definition = LengthDefinition(kind)
     return TrueLength(line.number, cells["capture"], fruit, definition, lengths, specimen)
 
@@ -336,47 +338,52 @@ def _length_m(line: Line, name: str, path: Path) -> float:
 
 
 def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLength, ...]:
-    seen: dict[tuple[object, ...], TrueLength] = {}
+    first_of_repeat: dict[tuple[object, ...], TrueLength] = {}
     merged: dict[tuple[object, ...], TrueLength] = {}
-    for line, one in read:
+    for line, length in read:
         # Missed fruit have no number and are distinguished by their specimen.
-        fruit = (one.capture, one.specimen if one.fruit is None else one.fruit, one.kind)
+        fruit = (
+            length.capture,
+            length.specimen if length.fruit is None else length.fruit,
+            length.kind,
+        )
         repeat = (*fruit, line.cells.get("repeat", ""))
-        before = seen.setdefault(repeat, one)
-        if before is not one and before.lengths_m != one.lengths_m:
+        before = first_of_repeat.setdefault(repeat, length)
+        if before is not length and before.lengths_m != length.lengths_m:
             raise TruthError(
-                f"lines {before.line} and {one.line} contradict each other: "
-                f"{_cm(before)} and {_cm(one)} for fruit {one.fruit or MISSED} of '{one.capture}'",
+                f"lines {before.line} and {length.line} contradict each other: "
+                f"{_cm(before)} and {_cm(length)} for fruit {length.fruit or MISSED} of "
+                f"'{length.capture}'",
                 source=path,
                 remedy="drop one, or number repeated measurements in a column 'repeat'",
             )
-        if before is not one:
+        if before is not length:
             continue
-        first = merged.setdefault(fruit, one)
-        if first.specimen != one.specimen:
+        first = merged.setdefault(fruit, length)
+        if first.specimen != length.specimen:
             raise TruthError(
-                f"lines {first.line} and {one.line} call one fruit '{first.specimen}' and "
-                f"'{one.specimen}'",
+                f"lines {first.line} and {length.line} call one fruit '{first.specimen}' and "
+                f"'{length.specimen}'",
                 source=path,
                 remedy="correct the column specimen",
             )
-        if first is not one:
-            merged[fruit] = replace(first, lengths_m=(*first.lengths_m, *one.lengths_m))
+        if first is not length:
+            merged[fruit] = replace(first, lengths_m=(*first.lengths_m, *length.lengths_m))
     return tuple(merged.values())
 
 
 def _require_whole_specimens(lengths: Sequence[TrueLength], path: Path) -> None:
-    seen: dict[tuple[str, str], TrueLength] = {}
-    for one in lengths:
-        other = seen.setdefault((one.capture, one.specimen), one)
-        if other.fruit != one.fruit:
+    first_of_specimen: dict[tuple[str, str], TrueLength] = {}
+    for length in lengths:
+        first = first_of_specimen.setdefault((length.capture, length.specimen), length)
+        if first.fruit != length.fruit:
             raise TruthError(
-                f"lines {other.line} and {one.line}: specimen '{one.specimen}' is fruit "
-                f"{other.fruit or MISSED} and {one.fruit or MISSED} of '{one.capture}'",
+                f"lines {first.line} and {length.line}: specimen '{length.specimen}' is fruit "
+                f"{first.fruit or MISSED} and {length.fruit or MISSED} of '{length.capture}'",
                 source=path,
                 remedy="a fruit is in a picture once; correct the column specimen",
             )
 
 
-def _cm(one: TrueLength) -> str:
-    return " / ".join(f"{100 * x:g} cm" for x in one.lengths_m)
+def _cm(length: TrueLength) -> str:
+    return " / ".join(f"{100 * x:g} cm" for x in length.lengths_m)

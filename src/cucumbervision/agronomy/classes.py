@@ -1,7 +1,7 @@
-"""From an interval of the length to a class: one rule for grades, forecast, pages and files.
+"""Return the class of a fruit from the interval of its length.
 
 A fruit is in a class if its whole interval is, and undecided if the interval spans several. Of a
-fruit that goes on out of sight only the least length is known, so that it is never too short.
+fruit that continues out of sight only a lower bound is known; it is never too short.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ _SAME_M = 1e-8  # lengths nearer than that are equal: 0.1 + 0.15 m is 25 cm
 def possible_classes(
     low_m: float, high_m: float, edges_m: NDArray[np.float64], names: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return the classes that an interval of the length spans, each once, from short to long.
+    """Return the classes that an interval of the length spans, without repeats, shortest first.
 
     Parameters
     ----------
     low_m, high_m : float
-        Its ends, metres; infinity for the upper one of a lower bound.
+        Ends of the interval, metres; the upper end of a lower bound is infinite.
     edges_m : ndarray of float64, shape (B - 1,)
-        Limits between the classes, ascending; a class holds its lower one.
+        Limits between the classes, ascending; a class includes its lower limit.
     names : sequence of str, length B
-        Class of each bin between them, the outer two included.
+        Class of each bin between the limits, including the two outer bins.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def possible_classes(
 
 
 def class_of(possible: Sequence[str]) -> str:
-    """Return the one class that is possible, or that this is undecided.
+    """Return the only possible class, or 'undecided'.
 
     Examples
     --------

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
     """Return the probability that a length with an interval is below each limit in metres, float64.
 
-    The intervals are conformal, with a miss rate of 5 % on either side: their ends and the median
-    (`Length.sides`) are exact, the shape between them is an assumption.
+    The intervals are conformal, with a miss rate of 5 % on each side. Their ends and the median
+    (`Length.sides`) are calibrated; the shape of the distribution between them is an assumption.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
     median_m, low_sd, high_sd = length.sides
     gap = np.log(np.maximum(limit, 1e-12) / median_m)
     sd = np.where(gap < 0, low_sd, high_sd)
-    # A side without spread ends at the median: nothing is below a limit there.
+    # Without spread on a side, no probability lies beyond the median.
     z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
     return np.asarray(ndtr(z), np.float64)
 
@@ -65,7 +65,7 @@ class GradeStatus(StrEnum):
 
 
 class _Gradable(Protocol):
-    """What grading asks of a fruit: `GradingTraits`, or a measurement as the store keeps it."""
+    """The traits that grading needs: `GradingTraits`, or a stored measurement."""
 
     @property
     def thread_m(self) -> float | None: ...
@@ -118,7 +118,7 @@ class GradingTraits:
 
     @property
     def at_least(self) -> bool:
-        """Whether the fruit goes on out of sight, so that its length is a lower bound."""
+        """Whether the fruit continues out of sight, so that its length is a lower bound."""
         return is_lower_bound(self.flags.split())
 
     @classmethod
@@ -133,20 +133,22 @@ class GradingTraits:
         (0.235, None)
         """
         kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
-        value, low, high = (
+        value, low_m, high_m = (
             _number(row, f"{name}_cm", 100) for name in ("length", "interval_low", "interval_high")
         )
         kind: Any
-        kind, about = (kinds.get(str(row.get(name))) for name in ("length_kind", "interval_of"))
+        kind, interval_kind = (
+            kinds.get(str(row.get(name))) for name in ("length_kind", "interval_of")
+        )
         thread, centreline, chord = (
             _number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")
         )
-        known = value is not None and kind is not None
+        is_measured = value is not None and kind is not None
         return cls(
             thread,
             centreline,
             chord,
-            Length(value or 0.0, kind, low, high, about) if known else None,
+            Length(value or 0.0, kind, low_m, high_m, interval_kind) if is_measured else None,
             _number(row, "inner_arc_mm_per_10cm"),
             _number(row, "diameter_max_mm", 1000),
             _number(row, "volume_ml", 1e6),
@@ -155,16 +157,16 @@ class GradingTraits:
 
 
 def _length(fruit: _Gradable, kind: LengthDefinition) -> Length | None:
-    """Return one of a fruit's three lengths, with the interval where that is about it."""
-    own = fruit.length
+    """Return a fruit's length of one kind, with its interval if that is of the same kind."""
+    measured = fruit.length
     value_m: float | None = getattr(fruit, f"{kind}_m")
-    if own is not None and own.kind == kind:
-        value_m = own.value_m
+    if measured is not None and measured.kind == kind:
+        value_m = measured.value_m
     if not value_m:
         return None
-    if own is None or own.interval_of != kind:
+    if measured is None or measured.interval_of != kind:
         return Length(value_m, kind)
-    return replace(own, value_m=value_m, kind=kind)
+    return replace(measured, value_m=value_m, kind=kind)
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ class Grade:
     rules : tuple of str
         Explanations, the deciding rule first.
     probabilities : dict of str to float
-        Of all these that may be; empty if the length has no interval, or is a lower bound.
+        Probability of each possible name; empty without an interval, or for a lower bound.
     missing : tuple of str
         Traits that are needed and unknown.
     best_class : str
@@ -190,10 +192,10 @@ class Grade:
     mass_g : float, optional
         Volume times the profile's density.
     possible : tuple of str
-        The classes that its interval spans, from short to long; one where it is decided.
+        The classes that the interval spans, shortest first; a single one if it is decided.
     reason : str
-        Why it is in none better ('by length', 'slightly crooked', 'too thin') or undecided; empty
-        in the best class, and where an interval spans several.
+        Why the class is not better ('by length', 'slightly crooked', 'too thin'), or undecided;
+        empty in the best class, and if an interval spans several classes.
     """
 
     verdict: GradeStatus
@@ -259,8 +261,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     -------
     Grade
         If a rule forbids the class given by the length, the next worse allowed one, or none.
-        Undecided if the 90 % interval of the length, or what may follow a lower bound, spans
-        several of these; shape, mass and diameter count as exact.
+        Undecided if the 90 % interval of the length, or the range above a lower bound, spans
+        several classes; shape, mass and diameter count as exact.
 
     Examples
     --------
@@ -300,7 +302,7 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
     weight = _weight(mass, fruit.chord_m, profile)
     width = _width(fruit.diameter_max_m, profile)
-    if fruit.at_least:  # what is out of sight makes it heavier, longer and perhaps thicker
+    if fruit.at_least:  # the hidden part adds mass and length, and perhaps diameter
         weight, width = _Check(weight.name), _Check(width.name)
     elif profile.size_rules == "remark":
         weight, width = weight.as_remark(), width.as_remark()
@@ -334,17 +336,22 @@ _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
 def _known_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
-    """Return between which lengths a fruit's is: its interval, or from a lower bound on."""
+    """Return the range of a fruit's length: its interval, or from a lower bound to infinity."""
     if fruit.at_least:
         return length.value_m, math.inf
     if Flag.INTERVAL_TOO_WIDE in fruit.flags.split():
         return 0.0, math.inf
-    own = fruit.length
-    if own is None or own.low_m is None or own.high_m is None or own.interval_of != own.kind:
+    measured = fruit.length
+    if (
+        measured is None
+        or measured.low_m is None
+        or measured.high_m is None
+        or measured.interval_of != measured.kind
+    ):
         return length.value_m, length.value_m
-    # The three lengths of one tube err alike.
-    share = length.value_m / own.value_m
-    return own.low_m * share, own.high_m * share
+    # The three lengths of a tube have the same relative error.
+    share = length.value_m / measured.value_m
+    return measured.low_m * share, measured.high_m * share
 
 
 def _rules(
@@ -363,16 +370,16 @@ def _rules(
             ends = f"at least {low_cm:.1f} cm: {_PART}" if low_cm else _UNCERTAIN
         why = _why(profile, "classes")
         return (f"undecided: {profile.length} length {ends}{why}", *lowering)
-    at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-6, side="right"))
-    by_length = _length_rule(profile, length_cm, at)
-    lowered = possible != (_classes_of_bins(profile, ())[at],)
+    bin_index = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-6, side="right"))
+    by_length = _length_rule(profile, length_cm, bin_index)
+    lowered = possible != (_classes_of_bins(profile, ())[bin_index],)
     return (*lowering, by_length) if lowered else (by_length, *lowering)
 
 
 def _reason(
     name: str, profile: CropProfile, known_m: tuple[float, float], checks: tuple[_Check, ...]
 ) -> str:
-    """Return why a fruit is in no better class; empty in the best, and where its name says so."""
+    """Return why a fruit is in no better class; empty in the best class, or if the name says it."""
     if name == UNDECIDED and math.isinf(known_m[1]):
         return _PART if known_m[0] else _UNCERTAIN
     if name in (profile.classes[0].name, UNDECIDED, *profile.outcomes[-2:]):
@@ -400,12 +407,12 @@ def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[s
     """Return the class of each bin of the length, the next worse one where a rule forbids it."""
     names = [c.name for c in profile.classes]
     forbidden = frozenset().union(*(c.forbidden for c in checks))
-    found = []
+    classes = []
     for outcome in profile.outcome_of_bin:
         allowed = [name for name in names[outcome:] if name not in forbidden]
-        beyond = profile.outcomes[outcome] if outcome >= len(names) else NO_CLASS
-        found.append(allowed[0] if allowed else beyond)
-    return found
+        fallback = profile.outcomes[outcome] if outcome >= len(names) else NO_CLASS
+        classes.append(allowed[0] if allowed else fallback)
+    return classes
 
 
 def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
@@ -418,16 +425,16 @@ def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[st
     return chances
 
 
-def _length_rule(profile: CropProfile, length_cm: float, at: int) -> str:
+def _length_rule(profile: CropProfile, length_cm: float, bin_index: int) -> str:
     edges = profile.edges_m * 100
     text = f"{profile.length} length {length_cm:.1f} cm is"
     why = _why(profile, "classes")
-    if at == 0:
+    if bin_index == 0:
         return f"too short: {text} under {edges[0]:g}{why}"
-    if at == len(edges):
+    if bin_index == len(edges):
         return f"too long: {text} {edges[-1]:g} or more{why}"
-    name = profile.classes[profile.outcome_of_bin[at]].name
-    return f"class {name}: {text} in [{edges[at - 1]:g}, {edges[at]:g}){why}"
+    name = profile.classes[profile.outcome_of_bin[bin_index]].name
+    return f"class {name}: {text} in [{edges[bin_index - 1]:g}, {edges[bin_index]:g}){why}"
 
 
 def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
@@ -471,14 +478,14 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
 
 
 def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
-    least = profile.minimum_diameter_mm
-    if least is None and not profile.diameters:
+    least_mm = profile.minimum_diameter_mm
+    if least_mm is None and not profile.diameters:
         return _Check()
     if diameter_m is None:
         return _Check(missing="largest diameter: no width class")
     width_mm = round(1000 * diameter_m, 6)
-    if least is not None and width_mm < least:
-        text = f"too thin: {width_mm:.1f} mm, at least {least:g} mm required"
+    if least_mm is not None and width_mm < least_mm:
+        text = f"too thin: {width_mm:.1f} mm, at least {least_mm:g} mm required"
         everything = frozenset(c.name for c in profile.classes)
         rule = f"{text}{_why(profile, 'minimum_diameter_mm')}"
         return _Check("", everything, rule, reason="too thin")

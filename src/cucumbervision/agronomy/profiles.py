@@ -231,8 +231,8 @@ class CropProfile(_Strict):
 
 
 def _check_order(key: str, limits: list[float | None]) -> None:
-    known = [limit for limit in limits if limit is not None]
-    if None in limits[:-1] or known != sorted(set(known)):
+    finite_limits = [limit for limit in limits if limit is not None]
+    if None in limits[:-1] or finite_limits != sorted(set(finite_limits)):
         raise ValueError(f"{key}: the limits must rise, and only the last may be left out")
 
 
@@ -289,10 +289,12 @@ def profiles() -> tuple[ProfileEntry, ...]:
     >>> [entry.name for entry in profiles() if entry.shipped]
     ['aubergine', 'courgette', 'green-bean', 'long-cucumber', 'mini-cucumber']
     """
-    own = [_entry(path, shipped=False) for path in sorted(profiles_folder().glob("*.toml"))]
-    names = {entry.name for entry in own}
+    user_profiles = [
+        _entry(path, shipped=False) for path in sorted(profiles_folder().glob("*.toml"))
+    ]
+    names = {entry.name for entry in user_profiles}
     shipped = [_entry(path, shipped=True) for path in sorted(_SHIPPED.glob("*.toml"))]
-    return (*own, *(entry for entry in shipped if entry.name not in names))
+    return (*user_profiles, *(entry for entry in shipped if entry.name not in names))
 
 
 def load_profile(name_or_path: str | Path) -> CropProfile:
@@ -328,14 +330,14 @@ def profile_path(name_or_path: str | Path) -> Path:
         path = Path(name_or_path)
         return path / PACK_PROFILE if path.is_dir() else path
     for place in (profiles_folder(), _SHIPPED):
-        # Looked up by name: a name that no file can have is none of them.
-        found = {path.stem: path for path in place.glob("*.toml")}
-        if text in found:
-            return found[text]
-    known = ", ".join(entry.name for entry in profiles())
+        # Compared by name: a text that is no valid file name matches none.
+        paths = {path.stem: path for path in place.glob("*.toml")}
+        if text in paths:
+            return paths[text]
+    names = ", ".join(entry.name for entry in profiles())
     raise ProfileError(
         f"no crop profile is called {text!r}",
-        remedy=f"take one of {known}, or put your own {text}.toml into {profiles_folder()}",
+        remedy=f"take one of {names}, or put your own {text}.toml into {profiles_folder()}",
     )
 
 

@@ -54,12 +54,12 @@ class CalibratedCamera(_Frozen):
         """
         if self.serial and serial and self.serial != serial:
             return f"its camera is {self.serial}, here {serial}"
-        own = self.intrinsics.intrinsics
-        same = own.size == intrinsics.size and own.distortion is intrinsics.distortion
-        pairs = zip(_numbers(own), _numbers(intrinsics), strict=True)
+        calibrated = self.intrinsics.intrinsics
+        same = calibrated.size == intrinsics.size and calibrated.distortion is intrinsics.distortion
+        pairs = zip(_numbers(calibrated), _numbers(intrinsics), strict=True)
         if same and all(abs(a - b) <= _CAMERA_TOLERANCE_PX for a, b in pairs):
             return ""
-        return f"its intrinsics are {_words(own)}, here {_words(intrinsics)}"
+        return f"its intrinsics are {_words(calibrated)}, here {_words(intrinsics)}"
 
 
 def _numbers(camera: Intrinsics) -> tuple[float, ...]:
@@ -186,8 +186,8 @@ class SiteCalibration(_Frozen):
         kind : LengthDefinition
             Definition of length.
         """
-        wanted = (e for e in self.corrections if e.method == method and e.truth_kind is kind)
-        return next(wanted, None)
+        entries = (e for e in self.corrections if e.method == method and e.truth_kind is kind)
+        return next(entries, None)
 
     def as_text(self) -> str:
         """Return the contents of the file."""
@@ -202,10 +202,10 @@ def read_site_calibration(path: Path) -> SiteCalibration:
     CalibrationError
         If the file is missing, is not a calibration file, or has another version.
     """
-    again = "make it with `cucumbervision calibrate`"
-    data = read_json(path, CalibrationError, again)
+    remedy = "make it with `cucumbervision calibrate`"
+    data = read_json(path, CalibrationError, remedy)
     if not isinstance(data, dict) or data.get("format") != _FORMAT:
-        raise CalibrationError("is not a calibration file", source=path, remedy=again)
+        raise CalibrationError("is not a calibration file", source=path, remedy=remedy)
     if data.get("version") != 1:
         raise CalibrationError(
             f"is of version {data.get('version')}, this software reads version 1",

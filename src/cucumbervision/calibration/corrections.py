@@ -124,9 +124,9 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
     names, member = np.unique([str(name) for name in fruit], return_inverse=True)
     held_out = {Form.NONE: raw}
     chosen, reasons = Form.NONE, []
-    for form, least in _MIN_FRUIT.items():
-        if len(names) < least:
-            reasons.append(f"{form} needs {least} fruit, there are {len(names)}")
+    for form, least_fruit in _MIN_FRUIT.items():
+        if len(names) < least_fruit:
+            reasons.append(f"{form} needs {least_fruit} fruit, there are {len(names)}")
             continue
         held_out[form] = _leave_one_out(form, raw, truth, member)
         gain, error = _gain(held_out[chosen], held_out[form], truth, member)
@@ -136,11 +136,11 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
         else:
             reasons.append(f"{verdict}: no help")
     scale, offset = _fit(chosen, raw, truth, _weights(member))
-    left = held_out[chosen]
-    relative, weights = left / truth - 1, _weights(member) / len(names)
+    predicted = held_out[chosen]
+    relative, weights = predicted / truth - 1, _weights(member) / len(names)
     centred = relative - float(weights @ relative)
     # Scores are relative to the corrected length, because only that is known at run time.
-    scores = np.where(left > 0, np.abs(truth / np.maximum(left, 1e-12) - 1), np.inf)
+    scores = np.where(predicted > 0, np.abs(truth / np.maximum(predicted, 1e-12) - 1), np.inf)
     return Fit(
         form=chosen,
         scale=scale,
@@ -230,11 +230,11 @@ def _leave_one_out(
     truth: NDArray[np.float64],
     member: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    weights, found = _weights(member), np.empty_like(raw)
+    weights, predicted = _weights(member), np.empty_like(raw)
     for k in range(int(member.max()) + 1):
         out = member == k
-        found[out] = corrected(raw[out], *_fit(form, raw[~out], truth[~out], weights[~out]))
-    return found
+        predicted[out] = corrected(raw[out], *_fit(form, raw[~out], truth[~out], weights[~out]))
+    return predicted
 
 
 def _by_fruit(values: NDArray[np.float64], member: NDArray[np.intp]) -> NDArray[np.float64]:

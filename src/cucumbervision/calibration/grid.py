@@ -78,19 +78,19 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     if not captures:
         return None
     camera = captures[0].intrinsics
-    seen = [one for capture in captures if (one := _seen_grid(capture)) is not None]
-    fit, seen = _fitted(seen, camera, spacing_m)
+    grids = [grid for capture in captures if (grid := _seen_grid(capture)) is not None]
+    fit, grids = _fitted(grids, camera, spacing_m)
     if fit is None:
         return None
     # If glare interrupts the lines, crossings may be matched along the diagonals.
     alike = np.abs(fit.ratios / np.median(fit.ratios) - 1) < _MISCOUNTED
     if alike.all() or not alike.any():
         return fit
-    return _fitted([one for one, k in zip(seen, alike, strict=True) if k], camera, spacing_m)[0]
+    return _fitted([grid for grid, k in zip(grids, alike, strict=True) if k], camera, spacing_m)[0]
 
 
 def _fitted(
-    seen: list[_Seen], camera: Intrinsics, spacing_m: float
+    grids: list[_Seen], camera: Intrinsics, spacing_m: float
 ) -> tuple[GridFit | None, list[_Seen]]:
     # Return the fit and the grids it uses.
     import cv2
@@ -102,36 +102,43 @@ def _fitted(
         | cv2.CALIB_FIX_FOCAL_LENGTH
         | cv2.CALIB_FIX_K3
     )
-    poses = [_pose(one, camera.matrix) for one in seen]
-    cells = [one.cells for one in seen]
+    poses = [_pose(grid, camera.matrix) for grid in grids]
+    cells = [grid.cells for grid in grids]
     for error in _MATCH_ERROR:
         matched = [
-            _matched(one, at, pose, camera.matrix, lens, error)
-            for one, at, pose in zip(seen, cells, poses, strict=True)
+            _matched(grid, grid_cells, pose, camera.matrix, lens, error)
+            for grid, grid_cells, pose in zip(grids, cells, poses, strict=True)
         ]
-        kept = [k for k, (at, _) in enumerate(matched) if len(at) >= LEAST_CROSSINGS]
-        if not kept:
+        usable = [
+            k for k, (crossings, _) in enumerate(matched) if len(crossings) >= LEAST_CROSSINGS
+        ]
+        if not usable:
             return None, []
-        seen, matched = [seen[k] for k in kept], [matched[k] for k in kept]
-        cells, pixels = [at for at, _ in matched], [at for _, at in matched]
-        _, _, found, turns, shifts, *_ = cv2.calibrateCameraExtended(
-            [_flat(at).astype(np.float32) for at in cells],
-            [at.astype(np.float32).reshape(-1, 1, 2) for at in pixels],
+        grids, matched = [grids[k] for k in usable], [matched[k] for k in usable]
+        cells, pixels = (
+            [grid_cells for grid_cells, _ in matched],
+            [grid_pixels for _, grid_pixels in matched],
+        )
+        _, _, coefficients, turns, shifts, *_ = cv2.calibrateCameraExtended(
+            [_flat(grid_cells).astype(np.float32) for grid_cells in cells],
+            [grid_pixels.astype(np.float32).reshape(-1, 1, 2) for grid_pixels in pixels],
             camera.size,
             camera.matrix,
             np.zeros(5),
             flags=flags,
         )
-        lens = np.asarray(found, float).ravel()[:5]
+        lens = np.asarray(coefficients, float).ravel()[:5]
         poses = [
             (np.asarray(turn, float), np.asarray(shift, float))
             for turn, shift in zip(turns, shifts, strict=True)
         ]
     off, ratios = [], []
-    for one, at, px, pose in zip(seen, cells, pixels, poses, strict=True):
-        off.append(np.linalg.norm(_projected(at, pose, camera.matrix, lens) - px, axis=1))
-        ratios.append(float(np.nanmedian(_depth_ratios(one.depth_m, at, px, pose))) / spacing_m)
-    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios)), seen
+    for grid, grid_cells, px, pose in zip(grids, cells, pixels, poses, strict=True):
+        off.append(np.linalg.norm(_projected(grid_cells, pose, camera.matrix, lens) - px, axis=1))
+        ratios.append(
+            float(np.nanmedian(_depth_ratios(grid.depth_m, grid_cells, px, pose))) / spacing_m
+        )
+    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios)), grids
 
 
 def _seen_grid(capture: Capture) -> _Seen | None:
@@ -184,8 +191,8 @@ def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
         for order in ((2, 0), (0, 2), (1, 1))
     )
     bend = -((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
-    near = np.ones((_NEIGHBOUR_PX, _NEIGHBOUR_PX), np.uint8)
-    usual = np.asarray(cv2.blur(cv2.dilate(bend, near), near.shape))
+    window = np.ones((_NEIGHBOUR_PX, _NEIGHBOUR_PX), np.uint8)
+    usual = np.asarray(cv2.blur(cv2.dilate(bend, window), window.shape))
     highest = np.asarray(cv2.dilate(bend, np.ones((9, 9), np.uint8)))
     v, u = np.nonzero((bend == highest) & (bend > _CONTRAST * usual) & (bend > 0))
     return np.stack([u, v], axis=1).astype(np.float64)
@@ -193,10 +200,10 @@ def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tuple[int, int], int]:
     """Return the peaks connected to the first one by nearly constant steps, by grid cell."""
-    far, near = (np.asarray(one) for one in tree.query(peaks[first], k=9))
+    reaches, neighbours = (np.asarray(column) for column in tree.query(peaks[first], k=9))
     ways = [
         peaks[k] - peaks[first]
-        for reach, k in zip(far[1:], near[1:], strict=True)
+        for reach, k in zip(reaches[1:], neighbours[1:], strict=True)
         if tree.query(2 * peaks[first] - peaks[k])[0] < _STEP_ERROR * reach
     ]
     if not ways:
@@ -209,30 +216,30 @@ def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tupl
     ]
     if not across:
         return {}
-    found, steps = {(0, 0): first}, {(0, 0): (ways[0], across[0])}
+    indices, steps = {(0, 0): first}, {(0, 0): (ways[0], across[0])}
     taken, queue = {first}, [(0, 0)]
     for cell in queue:
-        along, beside = steps[cell]
+        along, aside = steps[cell]
         for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            there = cell[0] + i, cell[1] + j
-            if there in found:
+            neighbour = cell[0] + i, cell[1] + j
+            if neighbour in indices:
                 continue
-            step = i * along + j * beside
-            off, k = tree.query(peaks[found[cell]] + step)
+            step = i * along + j * aside
+            off, k = tree.query(peaks[indices[cell]] + step)
             if off < _STEP_ERROR * np.linalg.norm(step) and int(k) not in taken:
-                found[there] = int(k)
+                indices[neighbour] = int(k)
                 taken.add(int(k))
-                step = peaks[int(k)] - peaks[found[cell]]
-                steps[there] = (i * step, beside) if i else (along, j * step)
-                queue.append(there)
-    return found
+                step = peaks[int(k)] - peaks[indices[cell]]
+                steps[neighbour] = (i * step, aside) if i else (along, j * step)
+                queue.append(neighbour)
+    return indices
 
 
 def _is_square(homography: NDArray[np.float64], camera: Intrinsics) -> bool:
     sides = (np.linalg.inv(camera.matrix) @ homography)[:, :2]
-    long = np.linalg.norm(sides, axis=0)
-    cosine = abs(float(sides[:, 0] @ sides[:, 1])) / float(long[0] * long[1])
-    return abs(float(long[0] / long[1]) - 1) < _SQUARE_ERROR and cosine < _SQUARE_ERROR
+    lengths = np.linalg.norm(sides, axis=0)
+    cosine = abs(float(sides[:, 0] @ sides[:, 1])) / float(lengths[0] * lengths[1])
+    return abs(float(lengths[0] / lengths[1]) - 1) < _SQUARE_ERROR and cosine < _SQUARE_ERROR
 
 
 def _flat(cells: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -242,10 +249,10 @@ def _flat(cells: NDArray[np.float64]) -> NDArray[np.float64]:
 _Pose = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
-def _pose(seen: _Seen, matrix: NDArray[np.float64]) -> _Pose:
+def _pose(seen_grid: _Seen, matrix: NDArray[np.float64]) -> _Pose:
     import cv2
 
-    _, turn, shift = cv2.solvePnP(_flat(seen.cells), seen.pixels, matrix, np.zeros(5))
+    _, turn, shift = cv2.solvePnP(_flat(seen_grid.cells), seen_grid.pixels, matrix, np.zeros(5))
     return np.asarray(turn, float), np.asarray(shift, float)
 
 
@@ -258,7 +265,7 @@ def _projected(
 
 
 def _matched(
-    seen: _Seen,
+    seen_grid: _Seen,
     cells: NDArray[np.float64],
     pose: _Pose,
     matrix: NDArray[np.float64],
@@ -268,21 +275,25 @@ def _matched(
     """Return the crossings, as cells and pixels, whose depth agrees with the grid's plane."""
     from scipy.spatial import cKDTree
 
-    low, high = cells.min(axis=0) - 3, cells.max(axis=0) + 4
+    first_cell, end_cell = cells.min(axis=0) - 3, cells.max(axis=0) + 4
     grid = (
-        np.stack(np.meshgrid(*map(np.arange, low, high)), axis=-1).reshape(-1, 2).astype(np.float64)
+        np.stack(np.meshgrid(*map(np.arange, first_cell, end_cell)), axis=-1)
+        .reshape(-1, 2)
+        .astype(np.float64)
     )
     expected = _projected(grid, pose, matrix, lens)
     diagonal = np.linalg.norm(_projected(grid + 1, pose, matrix, lens) - expected, axis=1)
-    off, at = (np.asarray(one) for one in cKDTree(seen.crossings_px).query(expected))
-    near = off < error * diagonal
-    if not near.any():
+    off, nearest = (
+        np.asarray(column) for column in cKDTree(seen_grid.crossings_px).query(expected)
+    )
+    is_near = off < error * diagonal
+    if not is_near.any():
         return grid[:0], expected[:0]
-    pixels, off = seen.crossings_px[at[near]], off[near]
-    ratio = _depth_ratios(seen.depth_m, grid[near], pixels, pose)
+    pixels, off = seen_grid.crossings_px[nearest[is_near]], off[is_near]
+    ratio = _depth_ratios(seen_grid.depth_m, grid[is_near], pixels, pose)
     level = np.abs(ratio / np.nanmedian(ratio) - 1) <= _OFF_PLANE
-    kept = level & (off <= max(_OUTLIER * float(np.median(off)), 0.5))
-    return grid[near][kept], pixels[kept]
+    is_crossing = level & (off <= max(_OUTLIER * float(np.median(off)), 0.5))
+    return grid[is_near][is_crossing], pixels[is_crossing]
 
 
 def _depth_ratios(

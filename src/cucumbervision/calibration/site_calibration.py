@@ -125,8 +125,8 @@ def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -
     """
     taken = list(captures)
     cameras = [
-        CalibratedCamera.of(one.intrinsics, _serial({"provenance": one.provenance}))
-        for one in taken
+        CalibratedCamera.of(capture.intrinsics, _serial({"provenance": capture.provenance}))
+        for capture in taken
     ]
     for capture, camera in zip(taken, cameras, strict=True):
         different = cameras[0].difference(camera.intrinsics.intrinsics, camera.serial)
@@ -219,8 +219,8 @@ def _other_camera(capture: str, different: str, source: str) -> CalibrationError
 
 
 def _camera(capture: dict[str, Any], measured: Measured) -> Any:
-    said = {key.removesuffix("_px"): value for key, value in capture["intrinsics"].items()}
-    return parse_model(CameraModel, said, source=measured.path, error=CalibrationError).intrinsics
+    camera = {key.removesuffix("_px"): value for key, value in capture["intrinsics"].items()}
+    return parse_model(CameraModel, camera, source=measured.path, error=CalibrationError).intrinsics
 
 
 def _serial(capture: Mapping[str, Any]) -> str | None:
@@ -231,25 +231,25 @@ def _serial(capture: Mapping[str, Any]) -> str | None:
 def _entry(
     method: str, kind: LengthDefinition, pairs: Sequence[tuple[TrueLength, Reading]]
 ) -> CorrectionEntry | None:
-    known = [
-        (one, reading, length)
-        for one, reading in pairs
-        if one.kind is kind
+    usable = [
+        (length_by_hand, reading, length)
+        for length_by_hand, reading in pairs
+        if length_by_hand.kind is kind
         and comparable(method, kind, reading.kind)
         and method not in reading.fell_back
         and (length := reading.lengths_m.get(method))
     ]
-    if not known:
+    if not usable:
         return None
     fit = fit_correction(
-        [length for _, _, length in known],
-        [one.length_m for one, _, _ in known],
-        [one.specimen for one, _, _ in known],
+        [length for _, _, length in usable],
+        [length_by_hand.length_m for length_by_hand, _, _ in usable],
+        [length_by_hand.specimen for length_by_hand, _, _ in usable],
     )
     return CorrectionEntry(
         method=method,
         truth_kind=kind,
-        mask_sources=sorted({reading.mask_source for _, reading, _ in known}),
+        mask_sources=sorted({reading.mask_source for _, reading, _ in usable}),
         interval=_interval(fit),
         **{name: value for name, value in vars(fit).items() if name != "half_width"},
     )
@@ -257,11 +257,11 @@ def _entry(
 
 def _interval(fit: Fit) -> IntervalEntry:
     width = fit.half_width
-    least = int(np.ceil(LEVEL / (1 - LEVEL) - 1e-9))
+    least_fruit = int(np.ceil(LEVEL / (1 - LEVEL) - 1e-9))
     if width is not None:
         reason = f"conformal on {fit.fruit} fruit, each left out of the fit in turn"
-    elif fit.fruit < least:
-        reason = f"{100 * LEVEL:g} % needs {least} fruit, there are {fit.fruit}"
+    elif fit.fruit < least_fruit:
+        reason = f"{100 * LEVEL:g} % needs {least_fruit} fruit, there are {fit.fruit}"
     else:
         reason = "a fruit left out of the fit came out negative"
     return IntervalEntry(level=LEVEL, half_width=width, reason=reason)

@@ -49,8 +49,8 @@ for _further in entry_points(group=_COMMANDS):
     _further.load()(app, _GROUPS)
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(is_asked: bool) -> None:
+    if is_asked:
         typer.echo(f"cucumbervision {__version__}")
         raise typer.Exit
 

@@ -221,33 +221,47 @@ def takes(
     Parameters
     ----------
     keyword : str
-        The command's parameter that gets what the function makes of them.
+        The command's parameter that receives the function's result.
     make : callable
-        The function; a parameter of the command's own that has the name of one of its options gets
-        its value, too.
+        The function. A parameter of the command with the name of one of its options receives the
+        option's value, too.
     without : collection of str
         Options that the command does not offer; they keep their defaults.
     """
 
     def decorate(command: Command) -> Command:
-        shared = [one for one in _parameters(make) if one.name not in without]
-        own = [one for one in _parameters(command) if one.name != keyword]
-        both = {one.name for one in own} & {one.name for one in shared}
+        shared = [parameter for parameter in _parameters(make) if parameter.name not in without]
+        command_parameters = [
+            parameter for parameter in _parameters(command) if parameter.name != keyword
+        ]
+        repeated = {parameter.name for parameter in command_parameters} & {
+            parameter.name for parameter in shared
+        }
 
         @functools.wraps(command)
         def run(**values: Any) -> None:
-            take = {one.name: values[one.name] for one in shared}
-            rest = {one.name: values[one.name] for one in own}
-            command(**rest, **{keyword: make(**take)})
+            take = {parameter.name: values[parameter.name] for parameter in shared}
+            command_values = {
+                parameter.name: values[parameter.name] for parameter in command_parameters
+            }
+            command(**command_values, **{keyword: make(**take)})
 
-        before = [one for one in own if one.name not in both]
-        positional = [one for one in before if one.kind is not one.KEYWORD_ONLY]
-        keywords = [one for one in before if one.kind is one.KEYWORD_ONLY]
+        before = [parameter for parameter in command_parameters if parameter.name not in repeated]
+        positional = [
+            parameter for parameter in before if parameter.kind is not parameter.KEYWORD_ONLY
+        ]
+        keywords = [parameter for parameter in before if parameter.kind is parameter.KEYWORD_ONLY]
         signature = inspect.Signature(
-            [*positional, *(one.replace(kind=one.KEYWORD_ONLY) for one in shared), *keywords]
+            [
+                *positional,
+                *(parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in shared),
+                *keywords,
+            ]
         )
         vars(run)["__signature__"] = signature
-        run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
+        run.__annotations__ = {
+            name: parameter.annotation for name, parameter in signature.parameters.items()
+        }
         return run
 
     return decorate
@@ -258,7 +272,10 @@ def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
     later = {"MeasureOptions": object, "LoopOptions": object}
     hints = get_type_hints(function, localns=later, include_extras=True)
     parameters = inspect.signature(function).parameters.values()
-    return [one.replace(annotation=hints.get(one.name, one.annotation)) for one in parameters]
+    return [
+        parameter.replace(annotation=hints.get(parameter.name, parameter.annotation))
+        for parameter in parameters
+    ]
 
 
 Serial = Annotated[

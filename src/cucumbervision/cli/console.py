@@ -58,7 +58,7 @@ def screen(width: int = _WIDTH) -> Console:
 
 
 def plain_console(**how: Any) -> Console:
-    """Return a console that prints names letter by letter: no marks, no icons, no highlights.
+    """Return a console that prints names unchanged: no markup, no emoji, no highlighting.
 
     Examples
     --------
@@ -68,9 +68,9 @@ def plain_console(**how: Any) -> Console:
     return Console(highlight=False, markup=False, emoji=False, **how)
 
 
-def columns_table(title: str | None, left: Sequence[str], *right: str) -> Table:
+def columns_table(title: str | None, text_columns: Sequence[str], *right: str) -> Table:
     """Return an empty table with left-aligned columns, then right-aligned ones."""
-    table = Table(*left, title=title, title_justify="left")
+    table = Table(*text_columns, title=title, title_justify="left")
     for head in right:
         table.add_column(head, justify="right")
     return table
@@ -129,7 +129,7 @@ def measure_and_show(
         task = bar.add_task("measuring", total=total)
         batch = replace(batch, stop=stop)
         result = measure_inputs(inputs, out, options, lambda _: bar.advance(task), batch)
-    for note in result.notes:  # whole in measurements.json
+    for note in result.notes:  # complete in measurements.json
         short = shorten(note, _LONGEST_NOTE, placeholder=" …")
         errors.print(short, soft_wrap=True)
     if not quiet:
@@ -191,18 +191,18 @@ def _results_table(
     """Return the results as a table of 80 columns; `by_method` adds a column for each method."""
     rows: list[Mapping[str, Any]] = list(islice(result.each_row(), _MOST_ROWS))
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
-    shown = ran if by_method else []
+    methods = ran if by_method else []
     table = Table(title=f"Measured fruit, {length} in cm", title_justify="left")
     table.add_column("capture", overflow="fold")
     table.add_column("fruit", justify="right")
     table.add_column("length", justify="right", style="bold", no_wrap=True)
     table.add_column("90 % interval", justify="right", no_wrap=True)
-    for method in shown:
+    for method in methods:
         table.add_column(method.upper(), justify="right")
     table.add_column("class, remarks", overflow="fold")
     for row in rows:
         name, number = row["capture"], str(row["fruit"])
-        lengths = [_number(row[f"{method}_cm"]) for method in shown]
+        lengths = [_number(row[f"{method}_cm"]) for method in methods]
         remarks = _remarks(row, profile)
         table.add_row(name, number, _length(row), _interval(row), *lengths, remarks)
     if result.summary.fruit > _MOST_ROWS:
@@ -214,8 +214,8 @@ def _remarks(row: Mapping[str, Any], profile: CropProfile) -> str:
     """Return a fruit's class and its flags in words, or why it was not measured."""
     if row["length_cm"] is None:
         return f"not measured: {row['reason']}"
-    found = grade(GradingTraits.from_row(row), profile)
-    parts = [found.words, flag_remarks(row["flags"])]
+    graded = grade(GradingTraits.from_row(row), profile)
+    parts = [graded.words, flag_remarks(row["flags"])]
     if row["length_kind"] not in set(LengthDefinition):
         parts.append(f"{row['length_kind']} by {row['method']}")
     return "; ".join(filter(None, parts))
@@ -230,7 +230,7 @@ def _interval(row: Mapping[str, Any]) -> str:
     if row["interval_low_cm"] is None:
         return ""
     text = f"{row['interval_low_cm']:.1f} – {row['interval_high_cm']:.1f}"
-    # A raw chord or arc has an interval of another length than its own.
+    # The interval of a raw chord or arc is that of another length.
     return text if row["interval_of"] == row["length_kind"] else f"{text} ({row['interval_of']})"
 
 
@@ -263,8 +263,8 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
 
 def summary_table(result: DetectResult) -> Table:
     """Return a table with the numbers of pictures and fruit, the mean score and the networks."""
-    scores = [entry["score"] for one in result.pictures for entry in one.entries]
-    empty = sum(not one.entries for one in result.pictures)
+    scores = [entry["score"] for picture in result.pictures for entry in picture.entries]
+    empty = sum(not picture.entries for picture in result.pictures)
     table = Table(show_header=False)
     without = f", {empty} without fruit" if empty else ""
     table.add_row("pictures", f"{len(result.pictures)}{without}")

@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
 
 def print_stream(
-    frames: Iterator[StreamedFrame | Failure], most: int | None = None, *, quiet: bool = False
+    frames: Iterator[StreamedFrame | Failure],
+    most_frames: int | None = None,
+    *,
+    quiet: bool = False,
 ) -> int:
     """Print a stream's frames as JSON lines and return the exit code.
 
-    Failures and a summary go to the standard error. The stream ends with its source, after `most`
-    frames, on Ctrl-C, and when its output is closed.
+    Failures and a summary go to the standard error. The stream ends with its source, after
+    `most_frames` frames, on Ctrl-C, and when its output is closed.
     """
     from rich.console import Console
     from rich.markup import escape
@@ -42,23 +45,23 @@ def print_stream(
     count = dropped = 0
     began_s, busy_s = time.perf_counter(), time.process_time()
     try:
-        for one in frames:
-            if isinstance(one, Failure):
-                failures.append(one)
-                errors.print(f"[red]failed[/red] {escape(one.message)}", soft_wrap=True)
+        for frame in frames:
+            if isinstance(frame, Failure):
+                failures.append(frame)
+                errors.print(f"[red]failed[/red] {escape(frame.message)}", soft_wrap=True)
                 continue
             if not count:
                 # The networks are loaded and warm by now.
                 began_s, busy_s = time.perf_counter(), time.process_time()
-            sys.stdout.write(json.dumps(one.as_json()) + "\n")
+            sys.stdout.write(json.dumps(frame.as_json()) + "\n")
             sys.stdout.flush()
-            count, dropped = count + 1, dropped + one.dropped
-            if count == most:
+            count, dropped = count + 1, dropped + frame.dropped
+            if count == most_frames:
                 break
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
-        # Else Python flushes it once more as it ends, and complains.
+        # Otherwise Python flushes it again at exit and prints an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except CameraError as error:
         failures.append(Failure.of(error, error.source))
@@ -108,15 +111,16 @@ def print_recording(
         errors.print(f"[red]failed[/red] {escape(str(error))}", soft_wrap=True)
 
     try:
-        for one in recorded:
-            if isinstance(one, Exception):
-                failed(one)
+        for recording in recorded:
+            if isinstance(recording, Exception):
+                failed(recording)
                 continue
             count += 1
-            quality = one.quality
-            far = "" if quality.distance_m is None else f", {100 * quality.distance_m:.0f} cm"
-            shown = f"{one.path.parent}  depth {100 * quality.fill:.0f} %{far}  {quality.advice}"
-            lines.print(escape(shown), soft_wrap=True)
+            quality = recording.quality
+            distance = "" if quality.distance_m is None else f", {100 * quality.distance_m:.0f} cm"
+            fill = f"depth {100 * quality.fill:.0f} %{distance}"
+            line = f"{recording.path.parent}  {fill}  {quality.advice}"
+            lines.print(escape(line), soft_wrap=True)
     except KeyboardInterrupt:
         pass
     except CameraError as error:
@@ -156,7 +160,7 @@ def stream(
     source: Source,
     fast: FastWay = False,
     follow: Follow = False,
-    every: EveryFrame = False,
+    every_frame: EveryFrame = False,
     serial: Serial = None,
     fps: Fps = 15,
     retries: Retries = 3,
@@ -181,7 +185,7 @@ def stream(
         source,
         options.reading,
         config=config,
-        every=every,
+        every_frame=every_frame,
         follow=follow,
         retries=retries,
     )
@@ -229,7 +233,7 @@ def record(
     out: Out,
     serial: Serial = None,
     folder: FilledFolder = None,
-    every: Every = None,
+    every_s: Every = None,
     count: Count = None,
     burst: Burst = 5,
     row: RowName = None,
@@ -258,7 +262,7 @@ def record(
     def open_camera() -> RgbdCamera:
         return RealSenseCamera(config) if folder is None else FolderCamera(folder)
 
-    signals = clock(every) if every is not None else enter_keys(quiet=quiet)
+    signals = clock(every_s) if every_s is not None else enter_keys(quiet=quiet)
     recorded = record_captures(
         open_camera,
         out,
@@ -275,11 +279,11 @@ def cameras() -> None:
     from cucumbervision.capture.realsense_device import list_cameras
     from cucumbervision.cli.console import columns_table, screen
 
-    found = list_cameras()
-    if not found:
+    devices = list_cameras()
+    if not devices:
         typer.echo("No RealSense camera is connected; plug a D4xx into a USB 3 port")
         raise typer.Exit(2)
     table = columns_table(None, ["camera", "serial number", "firmware", "USB"])
-    for one in found:
-        table.add_row(one.name, one.serial, one.firmware, one.usb)
+    for device in devices:
+        table.add_row(device.name, device.serial, device.firmware, device.usb)
     screen().print(table)

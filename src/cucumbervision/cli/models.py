@@ -46,15 +46,15 @@ def verify(
     from cucumbervision.perception.registry import load_registry
 
     registry = load_registry()
-    here = [one.name for one in registry.models if registry.state(one.name) != "not pulled"]
-    for one in [name] if name else here:
-        for path in registry.resolve(one).values():
-            plain_console().print(f"ok {one}: {path}", soft_wrap=True)
+    names = [model.name for model in registry.models if registry.state(model.name) != "not pulled"]
+    for network in [name] if name else names:
+        for path in registry.resolve(network).values():
+            plain_console().print(f"ok {network}: {path}", soft_wrap=True)
 
 
 @app.command()
 def use(
-    given: Annotated[
+    path: Annotated[
         Path | None,
         typer.Argument(help="A `train house` run, or a YOLO .onnx.", metavar="RUN_OR_ONNX"),
     ] = None,
@@ -74,15 +74,15 @@ def use(
     from cucumbervision.errors import ModelError
     from cucumbervision.perception.registry import use_network, use_shipped
 
-    if (given is None) != shipped:
+    if (path is None) != shipped:
         raise ModelError("name one network", remedy="give RUN_OR_ONNX or --shipped")
-    if given is None:
+    if path is None:
         use_shipped()
-        said = "the package's own networks"
+        words = "the package's own networks"
     else:
-        model = use_network(given, anyway=anyway)
-        said = f"{model.name} ({model.task})"
-    plain_console().print(f"In use now: {said}", soft_wrap=True)
+        network = use_network(path, anyway=anyway)
+        words = f"{network.name} ({network.task})"
+    plain_console().print(f"In use now: {words}", soft_wrap=True)
 
 
 @app.command()

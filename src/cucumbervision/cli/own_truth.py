@@ -80,7 +80,7 @@ def _show(site: SiteCalibration, out: Path) -> None:
             soft_wrap=True,
         )
     if site.lens is not None:
-        numbers = ", ".join(f"{one:.4f}" for one in site.lens.coefficients)
+        numbers = ", ".join(f"{coefficient:.4f}" for coefficient in site.lens.coefficients)
         console.print(
             f"Lens (k1, k2, p1, p2, k3): {numbers}; {site.lens.residual_px:.2f} px remain.",
             soft_wrap=True,
@@ -164,10 +164,10 @@ def lengths(
     from cucumbervision.cli.console import print_table, screen
 
     measured, table = read_measured(measurements), read_truth(truth)
-    found = evaluate_lengths(measured, table)
+    evaluation = evaluate_lengths(measured, table)
     console = screen(150)
-    print_table(console, scores_table(found.scores))
-    for note in found.notes:
+    print_table(console, scores_table(evaluation.scores))
+    for note in evaluation.notes:
         console.print(note, soft_wrap=True, markup=False)
-    write_own_truth(found, out)
+    write_own_truth(evaluation, out)
     console.print(f"The tables are in {out}/", soft_wrap=True, markup=False)

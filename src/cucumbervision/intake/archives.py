@@ -40,13 +40,15 @@ def clean_name(text: str) -> str:
     last = text.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
     plain = unicodedata.normalize("NFC", last.encode("utf-8", "replace").decode())
     # Control characters, bidirectional formatting characters and unassigned code points.
-    kept = "".join(c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp")))
-    kept = no_device(" ".join(_FORBIDDEN.sub("_", kept).split()).rstrip(". "))
-    if len(kept) > _LONGEST or len(kept.encode()) > 2 * _LONGEST:
-        suffix = PurePosixPath(kept).suffix[-8:]
-        start = kept[: _LONGEST - 1 - len(suffix)].encode()[: 2 * _LONGEST - 35]
-        kept = f"{start.decode(errors='ignore')}…{suffix}"
-    return kept if kept.strip(". ") else "unnamed"
+    printable = "".join(
+        c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp"))
+    )
+    printable = no_device(" ".join(_FORBIDDEN.sub("_", printable).split()).rstrip(". "))
+    if len(printable) > _LONGEST or len(printable.encode()) > 2 * _LONGEST:
+        suffix = PurePosixPath(printable).suffix[-8:]
+        start = printable[: _LONGEST - 1 - len(suffix)].encode()[: 2 * _LONGEST - 35]
+        printable = f"{start.decode(errors='ignore')}…{suffix}"
+    return printable if printable.strip(". ") else "unnamed"
 
 
 def _member_path(name: str, archive: str) -> PurePosixPath:
@@ -163,15 +165,17 @@ def _check_directory(path: Path, most_members: int, source: str) -> None:
         start = max(0, size - 65_557)
         stream.seek(start)
         tail = stream.read()
-        at = tail.rfind(_END)
-        if at < 0 or len(tail) - at < 22:
+        end = tail.rfind(_END)
+        if end < 0 or len(tail) - end < 22:
             raise _damaged(source)
-        (listed,) = struct.unpack_from("<I", tail, at + 12)
-        if at >= 20 and tail[at - 20 : at - 16] == _LOCATOR64:
-            (offset,) = struct.unpack_from("<Q", tail, at - 12)
+        (listed,) = struct.unpack_from("<I", tail, end + 12)
+        if end >= 20 and tail[end - 20 : end - 16] == _LOCATOR64:
+            (offset,) = struct.unpack_from("<Q", tail, end - 12)
             stream.seek(min(offset, size))
-            near = (tail[max(0, at - 76) : at - 20], stream.read(56))
-            sizes = [struct.unpack_from("<Q", x, 40)[0] for x in near if x[:4] == _END64 and x[47:]]
+            records = (tail[max(0, end - 76) : end - 20], stream.read(56))
+            sizes = [
+                struct.unpack_from("<Q", x, 40)[0] for x in records if x[:4] == _END64 and x[47:]
+            ]
             listed = max([listed if listed < 0xFFFFFFFF else 0, *sizes])
     if listed > most_members * _ENTRY_BYTES:
         raise _too_many(most_members, source)
@@ -211,18 +215,20 @@ def unpack(
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            wanted = [(m, _member_path(m.orig_filename, source)) for m in members if not m.is_dir()]
-            wanted = [(m, name) for m, name in wanted if not _is_clutter(name)]
-            for member, name in wanted:
+            wanted_members = [
+                (m, _member_path(m.orig_filename, source)) for m in members if not m.is_dir()
+            ]
+            wanted_members = [(m, name) for m, name in wanted_members if not _is_clutter(name)]
+            for member, name in wanted_members:
                 _check_member(member, name, source, limits)
-            budget.members -= len(wanted)
+            budget.members -= len(wanted_members)
             if budget.members < 0:
                 raise _too_many(limits.members, source)
-            for member, name in wanted:
-                own = folder / name
-                with archive.open(member) as packed, _created(own, source) as unpacked:
+            for member, name in wanted_members:
+                target = folder / name
+                with archive.open(member) as packed, _created(target, source) as unpacked:
                     _copy(packed, unpacked, member, limits, budget, source)
-                yield str(name), own
+                yield str(name), target
     except FileExistsError:
         raise UploadError(
             "has two members of one name", source=source, remedy="pack the folder again"
@@ -246,33 +252,33 @@ def _created(path: Path, source: str) -> BinaryIO:
 def _check_member(
     member: zipfile.ZipInfo, name: PurePosixPath, source: str, limits: Limits
 ) -> None:
-    shown = clean_name(name.name)
+    title = clean_name(name.name)
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in {0, stat.S_IFREG}:
         raise UploadError(
-            f"its member {shown!r} is a link or a device",
+            f"its member {title!r} is a link or a device",
             source=source,
             remedy="pack the files themselves",
         )
     if member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
         raise UploadError(
-            f"its member {shown!r} is locked or packed in an unusual way",
+            f"its member {title!r} is locked or packed in an unusual way",
             source=source,
             remedy="pack it without a password, as a plain zip",
         )
-    _check_sizes(member.file_size, member.compress_size, shown, source, limits)
+    _check_sizes(member.file_size, member.compress_size, title, source, limits)
 
 
-def _check_sizes(size: int, packed: int, shown: str, source: str, limits: Limits) -> None:
+def _check_sizes(size: int, packed: int, title: str, source: str, limits: Limits) -> None:
     if size > limits.file_bytes:
         raise UploadError(
-            f"its member {shown!r} has more than {limits.file_bytes / 1e6:g} MB",
+            f"its member {title!r} has more than {limits.file_bytes / 1e6:g} MB",
             source=source,
             remedy="send it in smaller parts",
         )
     if size > limits.ratio_from_bytes and size > limits.ratio * max(packed, 1):
         raise UploadError(
-            f"its member {shown!r} unpacks to more than {limits.ratio:g} times its size",
+            f"its member {title!r} unpacks to more than {limits.ratio:g} times its size",
             source=source,
             remedy="pack the files again; pictures never shrink that much",
         )
@@ -310,9 +316,9 @@ def _damaged(source: str) -> UploadError:
     return UploadError("is not a readable zip", source=source, remedy="pack or copy it again")
 
 
-def _too_many(most: int, source: str) -> UploadError:
+def _too_many(most_files: int, source: str) -> UploadError:
     return UploadError(
-        f"holds more than {most} files", source=source, remedy="send it in smaller parts"
+        f"holds more than {most_files} files", source=source, remedy="send it in smaller parts"
     )
 
 

@@ -117,16 +117,16 @@ def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimi
         with suppress(subprocess.TimeoutExpired):
             code = process.wait(_POLL_S)
             return "" if code == 0 else _ending(code)
-        now = time.monotonic()
-        if now > until:
+        now_s = time.monotonic()
+        if now_s > until:
             return f"took longer than {limits.wall_s:g} s"
-        if now > looked + 0.5:
-            looked, before, written = now, written, _size(folder)
+        if now_s > looked + 0.5:
+            looked, before, written = now_s, written, _size(folder)
             if written > limits.output_bytes:
                 return f"unpacks to more than {limits.output_bytes / 1e6:g} MB"
             if written != before:
-                moved = now
-            elif now > moved + limits.still_s:
+                moved = now_s
+            elif now_s > moved + limits.still_s:
                 return f"has given nothing for {limits.still_s:g} s"
 
 
@@ -171,9 +171,9 @@ def _collect(folder: Path, fault: str, source: Path) -> list[CucumberVisionError
             errors.append(kind(message, source=source, remedy=remedy))
     if fault:
         captures = len([*folder.glob(f"*/{MANIFEST}")])
-        kept = f"; {captures} captures before that are kept" if captures else ""
+        remark = f"; {captures} captures before that are kept" if captures else ""
         errors.append(
-            CaptureError(f"{fault}{kept}", source=source, remedy="copy or record it again")
+            CaptureError(f"{fault}{remark}", source=source, remedy="copy or record it again")
         )
     return errors
 
@@ -235,9 +235,9 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
         if any(out.glob(f"*/{MANIFEST}")):
             for ref in open_source(out, replace(options, depth_unit_m=None)):
                 # The files are deleted when the iteration ends, so the content cannot be hashed.
-                own = f"{name}_{ref.frame:06d}"
-                load = partial(_load, ref, own, str(path))
-                yield CaptureRef(own, ref.frame, load, f"{path} frame {ref.frame}")
+                capture_name = f"{name}_{ref.frame:06d}"
+                load = partial(_load, ref, capture_name, str(path))
+                yield CaptureRef(capture_name, ref.frame, load, f"{path} frame {ref.frame}")
         for error in errors:
             # Captures before a fault are complete; the fault is reported as a failing capture.
             yield CaptureRef(f"{name}_end", -1, partial(fail, error))
@@ -254,17 +254,17 @@ def limit_this_process(limits: dict[str, Any]) -> None:
     except ModuleNotFoundError:  # Windows
         return
     cpu = max(1, int(limits["cpu_s"]))
-    wanted = {
+    soft_limits = {
         resource.RLIMIT_CPU: cpu,
         resource.RLIMIT_AS: int(limits["memory_bytes"]),
         resource.RLIMIT_FSIZE: int(limits["output_bytes"]),
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NOFILE: 256,
     }
-    for kind, most in wanted.items():
+    for kind, soft_limit in soft_limits.items():
         _, hard = resource.getrlimit(kind)
-        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (most, most))
+        soft_limit = soft_limit if hard == resource.RLIM_INFINITY else min(soft_limit, hard)
+        resource.setrlimit(kind, (soft_limit, soft_limit))
     # Exit soon after the deadline, even if the watching process has been killed.
     signal.alarm(int(limits["wall_s"]) + 5)
 
@@ -282,7 +282,7 @@ def drop_network() -> bool:
     return bool(ctypes.CDLL(None).unshare(new_user | new_net) == 0)
 
 
-def _play(path: Path, folder: Path, burst: int, most: int) -> None:
+def _play(path: Path, folder: Path, burst: int, most_captures: int) -> None:
     """Write the captures of a recording as native folders 000000, 000001, … and report errors."""
     with (folder / _REPORT).open("a", encoding="utf-8") as report:
 
@@ -294,9 +294,9 @@ def _play(path: Path, folder: Path, burst: int, most: int) -> None:
 
         try:
             for number, ref in enumerate(open_source(path, ReadOptions(burst=burst))):
-                if number == most:
+                if number == most_captures:
                     raise CucumberVisionError(
-                        f"has more than {most} captures, the rest is left out",
+                        f"has more than {most_captures} captures, the rest is left out",
                         remedy="send it in parts",
                     )
                 try:
@@ -314,8 +314,8 @@ def _main() -> None:
     order = json.loads(sys.argv[1])
     drop_network()
     limit_this_process(order["limits"])
-    most = order["limits"]["captures"]
-    _play(Path(order["path"]), Path(order["folder"]), order["burst"], most)
+    most_captures = order["limits"]["captures"]
+    _play(Path(order["path"]), Path(order["folder"]), order["burst"], most_captures)
 
 
 if __name__ == "__main__":

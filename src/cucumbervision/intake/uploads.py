@@ -226,22 +226,25 @@ class _Intake:
     def sort(self, path: Path, title: str) -> None:
         """Find the captures of a folder, and report the files that belong to none."""
         folder = list_folder(path)
-        here, before = AcceptedSource(path, title), len(self.out.sources) + len(self.out.refused)
+        folder_source, before = (
+            AcceptedSource(path, title),
+            len(self.out.sources) + len(self.out.refused),
+        )
         kinds = folder.kinds()
         everything = {PurePosixPath(name) for name in folder}
         if find_captures(folder):
-            self.out.sources.append(here)
-        left = {PurePosixPath(name) for name in folder}
-        used = {name.parent for name in everything - left}
-        for name in sorted(left):
-            suffix, shown = name.suffix.lower(), here.shown(path / name)
+            self.out.sources.append(folder_source)
+        unread = {PurePosixPath(name) for name in folder}
+        used = {name.parent for name in everything - unread}
+        for name in sorted(unread):
+            suffix, shown_name = name.suffix.lower(), folder_source.shown(path / name)
             if suffix in RECORDING_SUFFIXES:
-                own = AcceptedSource(path / name, shown, self.limits.recording)
-                self.out.sources.append(own)
+                recording = AcceptedSource(path / name, shown_name, self.limits.recording)
+                self.out.sources.append(recording)
             elif suffix in _TEXTS | {".csv"} or (title != LOOSE and not _needs_partner(name, used)):
-                self.out.ignored.append(shown)
+                self.out.ignored.append(shown_name)
             else:
-                self.out.refused.append(_left_alone(shown, suffix))
+                self.out.refused.append(_left_alone(shown_name, suffix))
         if title != LOOSE and before == len(self.out.sources) + len(self.out.refused):
             fault = f"holds no captures that can be recognised, but {kinds}"
             raise UploadError(fault, source=title, remedy=_REMEDY)
@@ -258,50 +261,50 @@ class _Intake:
     def _loose_path(self, name: str) -> Path:
         parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
         inside = PurePosixPath(*(clean_name(part) for part in parts[-3:] or [""]))
-        path, again = self.loose / inside, 2
+        path, copy_number = self.loose / inside, 2
         while path.exists():  # files from different folders may have the same name
-            path, again = self.loose / f"{again}" / inside, again + 1
+            path, copy_number = self.loose / f"{copy_number}" / inside, copy_number + 1
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
+    def _copy(self, content: BinaryIO | Path, target: Path, title: str) -> None:
         if isinstance(content, Path):
             if not content.is_file():
                 raise UploadError("is not a readable file", source=title, remedy="check the path")
             with content.open("rb") as stream:
-                self._copy(stream, own, title)
+                self._copy(stream, target, title)
             return
         size = 0
-        with own.open("xb") as kept:
+        with target.open("xb") as stream_out:
             while chunk := content.read(_CHUNK):
                 size += len(chunk)
                 self._bytes_left -= len(chunk)
                 if size > self.limits.file_bytes or self._bytes_left < 0:
-                    most = min(self.limits.file_bytes, self.limits.total_bytes)
+                    most_bytes = min(self.limits.file_bytes, self.limits.total_bytes)
                     raise UploadError(
-                        f"is more than the {most / 1e6:g} MB that are taken",
+                        f"is more than the {most_bytes / 1e6:g} MB that are taken",
                         source=title,
                         remedy="send it in smaller parts",
                     )
-                write_chunk(kept, chunk, title)
+                write_chunk(stream_out, chunk, title)
 
     def _unpack(self, path: Path, folder: Path, title: str, depth: int = 0) -> None:
         """Unpack a zip and nested zips; an incomplete zip is rejected completely."""
         try:
             for name, file in unpack(path, folder, self.limits, self._budget, source=title):
-                shown = f"{title}: {name}"
+                file_title = f"{title}: {name}"
                 try:
                     if not is_zip(file, name):
-                        self._check(file, shown)
+                        self._check(file, file_title)
                     elif depth == self.limits.zip_depth:
                         raise UploadError(
                             "is nested too deep in other zips",
-                            source=shown,
+                            source=file_title,
                             remedy="unpack it first",
                         )
                     else:
                         inner = file.rename(file.with_name(f" {file.name}"))
-                        self._unpack(inner, file, shown, depth + 1)
+                        self._unpack(inner, file, file_title, depth + 1)
                 except CucumberVisionError as error:
                     self.out.refused.append(error)
                     file.unlink(missing_ok=True)
@@ -319,17 +322,17 @@ def _needs_partner(name: PurePosixPath, used: set[PurePosixPath]) -> bool:
     return name.suffix.lower() in _PICTURES and used.isdisjoint(name.parents)
 
 
-def _left_alone(shown: str, suffix: str) -> CaptureError:
+def _left_alone(file_title: str, suffix: str) -> CaptureError:
     if suffix in _PICTURES:
         return CaptureError(
             "has no matching picture: a capture is a colour and a depth picture",
-            source=shown,
+            source=file_title,
             remedy="send both, named alike but for the words color and depth, and an "
             "intrinsics.json",
         )
     return UploadError(
         "is not a file type we can read",
-        source=shown,
+        source=file_title,
         remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
         "them",
     )

@@ -86,11 +86,11 @@ class _Metrics:
         )
 
     def count(self, path: str, status: int, seconds: float) -> None:
-        """Count a request; one that was let in also with its time."""
-        known = path if path in _PATHS else "other"
-        self.requests.labels(known, str(status)).inc()
+        """Count a request; record the time of an admitted one."""
+        route = path if path in _PATHS else "other"
+        self.requests.labels(route, str(status)).inc()
         if status not in REFUSALS:
-            self.seconds.labels(known).observe(seconds)
+            self.seconds.labels(route).observe(seconds)
 
 
 def create_app(
@@ -101,7 +101,7 @@ def create_app(
     Parameters
     ----------
     measurer : Measurer, optional
-        What measures.
+        The measurer.
     settings : ServiceSettings, optional
         Token and limits.
 
@@ -112,7 +112,7 @@ def create_app(
     """
     settings = settings or ServiceSettings()
     work, metrics = Work(measurer or Measurer(), settings), _Metrics()
-    # No pages: FastAPI's own load their scripts from another machine.
+    # No documentation pages: those of FastAPI load scripts from another server.
     app = FastAPI(
         title="CucumberVision",
         version=__version__,
@@ -144,7 +144,7 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
         """Measure every fruit of every capture: zipped capture folders, pairs, .npz, recordings."""
         reply = work.measure(_streams(files), _has_left(request))
         metrics.found.labels("captures").inc(len(reply.captures))
-        metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.captures))
+        metrics.found.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))
         metrics.found.labels("failures").inc(len(reply.failures))
         return reply
 
@@ -153,20 +153,20 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
         """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
         reply = work.detect(_streams(files), _has_left(request))
         metrics.found.labels("pictures").inc(len(reply.pictures))
-        metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.pictures))
+        metrics.found.labels("fruit").inc(sum(len(picture.fruit) for picture in reply.pictures))
         metrics.found.labels("failures").inc(len(reply.failures))
         return reply
 
     @routes.get("/health", response_model=Health)
     def health() -> Health:
         """Return the service's status, version and source; needs no token."""
-        names = [str(one["name"]) for one in work.measurer.models]
-        about = software()
+        names = [str(model["name"]) for model in work.measurer.models]
+        package = software()
         return Health(
             status="ok",
-            software=about["software"],
-            licence=about["licence"],
-            source=about["source"],
+            software=package["software"],
+            licence=package["licence"],
+            source=package["source"],
             models=names,
         )
 
@@ -184,11 +184,11 @@ def _only(secured: dict[str, Any], status: int) -> dict[str, Any]:
 
 
 def _streams(files: list[UploadFile]) -> list[tuple[str, BinaryIO]]:
-    return [(one.filename or "unnamed", one.file) for one in files]
+    return [(upload.filename or "unnamed", upload.file) for upload in files]
 
 
 def _has_left(request: Request) -> Callable[[], bool]:
-    """Return a function for the threads of routes: whether nobody waits for the answer any more."""
+    """Return a function that a route's thread calls to learn whether the client has left."""
     return lambda: anyio.from_thread.run(request.is_disconnected)
 
 
@@ -203,7 +203,7 @@ def _answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> Response:
-        faults = [f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()]
+        faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()]
         return problem(422, "RequestError", "; ".join(faults)[:1000])
 
     async def failed(_: Request, error: Exception) -> Response:

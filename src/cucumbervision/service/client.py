@@ -64,7 +64,7 @@ class Client:
         """Return the service's status and version."""
         return self._ask("/health")
 
-    def measure(self, *given: Capture | Path) -> dict[str, Any]:
+    def measure(self, *sources: Capture | Path) -> dict[str, Any]:
         """Measure captures, or files and folders of them.
 
         Returns
@@ -80,11 +80,11 @@ class Client:
             If a file or folder cannot be read.
         """
         files: list[tuple[str, bytes]] = []
-        for one in given:
-            if isinstance(one, Path) and one.is_dir():
-                files += [packed(found.load()) for found in open_source(one)]
+        for source in sources:
+            if isinstance(source, Path) and source.is_dir():
+                files += [packed(ref.load()) for ref in open_source(source)]
             else:
-                files.append(_file(one) if isinstance(one, Path) else packed(one))
+                files.append(_file(source) if isinstance(source, Path) else packed(source))
         return self._ask("/measure", files)
 
     def detect(self, *pictures: Path) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class Client:
         CaptureError
             If a file cannot be read.
         """
-        return self._ask("/detect", [_file(one) for one in pictures])
+        return self._ask("/detect", [_file(picture) for picture in pictures])
 
     def _ask(self, path: str, files: Iterable[tuple[str, bytes]] | None = None) -> dict[str, Any]:
         request = urllib.request.Request(self._url + path)
@@ -195,8 +195,8 @@ def _form(files: Iterable[tuple[str, bytes]]) -> tuple[str, bytes]:
     """Return a body of multipart/form-data (RFC 7578) and its type."""
     border, body = secrets.token_hex(16), io.BytesIO()
     for name, data in files:
-        shown = re.sub(r'[\r\n"\\]', "_", name)
-        head = f'Content-Disposition: form-data; name="files"; filename="{shown}"'
+        quoted = re.sub(r'[\r\n"\\]', "_", name)
+        head = f'Content-Disposition: form-data; name="files"; filename="{quoted}"'
         kind = "Content-Type: application/octet-stream"
         body.write(f"--{border}\r\n{head}\r\n{kind}\r\n\r\n".encode() + data + b"\r\n")
     body.write(f"--{border}--\r\n".encode())

@@ -1,4 +1,4 @@
-"""Access control: tokens, sources of requests, who waits, and limits for headers and bodies."""
+"""Access control: tokens, origins of requests, a full queue, limits for headers and bodies."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ def problem(status: int, error: str, message: str) -> JSONResponse:
 
 
 class Gate:
-    """Lets requests in, before their bodies are read, and ends those that do not come on.
+    """Admits or refuses a request before its body is read, and ends requests that stall.
 
-    Without a token only this machine is admitted, by a name of its own. A page of another place is
-    not, whatever it knows (`check_source`). Who comes when too many wait is refused before its body
-    is read.
+    Without a token, only requests to a name of this machine are admitted. A page of another origin
+    is refused, even with the token (`check_source`). A request that finds the queue full is refused
+    before its body is read.
 
     Parameters
     ----------
     app : callable
-        What comes behind it.
+        The application that answers admitted requests.
     settings : ServiceSettings
         Token and time limits.
     count : callable
-        Given path, status and seconds of every request.
+        Called with path, status and seconds of every request.
     place : callable
-        Holds a place among those who wait; raises BusyError without any.
+        Context manager that holds a place in the queue; raises BusyError if it is full.
     """
 
     def __init__(
@@ -108,21 +108,21 @@ class Gate:
         return bounded(receive, headers, most_bytes, **times)
 
     def _limited(self, headers: Headers, receive: Receive) -> Receive:
-        """Return what receives a body within its limits, and refuses a form that is cut off."""
+        """Return a `receive` that enforces the limits of a body and refuses a truncated form."""
         most_bytes = self._settings.limits.total_bytes + _BODY_SLACK
-        receive, whole, tail = self._bounded(headers, receive, most_bytes), False, b""
+        receive, is_complete, tail = self._bounded(headers, receive, most_bytes), False, b""
         kind = headers.get("content-type", "")
         boundary = parse_options_header(kind)[1].get(b"boundary", b"")
 
         async def limited() -> Message:
-            nonlocal whole, tail
+            nonlocal is_complete, tail
             message = await receive()
-            if whole:
+            if is_complete:
                 return message
-            whole = not message.get("more_body", False)
+            is_complete = not message.get("more_body", False)
             tail = (tail + message.get("body", b""))[-_TAIL_BYTES:]
             is_cut_off = boundary and b"--%b--" % boundary not in tail
-            if whole and is_cut_off and message["type"] == "http.request":
+            if is_complete and is_cut_off and message["type"] == "http.request":
                 # Its parser would silently omit a truncated file.
                 raise HTTPException(400, "the form is cut off; send it again")
             return message
@@ -137,22 +137,22 @@ def _without_token() -> JSONResponse:
 
 
 class HeadLimit(H11Protocol):
-    """HTTP/1.1 that closes a connection on which no whole head of a request comes in time."""
+    """HTTP/1.1 that closes a connection if the head of a request is not complete in time."""
 
     head_s = 10.0
 
     def connection_made(self, transport: Any) -> None:
-        """Begin to wait for the first head."""
+        """Start the timeout of the first head."""
         super().connection_made(transport)
         self._await_head()
 
     def data_received(self, data: bytes) -> None:
-        """Take data; where they are the beginning of another head, wait for its end."""
+        """Process data, and start the timeout of the next head."""
         super().data_received(data)
         self._await_head()
 
     def _await_head(self) -> None:
-        cycle: Any = self.cycle  # the request that came last, None before the first
+        cycle: Any = self.cycle  # the latest request; None before the first
         if cycle is None or cycle.response_complete:
             self.loop.call_later(self.head_s, self._close_without_head, cycle)
 

@@ -1,4 +1,4 @@
-"""What every request is asked first, in the service and the dashboard: where from and where to.
+"""Check the origin and the host of every request to the service and the dashboard.
 
 `Host` and `Origin` are parsed here and nowhere else.
 """
@@ -36,19 +36,19 @@ class RequestError(CucumberVisionError):
 
 @dataclass(frozen=True)
 class Place:
-    """A host's name in lower case, without brackets, and its port; None where it names none."""
+    """A host name in lower case, without brackets, and its port; None if it has none."""
 
     name: str
     port: int | None = None
 
-    def is_at(self, other: Place, scheme: str) -> bool:
-        """Return whether both are the same place, without a port that of the scheme."""
+    def is_at(self, place: Place, scheme: str) -> bool:
+        """Return whether both are the same place; the default port is that of the scheme."""
         usual = _PORTS.get(scheme)
-        return (self.name, self.port or usual) == (other.name, other.port or usual)
+        return (self.name, self.port or usual) == (place.name, place.port or usual)
 
 
 def parse_place(value: str, header: str = "Host") -> Place:
-    """Return the place that a `Host` names, or the end of an `Origin`.
+    """Parse a `Host` header, or the part of an `Origin` after the scheme.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def parse_place(value: str, header: str = "Host") -> Place:
 
 
 def parse_origin(value: str) -> tuple[str, Place] | None:
-    """Return scheme and place of an `Origin`; None for 'null', a page of nowhere.
+    """Return scheme and place of an `Origin`; None for 'null', an opaque origin.
 
     Raises
     ------
@@ -100,25 +100,25 @@ def parse_origin(value: str) -> tuple[str, Place] | None:
 
 
 def check_source(headers: Headers, *, method: str = "GET", local: bool = False) -> None:
-    """Refuse a request of a page of another place, another port of the same host included.
+    """Refuse a request from a page of another origin, including another port of the same host.
 
-    A link to a page of ours may stand anywhere: a browser that follows it is let in.
+    A link to one of our pages may be anywhere: following it is allowed.
 
     Parameters
     ----------
     headers : Headers
-        Of the request, or of a web socket's opening.
+        Headers of the request, or of the handshake of a web socket.
     method : str
-        'GET' for a web socket.
+        HTTP method; 'GET' for a web socket.
     local : bool
-        Admit only a `Host` that names this machine, and no other name that leads to it.
+        Admit only a `Host` that names this machine (`localhost` or a loopback address).
 
     Raises
     ------
     RequestError
-        If `Host` or `Origin` is malformed, or there twice.
+        If `Host` or `Origin` is malformed or repeated.
     AccessError
-        If the request comes from another place, or goes to another one.
+        If the request comes from another origin, or is addressed to another host.
     """
     for header in ("Host", "Origin"):
         if len(headers.getlist(header)) > 1:
@@ -143,22 +143,22 @@ def check_source(headers: Headers, *, method: str = "GET", local: bool = False) 
 def bounded(
     receive: Receive, headers: Headers, most_bytes: int, *, body_s: float, silence_s: float
 ) -> Receive:
-    """Return what receives a body within its size and its time, counted while it is read.
+    """Return a `receive` that limits the size and the time of a body while it is read.
 
     Parameters
     ----------
     receive : callable
-        What receives it.
+        Receives the body.
     headers : Headers
-        Of the request: a body that is announced as too large is not read at all.
+        Headers of the request: a body that is declared as too large is not read at all.
     most_bytes : int
-        Its size.
+        Maximum size in bytes.
     body_s, silence_s : float
-        Seconds in which it must have come, and the longest silence in it.
+        Maximum time for the whole body, and between two parts of it, seconds.
 
     Notes
     -----
-    What is too large raises HTTPException 413, what does not come on 408.
+    A body that is too large raises HTTPException 413, one that is too slow 408.
     """
     until_s = time.monotonic() + body_s
     told = headers.get("content-length", "")
@@ -166,7 +166,7 @@ def bounded(
 
     async def receive_bounded() -> Message:
         nonlocal read_bytes, is_whole
-        if is_whole:  # who waits now is told when the client leaves
+        if is_whole:  # a route that waits must learn that the client left
             return await receive()
         if told.isdecimal() and int(told[:20]) > most_bytes:
             raise _too_large(most_bytes)

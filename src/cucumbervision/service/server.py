@@ -25,8 +25,10 @@ _MB = 1_000_000
 
 def request_limits(most_mb: int = 200) -> Limits:
     """Return the limits of one request; zips may be four times as large when unpacked."""
-    most = most_mb * _MB
-    return Limits(files=200, file_bytes=most, total_bytes=most, unpacked_bytes=4 * most)
+    total_bytes = most_mb * _MB
+    return Limits(
+        files=200, file_bytes=total_bytes, total_bytes=total_bytes, unpacked_bytes=4 * total_bytes
+    )
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class ServiceSettings:
     waiting : int
         Requests that may wait for the current one; more are rejected with 503.
     body_s, silence_s : float
-        Seconds in which a body must have come, and the longest silence in it.
+        Maximum time for a whole body, and between two parts of it, seconds.
     """
 
     token: str = field(default="", repr=False)
@@ -51,7 +53,7 @@ class ServiceSettings:
     body_s: float = 600.0
     silence_s: float = 30.0
 
-    def admits(self, given: str) -> bool:
+    def admits(self, token: str) -> bool:
         """Return whether a token is correct, in constant time.
 
         Examples
@@ -59,7 +61,7 @@ class ServiceSettings:
         >>> ServiceSettings("0123456789abcdef").admits("0123456789abcdeF")
         False
         """
-        return not self.token or hmac.compare_digest(given.encode(), self.token.encode())
+        return not self.token or hmac.compare_digest(token.encode(), self.token.encode())
 
 
 def check_access(address: str, token: str) -> None:

@@ -1,4 +1,4 @@
-"""The work of a request, and its reply: files are checked, captures are measured one at a time."""
+"""Check the files of a request, measure its captures one at a time, and build the reply."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def measured_capture(result: CaptureResult) -> MeasuredCapture:
         height=capture.height,
         simulated=capture.simulated,
         fruit=[
-            FruitRow(**row, pose=one.pose)
-            for row, one in zip(result.rows(), result.fruit, strict=True)
+            FruitRow(**row, pose=fruit.pose)
+            for row, fruit in zip(result.rows(), result.fruit, strict=True)
         ],
     )
 
@@ -126,7 +126,7 @@ class BusyError(CucumberVisionError):
 
 
 class LeftError(CucumberVisionError):
-    """The client has left; nobody would read the answer."""
+    """The client has closed the connection before its turn."""
 
 
 class Work:
@@ -147,7 +147,7 @@ class Work:
 
     @contextmanager
     def place(self) -> Iterator[None]:
-        """Hold a place among the requests that wait, from before its body is read to its answer.
+        """Hold a place in the queue, from before the body is read until the answer.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class Work:
             self._room.release()
 
     @contextmanager
-    def turn(self, left: Callable[[], bool] = never) -> Iterator[None]:
+    def turn(self, has_left: Callable[[], bool] = never) -> Iterator[None]:
         """Wait for the measurer.
 
         Raises
@@ -171,14 +171,14 @@ class Work:
             If the client has left meanwhile.
         """
         with self._lock:
-            if left():
+            if has_left():
                 raise LeftError("the client has left")
             yield
 
     def measure(
-        self, files: Sequence[tuple[str, BinaryIO]], left: Callable[[], bool] = never
+        self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
     ) -> MeasureReply:
-        """Measure every capture of uploaded files, until the client has `left`.
+        """Measure every capture of uploaded files; stop if the client has left.
 
         Raises
         ------
@@ -186,31 +186,33 @@ class Work:
             If no file can be processed: too many files, a full disk, no networks.
         """
         limits, results, failures = self.settings.limits, list[CaptureResult](), list[Failure]()
-        with self.turn(left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+        with self.turn(has_left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
             reading = self.measurer.options.reading
-            given = accept_uploads(files, Path(folder), limits)
+            uploads = accept_uploads(files, Path(folder), limits)
             listed = chain.from_iterable(
-                list_source(one.title, partial(one.open, reading)) for one in given.sources
+                list_source(upload.title, partial(upload.open, reading))
+                for upload in uploads.sources
             )
-            for _, outcome in measure_all(listed, ResultWorker(self.measurer), stop=left):
+            for _, outcome in measure_all(listed, ResultWorker(self.measurer), stop=has_left):
                 failures += outcome.failures
                 if outcome.value is not None and outcome.value.error is None:
                     results.append(outcome.value)
         refused = [
-            NotRead(name=one.source, error=one.code, message=str(one)) for one in given.refused
+            NotRead(name=error.source, error=error.code, message=str(error))
+            for error in uploads.refused
         ]
         return MeasureReply(
-            captures=[measured_capture(one) for one in results],
+            captures=[measured_capture(result) for result in results],
             failures=refused + [not_read(failure) for failure in failures],
-            ignored=given.ignored,
+            ignored=uploads.ignored,
             config_sha256=self.measurer.options.sha256,
         )
 
     def detect(
-        self, files: Sequence[tuple[str, BinaryIO]], left: Callable[[], bool] = never
+        self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
     ) -> DetectReply:
-        """Find the fruit in uploaded pictures, without lengths, until the client has `left`.
+        """Find the fruit in uploaded pictures, without lengths; stop if the client has left.
 
         Raises
         ------
@@ -225,36 +227,41 @@ class Work:
                 f"{len(files)} files were sent, at most {limits.files} are taken at once",
                 remedy="send them in smaller parts",
             )
-        with self.turn(left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+        with self.turn(has_left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
             listed = (
                 _picture(Path(folder) / f"{number:04d}", clean_name(name), stream)
                 for number, (name, stream) in enumerate(files)
             )
-            for _, outcome in measure_all(listed, PictureWorker(self.measurer), stop=left):
+            for _, outcome in measure_all(listed, PictureWorker(self.measurer), stop=has_left):
                 failures += outcome.failures
                 if outcome.value is not None:
                     pictures.append(outcome.value)
         return DetectReply(
             pictures=[
-                SeenPicture(name=one.name, width=one.width, height=one.height, fruit=one.entries)
-                for one in pictures
+                SeenPicture(
+                    name=picture.name,
+                    width=picture.width,
+                    height=picture.height,
+                    fruit=picture.entries,
+                )
+                for picture in pictures
             ],
-            failures=[not_read(one) for one in failures],
+            failures=[not_read(failure) for failure in failures],
         )
 
 
-def _picture(path: Path, shown: str, stream: BinaryIO) -> Listed:
-    """Return a sent picture, kept in a file of our own naming until it is read."""
-    return Listed(shown, CaptureRef(shown, 0, partial(_read, path, shown, stream)), shown)
+def _picture(path: Path, name: str, stream: BinaryIO) -> Listed:
+    """Return an uploaded picture; it is stored under a generated name until it is read."""
+    return Listed(name, CaptureRef(name, 0, partial(_read, path, name, stream)), name)
 
 
-def _read(path: Path, shown: str, stream: BinaryIO) -> Capture:
+def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
     try:
-        with path.open("xb") as kept:
-            shutil.copyfileobj(stream, kept)
-        return replace(read_picture(path, shown), source=shown)
+        with path.open("xb") as copy:
+            shutil.copyfileobj(stream, copy)
+        return replace(read_picture(path, name), source=name)
     except CucumberVisionError as error:
-        raise error.at(shown) from None
+        raise error.at(name) from None
     finally:
         path.unlink(missing_ok=True)

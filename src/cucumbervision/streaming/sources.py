@@ -53,7 +53,7 @@ def in_order(items: Iterable[T]) -> Iterator[Arrival[T]]:
 
     Examples
     --------
-    >>> [(one.item, one.dropped) for one in in_order("ab")]
+    >>> [(arrival.item, arrival.dropped) for arrival in in_order("ab")]
     [('a', 0), ('b', 0)]
     """
     for item in items:
@@ -74,17 +74,17 @@ def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
     Examples
     --------
     >>> import threading
-    >>> seen = threading.Event()
+    >>> taken = threading.Event()
     >>> def frames():
     ...     yield 1
-    ...     seen.wait()
+    ...     taken.wait()
     ...     yield from (2, 3, 4)
     >>> stream = newest_first(frames())
     >>> next(stream).item
     1
-    >>> seen.set()
-    >>> rest = [(one.item, one.dropped) for one in stream]
-    >>> rest[-1][0], sum(dropped for _, dropped in rest) + len(rest)
+    >>> taken.set()
+    >>> pairs = [(arrival.item, arrival.dropped) for arrival in stream]
+    >>> pairs[-1][0], sum(dropped for _, dropped in pairs) + len(pairs)
     (4, 3)
     """
     inbox = _Inbox[T]()
@@ -179,7 +179,7 @@ def open_stream(
     reading: ReadOptions | None = None,
     *,
     config: CameraConfig | None = None,
-    every: bool = False,
+    every_frame: bool = False,
     follow: bool = False,
     retries: int = 0,
 ) -> Iterator[Arrival[Capture | Failure]]:
@@ -197,7 +197,7 @@ def open_stream(
         How to read a recording or folder.
     config : CameraConfig, optional
         The camera's serial number, size and rate.
-    every : bool
+    every_frame : bool
         Yield every frame of a recording or followed folder; drop none.
     follow : bool
         Wait for new files in a folder; existing ones are skipped.
@@ -213,7 +213,7 @@ def open_stream(
     Examples
     --------
     >>> from cucumbervision.capture.source import example_captures
-    >>> [one.item.name for one in open_stream(example_captures())]
+    >>> [arrival.item.name for arrival in open_stream(example_captures())]
     ['simulated-bench', 'simulated-row-a', 'simulated-row-b']
     """
     if str(source) == _CAMERA:
@@ -221,15 +221,15 @@ def open_stream(
         return stream_camera(lambda: RealSenseCamera(single), retries)
     path, reading = Path(source), replace(reading or ReadOptions(), burst=1)
     if follow:
-        return stream_camera(lambda: FolderCamera(path, reading), retries, every=every)
+        return stream_camera(lambda: FolderCamera(path, reading), retries, every_frame=every_frame)
     if path.suffix.lower() not in RECORDING_SUFFIXES:
         return in_order(read_captures([path], reading))
     frames = read_captures([path], reading)
-    return in_order(frames) if every else newest_first(paced(frames))
+    return in_order(frames) if every_frame else newest_first(paced(frames))
 
 
 def stream_camera(
-    open_camera: Callable[[], RgbdCamera], retries: int = 0, *, every: bool = False
+    open_camera: Callable[[], RgbdCamera], retries: int = 0, *, every_frame: bool = False
 ) -> Iterator[Arrival[Capture | Failure]]:
     """Open any camera as `open_stream` does a RealSense.
 
@@ -239,11 +239,11 @@ def stream_camera(
         Opens the camera.
     retries : int
         How often to reopen a disconnected one.
-    every : bool
+    every_frame : bool
         Yield every frame; drop none.
     """
     items: Iterator[Capture | Failure] = (
-        one if isinstance(one, Capture) else Failure.of(one, one.source)
-        for one in captures_of(open_camera, retries)
+        outcome if isinstance(outcome, Capture) else Failure.of(outcome, outcome.source)
+        for outcome in captures_of(open_camera, retries)
     )
-    return in_order(items) if every else newest_first(items)
+    return in_order(items) if every_frame else newest_first(items)

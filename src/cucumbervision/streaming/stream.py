@@ -1,8 +1,8 @@
 """Measure the fruit of a stream: detect, track, and combine lengths over frames.
 
 `FruitStream` measures one frame at a time with `Measurer`. Its fast form uses the detector's masks
-without SAM and pose network, and measures only the fruit of a frame that gain most: frames from one
-place add little information on a fruit (`tracks.FIXED`).
+without SAM and pose network, and measures only the fruit of a frame whose lengths gain most: frames
+from one place add little information on a fruit (`tracks.FIXED`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cucumbervision.measurement.result import Choice, Method
 from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.streaming.tracks import FrameView, Tracker, TrackLength, frame_view, same_place
+from cucumbervision.streaming.tracks import Sighting, Tracker, TrackLength, same_place, sighting_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -72,18 +72,18 @@ class TrackedFruit(NumberedFruit):
         As in `NumberedFruit`; a fruit that was not selected has no measurement in this frame.
     track : int
         Number of the fruit, the same in all frames.
-    seen : int
+    seen_frames : int
         Frames in which it was seen, including this one.
     length : Length, optional
         Its length from all frames; None until the whole fruit was measured.
     at_least_m : float, optional
         The longest lower bound, while `length` is None.
     frames, places : int
-        Number of frames, and of places, that `length` is from.
+        Number of frames and places that contribute to `length`.
     """
 
     track: int
-    seen: int
+    seen_frames: int
     length: Length | None = None
     at_least_m: float | None = None
     frames: int = 0
@@ -92,7 +92,7 @@ class TrackedFruit(NumberedFruit):
 
 TRACK_FIELDS = (
     Field("track", "", "whole", "number of the fruit, the same in all frames", "track"),
-    Field("seen", "", "whole", "frames in which it was seen, this one included", "seen"),
+    Field("seen", "", "whole", "frames in which it was seen, this one included", "seen_frames"),
     Field("track_length_cm", "cm", "number", "length from all frames", "length.value_m"),
     Field("track_low_cm", "cm", "number", "lower end of its 90 % interval", "length.low_m"),
     Field("track_high_cm", "cm", "number", "upper end of its 90 % interval", "length.high_m"),
@@ -102,8 +102,12 @@ TRACK_FIELDS = (
 )
 """Fields of a fruit in a stream, beside the table of fields."""
 
-_OF_CAPTURE = tuple(one for one in FIELDS if one.path.startswith("capture."))
-_OF_FRUIT = tuple(one for one in FIELDS if not one.path.startswith("capture."))
+_OF_CAPTURE = tuple(
+    fruit_field for fruit_field in FIELDS if fruit_field.path.startswith("capture.")
+)
+_OF_FRUIT = tuple(
+    fruit_field for fruit_field in FIELDS if not fruit_field.path.startswith("capture.")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +144,7 @@ class StreamedFrame:
         values: dict[str, Any] = {
             "version": 1,
             **_cells((*_OF_CAPTURE, *FRAME_FIELDS), self),
-            "fruit": [_fruit_json(one) for one in self.fruit],
+            "fruit": [_fruit_json(tracked) for tracked in self.fruit],
         }
         if self.result.failures:
             values["failures"] = [vars(failure) for failure in self.result.failures]
@@ -174,23 +178,23 @@ def line_model() -> type[BaseModel]:
     )
 
 
-def _fruit_json(seen: TrackedFruit) -> dict[str, Any]:
-    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT), seen)
-    return cells if seen.fruit.pose is None else {**cells, "pose": seen.fruit.pose.as_json()}
+def _fruit_json(tracked: TrackedFruit) -> dict[str, Any]:
+    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT), tracked)
+    return cells if tracked.fruit.pose is None else {**cells, "pose": tracked.fruit.pose.as_json()}
 
 
 def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:
-    cells = {one.name: one.of(line) for one in fields}
+    cells = {column.name: column.of(line) for column in fields}
     return {name: cell for name, cell in cells.items() if cell not in (None, "")}
 
 
 @dataclass
-class _Known:
+class _TrackState:
     """State of a tracked fruit."""
 
     length: TrackLength = field(default_factory=TrackLength)
-    seen: int = 0
-    measured_at: FrameView | None = None
+    seen_frames: int = 0
+    measured_at: Sighting | None = None
     waiting: int = 0
 
 
@@ -212,7 +216,7 @@ class FruitStream:
     >>> stream = FruitStream(Measurer(MeasureOptions(instances="dataset")))
     >>> capture = next(iter(open_source(example_captures()))).load()
     >>> frames = [stream.take(capture, at_s=at) for at in (0.0, 0.1, 0.2)]
-    >>> [[one.track for one in frame.fruit] for frame in frames]
+    >>> [[fruit.track for fruit in frame.fruit] for frame in frames]
     [[1, 2, 3], [1, 2, 3], [1, 2, 3]]
     >>> line = frames[-1].as_json()["fruit"][0]
     >>> line["seen"], line["track_frames"], line["track_places"], round(line["track_length_cm"])
@@ -223,7 +227,7 @@ class FruitStream:
         self.measurer = measurer or Measurer()
         self._fits = fits
         self._tracker = Tracker()
-        self._known: dict[int, _Known] = {}
+        self._states: dict[int, _TrackState] = {}
         self._received_s: float | None = None
         self._own_s = 0.0
         self._before: Capture | None = None
@@ -298,14 +302,14 @@ class FruitStream:
             self._tracker.forget()
         detected = self.measurer.detect(capture)
         instances = detected.found.instances
-        views = [frame_view(detected.capture, one) for one in instances]
-        numbers = self._tracker.assign(views, detected.capture.intrinsics, at_s)
-        self._known = {n: self._known.get(n, _Known()) for n in self._tracker.known}
-        chosen = self._choose(numbers, views)
+        sightings = [sighting_of(detected.capture, instance) for instance in instances]
+        numbers = self._tracker.assign(sightings, detected.capture.intrinsics, at_s)
+        self._states = {n: self._states.get(n, _TrackState()) for n in self._tracker.numbers}
+        chosen = self._choose(numbers, sightings)
         result = self.measurer.measure_detected(detected, chosen)
         fruit = tuple(
-            self._tracked(result.capture, k, one, numbers[k], views[k])
-            for k, one in enumerate(result.fruit)
+            self._tracked(result.capture, k, measured, numbers[k], sightings[k])
+            for k, measured in enumerate(result.fruit)
         )
         return StreamedFrame(result, fruit, time.monotonic() - received_s, dropped)
 
@@ -324,54 +328,54 @@ class FruitStream:
     def _own_time(self, received_s: float) -> float:
         """Return the time of a frame without one, from the arrivals.
 
-        A wait of more than a second is this program's delay, not movement.
+        A gap of more than a second is a delay of this program, not movement.
         """
         before_s = received_s if self._received_s is None else self._received_s
         self._received_s = received_s
         self._own_s += min(max(received_s - before_s, 0.0), _LONGEST_GAP_S)
         return self._own_s
 
-    def _choose(self, numbers: list[int], views: list[FrameView]) -> frozenset[int]:
+    def _choose(self, numbers: list[int], sightings: list[Sighting]) -> frozenset[int]:
         """Return the detections to measure now."""
         if self._fits is None:
             return frozenset(range(len(numbers)))
 
         def gain(k: int) -> tuple[bool, bool, int]:
-            known = self._known[numbers[k]]
-            before = known.measured_at
-            new = before is None or not same_place(before.at_m, views[k].at_m)
-            return before is None, new, known.waiting
+            state = self._states[numbers[k]]
+            before = state.measured_at
+            new = before is None or not same_place(before.at_m, sightings[k].at_m)
+            return before is None, new, state.waiting
 
         gains = {k: gain(k) for k in range(len(numbers))}
         due = [k for k, (_, new, waiting) in gains.items() if new or waiting >= _AGAIN_AFTER]
         return frozenset(sorted(due, key=gains.__getitem__, reverse=True)[: self._fits])
 
     def _tracked(
-        self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, view: FrameView
+        self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, sighting: Sighting
     ) -> TrackedFruit:
-        known, length = self._known[number], fruit.length
+        state, length = self._states[number], fruit.length
         partial = is_lower_bound(fruit.flags)
-        if length is not None and known.length.contradicts(length, partial=partial):
+        if length is not None and state.length.contradicts(length, partial=partial):
             number = self._tracker.split(number)
-            known = self._known[number] = _Known()
-        known.seen += 1
-        known.waiting += 1
+            state = self._states[number] = _TrackState()
+        state.seen_frames += 1
+        state.waiting += 1
         if fruit.reason is not Choice.WAITING:
-            known.measured_at, known.waiting = view, 0
+            state.measured_at, state.waiting = sighting, 0
         if length is not None:
             site = self.measurer.site
             scale_known = site is not None and site.depth_scale is not None
-            known.length.add(length, view.at_m, partial=partial, scale_known=scale_known)
-        of_all = known.length
+            state.length.add(length, sighting.at_m, partial=partial, scale_known=scale_known)
+        of_all = state.length
         at_least_m = of_all.at_least_m if of_all.length is None else None
         return TrackedFruit(
             capture,
             k + 1,
             fruit,
-            number,
-            known.seen,
-            of_all.length,
-            at_least_m,
-            of_all.frames,
-            len(of_all.places),
+            track=number,
+            seen_frames=state.seen_frames,
+            length=of_all.length,
+            at_least_m=at_least_m,
+            frames=of_all.frames,
+            places=len(of_all.places),
         )

@@ -1,8 +1,9 @@
 """Track fruit from frame to frame by position in space and mask overlap; lengths from all frames.
 
 Rows of a round are merged in the same way: the similarity of two views is a log likelihood ratio
-(`rounds.row_views`), the likeliest shift of the camera is found by trial, and views are assigned
-one to one. Frames have few fruit and follow each other closely, so each frame is assigned once.
+(`rounds.row_views` of the greenhouse), the likeliest shift of the camera is found by trial, and
+views are assigned one to one. Frames have few fruit and follow each other closely, so each frame is
+assigned once.
 
 Much of a depth camera's error is the same in all frames from one place (`docs/results.md`), and so
 are errors of the outline and hidden ends. Frames from one place are therefore averaged to one view,
@@ -54,7 +55,7 @@ _HALF_OVERLAP, _LEAST_OVERLAP = (
 
 
 @dataclass(frozen=True, eq=False)
-class FrameView:
+class Sighting:
     """One detection, for comparison with those of other frames.
 
     Parameters
@@ -72,31 +73,33 @@ class FrameView:
     left_px: int
     outline: NDArray[np.bool_]
 
-    def overlap(self, other: FrameView, shift_px: NDArray[np.float64]) -> float:
+    def overlap(self, later: Sighting, shift_px: NDArray[np.float64]) -> float:
         """Compute the intersection over union of this outline, shifted, with another.
 
         Examples
         --------
-        >>> block = FrameView(np.zeros(3), 0, 0, np.ones((4, 4), bool))
+        >>> block = Sighting(np.zeros(3), 0, 0, np.ones((4, 4), bool))
         >>> block.overlap(block, np.array([0.0, 0.0])), block.overlap(block, np.array([8.0, 0.0]))
         (1.0, 0.3333333333333333)
         """
-        down = round((self.top_px + float(shift_px[1]) - other.top_px) / _STEP)
-        right = round((self.left_px + float(shift_px[0]) - other.left_px) / _STEP)
-        (h, w), (height, width) = self.outline.shape, other.outline.shape
+        down = round((self.top_px + float(shift_px[1]) - later.top_px) / _STEP)
+        right = round((self.left_px + float(shift_px[0]) - later.left_px) / _STEP)
+        (h, w), (height, width) = self.outline.shape, later.outline.shape
         rows, columns = _common(down, h, height), _common(right, w, width)
-        own = self.outline[rows[0] - down : rows[1] - down, columns[0] - right : columns[1] - right]
-        shared = int(np.count_nonzero(own & other.outline[slice(*rows), slice(*columns)]))
-        union = int(np.count_nonzero(self.outline) + np.count_nonzero(other.outline)) - shared
+        window = self.outline[
+            rows[0] - down : rows[1] - down, columns[0] - right : columns[1] - right
+        ]
+        shared = int(np.count_nonzero(window & later.outline[slice(*rows), slice(*columns)]))
+        union = int(np.count_nonzero(self.outline) + np.count_nonzero(later.outline)) - shared
         return shared / max(union, 1)
 
 
-def _common(shift: int, own: int, other: int) -> tuple[int, int]:
+def _common(shift: int, size: int, later_size: int) -> tuple[int, int]:
     start = max(shift, 0)
-    return start, max(min(shift + own, other), start)
+    return start, max(min(shift + size, later_size), start)
 
 
-def frame_view(capture: Capture, instance: Instance) -> FrameView:
+def sighting_of(capture: Capture, instance: Instance) -> Sighting:
     """Return outline and centre of one detection.
 
     The centre is that of the mask's box, at the median of the depth readings.
@@ -114,11 +117,11 @@ def frame_view(capture: Capture, instance: Instance) -> FrameView:
     readings = readings[valid_depth(readings)]
     at_m = np.full(3, np.nan)
     if readings.size:
-        far = float(np.median(readings))
+        depth_m = float(np.median(readings))
         middle = (columns.start + columns.stop - 1) / 2, (rows.start + rows.stop - 1) / 2
         x, y = capture.intrinsics.rays(*middle)
-        at_m = np.array([float(x) * far, float(y) * far, far])
-    return FrameView(at_m, rows.start, columns.start, outline)
+        at_m = np.array([float(x) * depth_m, float(y) * depth_m, depth_m])
+    return Sighting(at_m, rows.start, columns.start, outline)
 
 
 @dataclass(eq=False)
@@ -126,7 +129,7 @@ class _Track:
     """A tracked fruit, with its position after the estimated movement of the camera."""
 
     number: int
-    view: FrameView
+    sighting: Sighting
     at_m: NDArray[np.float64]
     moved_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     seen_s: float = 0.0
@@ -147,16 +150,16 @@ class Tracker:
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> square = np.ones((10, 3), bool)
-    >>> def seen(x):
-    ...     return FrameView(np.array([x, 0.0, 0.6]), 100, round(900 * x / 0.6), square)
+    >>> def sighting(x):
+    ...     return Sighting(np.array([x, 0.0, 0.6]), 100, round(900 * x / 0.6), square)
     >>> tracker = Tracker()
     >>> camera = Intrinsics(1280, 720, 900.0, 900.0, 0.0, 360.0)
-    >>> tracker.assign([seen(0.10), seen(0.25)], camera, 0.0)
+    >>> tracker.assign([sighting(0.10), sighting(0.25)], camera, 0.0)
     [1, 2]
 
     The camera walks on by 6 cm; a third fruit comes into sight:
 
-    >>> tracker.assign([seen(0.04), seen(0.19), seen(0.34)], camera, 0.1)
+    >>> tracker.assign([sighting(0.04), sighting(0.19), sighting(0.34)], camera, 0.1)
     [1, 2, 3]
     """
 
@@ -168,7 +171,7 @@ class Tracker:
         self._speed_m_s: NDArray[np.float64] | None = None
 
     @property
-    def known(self) -> frozenset[int]:
+    def numbers(self) -> frozenset[int]:
         """Numbers of the fruit that are tracked."""
         return frozenset(track.number for track in self._tracks)
 
@@ -178,16 +181,16 @@ class Tracker:
 
     def split(self, number: int) -> int:
         """Give a wrongly matched fruit a new number."""
-        track = next(one for one in self._tracks if one.number == number)
+        track = next(candidate for candidate in self._tracks if candidate.number == number)
         track.number, self._next = self._next, self._next + 1
         return track.number
 
-    def assign(self, views: Sequence[FrameView], camera: Intrinsics, now_s: float) -> list[int]:
+    def assign(self, sightings: Sequence[Sighting], camera: Intrinsics, now_s: float) -> list[int]:
         """Return the number of each detection's fruit.
 
         Parameters
         ----------
-        views : sequence of FrameView
+        sightings : sequence of Sighting
             The frame's detections.
         camera : Intrinsics
             Intrinsics of the frame.
@@ -196,21 +199,21 @@ class Tracker:
         """
         elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
         self._at_s = now_s
-        self._tracks = [one for one in self._tracks if now_s - one.seen_s <= self._keep_s]
-        if self._tracks and views:
-            found = self._pair(views, camera, elapsed_s)
+        self._tracks = [track for track in self._tracks if now_s - track.seen_s <= self._keep_s]
+        if self._tracks and sightings:
+            pairs = self._pair(sightings, camera, elapsed_s)
         else:
-            found = np.zeros((0, 2), np.intp)
+            pairs = np.zeros((0, 2), np.intp)
             self._carry_on(self._predicted(elapsed_s))
-        numbers = [0] * len(views)
-        for i, j in found.tolist():
+        numbers = [0] * len(sightings)
+        for i, j in pairs.tolist():
             track = self._tracks[i]
             numbers[j] = track.number
-            self._tracks[i] = _Track(track.number, views[j], views[j].at_m, seen_s=now_s)
-        for j, view in enumerate(views):
+            self._tracks[i] = _Track(track.number, sightings[j], sightings[j].at_m, seen_s=now_s)
+        for j, sighting in enumerate(sightings):
             if not numbers[j]:
                 numbers[j], self._next = self._next, self._next + 1
-                self._tracks.append(_Track(numbers[j], view, view.at_m, seen_s=now_s))
+                self._tracks.append(_Track(numbers[j], sighting, sighting.at_m, seen_s=now_s))
         return numbers
 
     def _predicted(self, elapsed_s: float) -> NDArray[np.float64]:
@@ -223,63 +226,65 @@ class Tracker:
             track.moved_m = track.moved_m + shift_m
 
     def _pair(
-        self, views: Sequence[FrameView], camera: Intrinsics, elapsed_s: float
+        self, sightings: Sequence[Sighting], camera: Intrinsics, elapsed_s: float
     ) -> NDArray[np.intp]:
-        """Return pairs of track and view, shape (K, 2), after shifting the tracks."""
+        """Return pairs of track and sighting, shape (K, 2), after shifting the tracks."""
         from scipy.optimize import linear_sum_assignment
 
         predicted = self._predicted(elapsed_s)
         reach = _WALK_M_S if self._speed_m_s is None else _TURN_M_S
         reach_m = _STILL_M + reach * elapsed_s
-        gap = np.array([view.at_m for view in views]) - np.array(
+        gap = np.array([sighting.at_m for sighting in sightings]) - np.array(
             [track.at_m for track in self._tracks]
         ).reshape(-1, 1, 3)
         unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self._tracks])
         spread = np.array([SURFACE_SD_M, SURFACE_SD_M, SURFACE_DEPTH_SD_M])
         variance = 2 * spread**2 + (_DRIFT_M_S * unseen_s[:, None, None]) ** 2
-        crowd = _crowd(views, camera)
+        crowd = _crowd(sightings, camera)
         shift_m = _likeliest_shift(gap, variance, crowd, predicted, reach_m)
         ratio = _place_ratio(gap - shift_m, variance, crowd, unknown=0.0)
         self._carry_on(shift_m)
-        ratio += self._overlaps(views, camera)
+        ratio += self._overlaps(sightings, camera)
         rows, columns = linear_sum_assignment(np.maximum(ratio, 0.0), maximize=True)
         likely = ratio[rows, columns] > 0
         pairs = np.stack([rows[likely], columns[likely]], axis=1)
         self._learn_speed(gap[rows[likely], columns[likely]], elapsed_s)
         return pairs
 
-    def _overlaps(self, views: Sequence[FrameView], camera: Intrinsics) -> NDArray[np.float64]:
+    def _overlaps(self, sightings: Sequence[Sighting], camera: Intrinsics) -> NDArray[np.float64]:
         """Return the log ratio from the mask overlap of each pair."""
-        shares = np.zeros((len(self._tracks), len(views)))
+        shares = np.zeros((len(self._tracks), len(sightings)))
         for i, track in enumerate(self._tracks):
-            before = track.view.at_m
+            before = track.sighting.at_m
             shift_px = np.zeros(2)
             if np.isfinite(before).all() and before[2] + track.moved_m[2] > 0:
                 shift_px = np.subtract(*camera.project([before + track.moved_m, before]))
-            shares[i] = [track.view.overlap(view, shift_px) for view in views]
+            shares[i] = [track.sighting.overlap(sighting, shift_px) for sighting in sightings]
         return np.asarray(np.log((shares + _LEAST_OVERLAP) / (_HALF_OVERLAP + _LEAST_OVERLAP)))
 
     def _learn_speed(self, gap_m: NDArray[np.float64], elapsed_s: float) -> None:
-        known = gap_m[np.isfinite(gap_m).all(axis=1)]
-        if len(known) and elapsed_s > 0:
-            self._speed_m_s = np.median(known, axis=0) / elapsed_s
+        gaps_m = gap_m[np.isfinite(gap_m).all(axis=1)]
+        if len(gaps_m) and elapsed_s > 0:
+            self._speed_m_s = np.median(gaps_m, axis=0) / elapsed_s
 
 
-def _crowd(views: Sequence[FrameView], camera: Intrinsics) -> Crowd:
+def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> Crowd:
     """Return the density of other fruit in a frame."""
-    far = np.array([view.at_m[2] for view in views])
-    far_m = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.6
+    depths_m = np.array([sighting.at_m[2] for sighting in sightings])
+    far_m = (
+        float(np.median(depths_m[np.isfinite(depths_m)])) if np.isfinite(depths_m).any() else 0.6
+    )
     across_m, up_m = far_m * camera.width / camera.fx_px, far_m * camera.height / camera.fy_px
-    return Crowd(max(len(views), 1) / across_m, up_m, 0.3, 1.0, 0.3)
+    return Crowd(max(len(sightings), 1) / across_m, up_m, 0.3, 1.0, 0.3)
 
 
 def _place_ratio(
     gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd, unknown: float
 ) -> NDArray[np.float64]:
-    """Return the log ratio of positions; `unknown` where one of the two has none."""
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(gap_m).all(axis=-1))
-    ratio = position_ratio(np.where(known[..., None], gap_m, 0.0), variance_m2, crowd)
-    return np.asarray(np.where(known, ratio, unknown))
+    """Return the log ratio of positions; `unknown` if one of the two is NaN."""
+    is_located: NDArray[np.bool_] = np.asarray(np.isfinite(gap_m).all(axis=-1))
+    ratio = position_ratio(np.where(is_located[..., None], gap_m, 0.0), variance_m2, crowd)
+    return np.asarray(np.where(is_located, ratio, unknown))
 
 
 def _likeliest_shift(
@@ -302,8 +307,8 @@ def _likeliest_shift(
     score = gain.sum(axis=1) - 0.5 * np.square(off).sum(axis=1)
     best = tried[int(score.argmax())]
     # Average the agreeing differences: a single pair's has its own error.
-    near = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * SURFACE_DEPTH_SD_M]
-    return np.asarray(near.mean(axis=0) if len(near) else best)
+    agreeing = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * SURFACE_DEPTH_SD_M]
+    return np.asarray(agreeing.mean(axis=0) if len(agreeing) else best)
 
 
 FIXED = 0.95  # share of a length's variance common to all frames from one place
@@ -475,12 +480,12 @@ class TrackLength:
     def _pooled(self, latest: Length, scale: float) -> Length:
         means = np.exp([place.mean for place in self.places])
         deviations = np.sqrt([place.view_variance for place in self.places])
-        found = pooled_length(means, deviations, np.zeros(len(means), bool))
-        value, sd_m = found or (latest.value_m, _UNKNOWN_SD * latest.value_m)
+        pooled = pooled_length(means, deviations, np.zeros(len(means), bool))
+        value, sd_m = pooled or (latest.value_m, _UNKNOWN_SD * latest.value_m)
         spread = INTERVAL_Z * float(np.hypot(sd_m / value, scale))
         middle = value * float(np.exp(self._shift))
-        low, high = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
-        return Length(value, latest.kind, low, high, latest.interval_of, latest.basis)
+        low_m, high_m = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
+        return Length(value, latest.kind, low_m, high_m, latest.interval_of, latest.basis)
 
 
 def _log_length(length: Length) -> tuple[float, float, float]:

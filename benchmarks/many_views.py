@@ -27,7 +27,13 @@ from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.matching import pooled_length
-from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, Method, Selector
+from cucumbervision.measurement.result import (
+    INTERVAL_Z,
+    Length,
+    LengthDefinition,
+    MethodName,
+    Selector,
+)
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.finders import make_finder
@@ -111,7 +117,7 @@ def measured(number: int, find: Find | None) -> dict[str, Any]:
     alone = [
         figures(
             measure_fruit(
-                *(one.capture, one.instance, (Method.M6,), Selector.BEST, CENTRELINE),
+                *(one.capture, one.instance, (MethodName.M6,), Selector.BEST, CENTRELINE),
                 scale_known=True,
             )
         )

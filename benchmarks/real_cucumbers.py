@@ -43,7 +43,7 @@ from rich.table import Table
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
@@ -93,7 +93,7 @@ class Compared:
     scale: float
     intrinsics: Intrinsics
 
-    def read_cm(self, method: Method | None) -> float | None:
+    def read_cm(self, method: MethodName | None) -> float | None:
         """Return a method's own raw length, or what is reported without one."""
         if self.fruit is None:
             return None
@@ -104,7 +104,7 @@ class Compared:
 
     def end_errors_mm(self) -> tuple[float, float] | None:
         """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
-        fit = None if self.fruit is None else self.fruit.measurements[Method.M6].fit
+        fit = None if self.fruit is None else self.fruit.measurements[MethodName.M6].fit
         if fit is None:
             return None
         axis, camera = self.truth.passes[0].axis_cm, self.truth.camera
@@ -226,7 +226,9 @@ def methods_table(compared: list[Compared]) -> Table:
     for head in ("method", "against", "found", "median |error| %", "bias %", "worst %"):
         table.add_column(head, justify="right")
     for method in (*AVAILABLE, None):
-        for kind in ("centreline",) if method in (Method.M6, None) else ("centreline", "thread"):
+        for kind in (
+            ("centreline",) if method in (MethodName.M6, None) else ("centreline", "thread")
+        ):
             pairs = [(c.read_cm(method), c.truth.cm(kind)) for c in compared]
             errors = np.array([100 * (read / true - 1) for read, true in pairs if read is not None])
             table.add_row(

@@ -45,7 +45,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import Region, run_methods
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.yolo import YoloDetector
@@ -67,7 +67,7 @@ from cucumbervision_lab.training.checkpoint import import_ultralytics
 MODELS = MeasureOptions(instances="models")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
-PAPER_METHODS = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
+PAPER_METHODS = (MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5)
 BINS, SAMPLES = 25, 1000
 TRIES = 4
 LOOK_MS = 10  # between two looks for what a page is to show
@@ -310,7 +310,7 @@ def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[fl
     for _ in range(rounds + 5):
         floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
         papers.append(milliseconds(lambda: run_methods(fresh(drawn), PAPER_METHODS)))
-        tubes.append(milliseconds(lambda: run_methods(fresh(drawn), [Method.M6])))
+        tubes.append(milliseconds(lambda: run_methods(fresh(drawn), [MethodName.M6])))
     return floors[5:], papers[5:], tubes[5:]
 
 
@@ -343,7 +343,7 @@ def peers(quick: bool) -> list[Figure]:
     assert mask is not None
     tasks: dict[str, Callable[[], object]] = {
         "M1 to M5": lambda: run_methods(fresh(drawn), PAPER_METHODS),
-        "M6": lambda: run_methods(fresh(drawn), [Method.M6]),
+        "M6": lambda: run_methods(fresh(drawn), [MethodName.M6]),
     }
     for name, baseline in available_baselines().items():
         tasks[name] = partial(baseline, drawn.depth_m, mask, CAMERA)

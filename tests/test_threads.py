@@ -13,7 +13,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement import methods
-from cucumbervision.measurement.result import Measurement, Method
+from cucumbervision.measurement.result import Measurement, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.threads import OneThread
 
@@ -40,7 +40,7 @@ def with_three_threads(seen: Callable[[], Seen]) -> Seen:
 
 def while_a_fruit_is_measured() -> Seen:
     during = []
-    run = methods._RUN[Method.M2]
+    run = methods._RUN[MethodName.M2]
 
     def observed(region: methods.Region) -> Measurement:
         during.append(blas_threads())
@@ -50,7 +50,7 @@ def while_a_fruit_is_measured() -> Seen:
     depth = np.full((480, 640), 0.6, np.float32)
     capture = Capture(np.zeros((480, 640, 3), np.uint8), depth, lens, "a")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(methods._RUN, Method.M2, observed)
+        patch.setitem(methods._RUN, MethodName.M2, observed)
         fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
     assert fruit.length is not None
     return during

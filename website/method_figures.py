@@ -31,7 +31,7 @@ from cucumbervision.measurement.m2_m3 import GATE_M
 from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
 from cucumbervision.measurement.m6 import TubeView, view_tube
 from cucumbervision.measurement.methods import Region, run_methods
-from cucumbervision.measurement.result import Measurement, Method
+from cucumbervision.measurement.result import Measurement, MethodName
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
@@ -63,7 +63,7 @@ class Example:
     truth: FruitTruth
 
     @cached_property
-    def measured(self) -> dict[Method, Measurement]:
+    def measured(self) -> dict[MethodName, Measurement]:
         """Every method's measurement."""
         return run_methods(self.region)
 
@@ -82,12 +82,12 @@ def load_example() -> Example:
 
 def reading_table(example: Example) -> str:
     """Return a Markdown table of each method's length."""
-    read: list[tuple[Method, float | None, str | None]] = [
+    read: list[tuple[MethodName, float | None, str | None]] = [
         (method, one.length_m, one.kind) for method, one in example.measured.items()
     ]
-    tube = example.measured[Method.M6].tube
+    tube = example.measured[MethodName.M6].tube
     if tube is not None:
-        read += [(Method.M6, tube.thread_m, "thread"), (Method.M6, tube.chord_m, "chord")]
+        read += [(MethodName.M6, tube.thread_m, "thread"), (MethodName.M6, tube.chord_m, "chord")]
     rows = [f"| {method} | {_cm(length)} | `{kind}` |" for method, length, kind in read]
     true = example.truth
     for kind, length in (
@@ -115,18 +115,18 @@ class Used:
 NOTHING = np.empty((0, 3))
 
 
-def used_by(method: Method, region: Region) -> Used:
+def used_by(method: MethodName, region: Region) -> Used:
     """Return the input of a method on the fruit."""
-    if method is Method.M1:
+    if method is MethodName.M1:
         return _samples(region)
-    if method is Method.M4:
+    if method is MethodName.M4:
         assert region.keypoints is not None
         u, v, _ = region.keypoints.T
         depths = window_depths(region.depth_m, u, v, KEYPOINT_PX, region.mask)
         return Used(_lifted(region, u, v, depths), NOTHING)
-    if method is Method.M6:
+    if method is MethodName.M6:
         return Used(_tube_view(region).evidence.points_m, NOTHING)
-    points = region.box_points_m if method is Method.M2 else region.mask_points_m
+    points = region.box_points_m if method is MethodName.M2 else region.mask_points_m
     assert points is not None
     middle = float(np.median(points[:, 2]))
     off = np.abs(points[:, 2] - middle) > GATE_M
@@ -148,7 +148,7 @@ def _lifted(region: Region, u: Any, v: Any, depths_m: Any) -> NDArray[np.float64
     return np.stack([x * depths_m, y * depths_m, depths_m], axis=-1)
 
 
-def draw_method(example: Example, method: Method) -> Figure:
+def draw_method(example: Example, method: MethodName) -> Figure:
     """Return the figure of one method: the picture, and the fruit from the side."""
     figure = Figure(figsize=(7.2, 5.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
@@ -162,17 +162,17 @@ def draw_method(example: Example, method: Method) -> Figure:
     return figure
 
 
-def _draw_picture(axes: Axes, example: Example, method: Method, used: Used) -> None:
+def _draw_picture(axes: Axes, example: Example, method: MethodName, used: Used) -> None:
     region, colour = example.region, COLOURS[str(method)]
     axes.imshow(example.color)
-    dot = 26.0 if method in (Method.M1, Method.M4) else 1.5
+    dot = 26.0 if method in (MethodName.M1, MethodName.M4) else 1.5
     for points, tint, mark in ((used.refused_m, REFUSED, "x"), (used.points_m, colour, "o")):
         u, v = _pixels(region, points)
         if dot > SMALL and mark == "o":
             axes.scatter(u, v, s=dot, c=tint, marker=mark, edgecolors="black", linewidths=0.6)
         else:
             axes.scatter(u, v, s=dot, c=tint, marker=mark)
-    if method is Method.M6:
+    if method is MethodName.M6:
         u, v = _pixels(region, _tube_view(region).evidence.rays)
         axes.scatter(u, v, s=5, c="white", marker="s")
     path = example.measured[method].path_m
@@ -180,7 +180,7 @@ def _draw_picture(axes: Axes, example: Example, method: Method, used: Used) -> N
         for width, tint in ((3.6, "black"), (1.8, "white")):
             axes.plot(*region.intrinsics.project(path).T, color=tint, lw=width)
     x1, y1, x2, y2 = region.box
-    if method in (Method.M1, Method.M2):
+    if method in (MethodName.M1, MethodName.M2):
         axes.plot([x1, x2, x2, x1, x1], [y1, y1, y2, y2, y1], color="white", lw=1)
     axes.set(xlim=(x1 - MARGIN_PX, x2 + MARGIN_PX), ylim=(y2 + MARGIN_PX, y1 - MARGIN_PX))
     axes.set(xticks=[], yticks=[], title="picture")
@@ -203,7 +203,7 @@ def _side(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return 100 * np.stack([points_m[:, 2], -points_m[:, 1]])
 
 
-def _draw_side(axes: Axes, example: Example, method: Method, used: Used) -> None:
+def _draw_side(axes: Axes, example: Example, method: MethodName, used: Used) -> None:
     colour, one = COLOURS[str(method)], example.measured[method]
     centres, radii = _side(example.body.centres_m), 100 * example.body.radii_m
     for x, y, radius in zip(*centres, radii, strict=True):
@@ -211,11 +211,13 @@ def _draw_side(axes: Axes, example: Example, method: Method, used: Used) -> None
     if used.gate_m is not None:
         low, high = (100 * (used.gate_m + side * GATE_M) for side in (-1, 1))
         axes.axvspan(low, high, color="#ffe9a8", alpha=0.5, zorder=0, label="gate, ± 3.5 cm")
-    dot = 22.0 if method in (Method.M1, Method.M4) else 3.0
+    dot = 22.0 if method in (MethodName.M1, MethodName.M4) else 3.0
     if len(used.refused_m):
         z, up = _side(used.refused_m)
         axes.scatter(z, up, s=dot, c=REFUSED, marker="x", label="refused")
-    named = {Method.M1: "samples", Method.M4: "keypoints with depth"}.get(method, "depth readings")
+    named = {MethodName.M1: "samples", MethodName.M4: "keypoints with depth"}.get(
+        method, "depth readings"
+    )
     z, up = _side(used.points_m)
     axes.scatter(z, up, s=dot, c=colour, label=named, zorder=5 if dot > SMALL else 3)
     if one.fit is not None:
@@ -296,7 +298,7 @@ def main() -> None:
         print(reading_table(example))
         return
     save(draw_lengths(), "lengths")
-    for method in Method:
+    for method in MethodName:
         save(draw_method(example, method), str(method).lower())
 
 

@@ -29,7 +29,7 @@ from .measurement.result import Length as Length
 from .measurement.result import LengthDefinition as LengthDefinition
 from .measurement.result import LengthKind as LengthKind
 from .measurement.result import Measurement as Measurement
-from .measurement.result import Method as Method
+from .measurement.result import MethodName as MethodName
 from .measurement.result import Selector as Selector
 from .measurement.selector import measure_fruit as measure_fruit
 from .measurement.traits import TubeTraits as TubeTraits

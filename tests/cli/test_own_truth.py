@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 
@@ -21,7 +21,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run by the paper's methods, and hand lengths of a camera that reads a fifth too short."""
     folder = tmp_path_factory.mktemp("truth")
-    options = MeasureOptions(methods=(Method.M3, Method.M5))
+    options = MeasureOptions(methods=(MethodName.M3, MethodName.M5))
     assert measure_inputs([example_captures()], folder / "run", options).failures == []
     with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.measurement.flags import FLAGS, Flag
-from cucumbervision.measurement.result import Choice, LengthKind, Method, Reason
+from cucumbervision.measurement.result import Choice, LengthKind, MethodName, Reason
 from cucumbervision.pipeline.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
@@ -30,10 +30,10 @@ def test_flags_are_those_of_the_table() -> None:
 
 
 @pytest.mark.parametrize(
-    "code", [*Choice, *(r for r in Reason if r is not Reason.OK), *LengthKind, *Method, *Flag]
+    "code", [*Choice, *(r for r in Reason if r is not Reason.OK), *LengthKind, *MethodName, *Flag]
 )
 def test_codes_are_explained(code: str) -> None:
-    assert f"`{code}`" in PAGE or (code in set(Method) and str(code) in PAGE)
+    assert f"`{code}`" in PAGE or (code in set(MethodName) and str(code) in PAGE)
 
 
 def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:

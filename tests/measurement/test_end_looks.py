@@ -22,7 +22,7 @@ from cucumbervision.measurement.intervals import (
     look_features,
     tube_features,
 )
-from cucumbervision.measurement.result import FruitMeasurement, Method, TubeFit
+from cucumbervision.measurement.result import FruitMeasurement, MethodName, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.end_look import EndCrop, EndLook
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
@@ -73,7 +73,7 @@ def measured(
     capture: Capture, *instances: Instance, models: IntervalModels = MODELS
 ) -> list[FruitMeasurement]:
     return [
-        measure_fruit(capture, one, (Method.M6,), scale_known=True, models=models)
+        measure_fruit(capture, one, (MethodName.M6,), scale_known=True, models=models)
         for one in instances
     ]
 
@@ -101,7 +101,7 @@ def test_all_ends_of_a_capture_are_one_batch(capture: tuple[Capture, Instance, I
     assert look.batches == [4]
     assert fit_of(first).looks == (TRUE, STEM)
     assert fit_of(second).looks == (COVERED, TRUE)
-    assert first.measurements[Method.M6] is first.selected
+    assert first.measurements[MethodName.M6] is first.selected
 
 
 def test_the_interval_depends_on_the_look(capture: tuple[Capture, Instance, Instance]) -> None:
@@ -193,9 +193,9 @@ def test_features_of_a_look_are_those_of_both_ends(
     assert features["log_below"] == pytest.approx(np.log(np.log(1.01 / 0.8)))
     picture, upright, _ = capture
     (fruit,) = measured(picture, upright)
-    assert "looked" not in tube_features(fruit.measurements[Method.M6])
+    assert "looked" not in tube_features(fruit.measurements[MethodName.M6])
     (seen,) = with_end_looks(picture, [fruit], Looker(COVERED, TRUE), models=MODELS)
-    assert tube_features(seen.measurements[Method.M6])["covered"] == 0.84
+    assert tube_features(seen.measurements[MethodName.M6])["covered"] == 0.84
 
 
 def test_more_than_all_that_is_missing_has_a_limit() -> None:

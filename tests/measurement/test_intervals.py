@@ -26,7 +26,7 @@ from cucumbervision.measurement.result import (
     Length,
     LengthDefinition,
     LengthKind,
-    Method,
+    MethodName,
 )
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision_lab.benchmark.interval_fit import RAW_FEATURES, TUBE_FEATURES
@@ -217,7 +217,7 @@ def test_what_networks_draw_has_models_of_its_own(seen: tuple[Capture, Instance]
 def test_the_shipped_models_know_every_method() -> None:
     shipped = shipped_interval_models()
     assert shipped.level == 0.9
-    keys = [*map(str, Method), "M6 thread", "M6 chord"]
+    keys = [*map(str, MethodName), "M6 thread", "M6 chord"]
     known = {key + behind for key in keys for behind in ("", " perceived")}
     looked = {f"{key} perceived looked" for key in keys if key.startswith("M6")}
     assert set(shipped.models) == known | looked

@@ -18,7 +18,7 @@ from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FruitPose, Part
-from cucumbervision.measurement.result import FruitMeasurement, Method
+from cucumbervision.measurement.result import FruitMeasurement, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
@@ -65,7 +65,7 @@ def test_every_method_measures_from_the_stem() -> None:
     fruit = measure_fruit(*seen(BODY))
     stem = BODY.poles_m[1]
     lines = {m: one.path_m for m, one in fruit.measurements.items() if one.path_m is not None}
-    assert {Method.M3, Method.M4, Method.M5, Method.M6} <= set(lines)
+    assert {MethodName.M3, MethodName.M4, MethodName.M5, MethodName.M6} <= set(lines)
     for line in lines.values():
         first, last = np.linalg.norm(line[[0, -1]] - stem, axis=1)
         assert first < last
@@ -176,7 +176,7 @@ def test_the_covariance_holds_the_depth_scale_along_the_view() -> None:
 
 
 def test_a_fruit_without_a_tube_has_no_pose() -> None:
-    assert measure_fruit(*seen(BODY), methods=[Method.M5]).pose is None
+    assert measure_fruit(*seen(BODY), methods=[MethodName.M5]).pose is None
 
 
 def test_json_is_what_its_schema_says() -> None:

@@ -9,37 +9,37 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.measurement.result import Choice, Measurement, Method, Reason, Selector
+from cucumbervision.measurement.result import Choice, Measurement, MethodName, Reason, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
 
 LONG, COMPACT = np.array([0.0, 0.0, 100.0, 20.0]), np.array([0.0, 0.0, 100.0, 60.0])
 
 
-def failed(method: Method) -> Measurement:
+def failed(method: MethodName) -> Measurement:
     return Measurement(method, reason=Reason.TOO_FEW_BINS)
 
 
-def good(*methods: Method) -> dict[Method, Measurement]:
+def good(*methods: MethodName) -> dict[MethodName, Measurement]:
     return {m: Measurement(m, 0.1 * k) for k, m in enumerate(methods, start=1)}
 
 
-ALL = good(Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
+ALL = good(MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5)
 
 
 @pytest.mark.parametrize(
     ("points", "box", "expected", "choice"),
     [
-        (100, LONG, Method.M5, Choice.DENSE_MASK),
-        (99, LONG, Method.M3, Choice.SPARSE_MASK),
-        (None, LONG, Method.M1, Choice.ELONGATED_BOX),
-        (None, LONG[[1, 0, 3, 2]], Method.M1, Choice.ELONGATED_BOX),  # hanging
-        (None, np.array([0.0, 0, 36, 20]), Method.M1, Choice.ELONGATED_BOX),  # exactly 1.8
-        (None, COMPACT, Method.M2, Choice.COMPACT_BOX),
-        (None, COMPACT + np.array([200.0, 0, 200, 0]), Method.M2, Choice.COMPACT_BOX),
+        (100, LONG, MethodName.M5, Choice.DENSE_MASK),
+        (99, LONG, MethodName.M3, Choice.SPARSE_MASK),
+        (None, LONG, MethodName.M1, Choice.ELONGATED_BOX),
+        (None, LONG[[1, 0, 3, 2]], MethodName.M1, Choice.ELONGATED_BOX),  # hanging
+        (None, np.array([0.0, 0, 36, 20]), MethodName.M1, Choice.ELONGATED_BOX),  # exactly 1.8
+        (None, COMPACT, MethodName.M2, Choice.COMPACT_BOX),
+        (None, COMPACT + np.array([200.0, 0, 200, 0]), MethodName.M2, Choice.COMPACT_BOX),
     ],
 )
 def test_decisions(
-    points: int | None, box: NDArray[np.float64], expected: Method, choice: Choice
+    points: int | None, box: NDArray[np.float64], expected: MethodName, choice: Choice
 ) -> None:
     chosen, why, path = choose(ALL, points, box)
     assert chosen is ALL[expected]
@@ -48,42 +48,50 @@ def test_decisions(
 
 
 def test_the_tube_comes_first_where_it_was_fitted() -> None:
-    chosen, _, _ = choose({**ALL, Method.M6: Measurement(Method.M6, 0.3)}, 500, LONG)
+    chosen, _, _ = choose({**ALL, MethodName.M6: Measurement(MethodName.M6, 0.3)}, 500, LONG)
     assert chosen is not None
-    assert chosen.method is Method.M6
-    paper, _, _ = choose({**ALL, Method.M6: Measurement(Method.M6, 0.3)}, 500, LONG, Selector.PAPER)
-    assert paper is ALL[Method.M5]
+    assert chosen.method is MethodName.M6
+    paper, _, _ = choose(
+        {**ALL, MethodName.M6: Measurement(MethodName.M6, 0.3)}, 500, LONG, Selector.PAPER
+    )
+    assert paper is ALL[MethodName.M5]
 
 
 def test_fallbacks_in_order_each_with_its_reason() -> None:
-    results = {**ALL, Method.M5: failed(Method.M5), Method.M4: failed(Method.M4)}
+    results = {**ALL, MethodName.M5: failed(MethodName.M5), MethodName.M4: failed(MethodName.M4)}
     chosen, _, path = choose(results, 500, LONG)
-    assert chosen is ALL[Method.M3]
+    assert chosen is ALL[MethodName.M3]
     assert path == ("M5:too-few-bins", "M4:too-few-bins")
 
 
 def test_m4_that_stands_on_m3_does_not_jump_the_queue() -> None:
-    borrowed = Measurement(Method.M4, 0.2, fallback=("M4:endpoint-missing",), measured_by=Method.M3)
-    chosen, _, path = choose({**ALL, Method.M5: failed(Method.M5), Method.M4: borrowed}, 500, LONG)
-    assert chosen is ALL[Method.M3]
+    borrowed = Measurement(
+        MethodName.M4, 0.2, fallback=("M4:endpoint-missing",), measured_by=MethodName.M3
+    )
+    chosen, _, path = choose(
+        {**ALL, MethodName.M5: failed(MethodName.M5), MethodName.M4: borrowed}, 500, LONG
+    )
+    assert chosen is ALL[MethodName.M3]
     assert path == ("M5:too-few-bins",)
 
 
 def test_a_mask_that_gives_nothing_leads_to_the_box_methods() -> None:
-    results = {m: failed(m) for m in (Method.M3, Method.M4, Method.M5)} | good(Method.M1, Method.M2)
-    assert choose(results, 500, LONG)[0] is results[Method.M1]
-    assert choose(results, 500, COMPACT)[0] is results[Method.M2]
+    results = {m: failed(m) for m in (MethodName.M3, MethodName.M4, MethodName.M5)} | good(
+        MethodName.M1, MethodName.M2
+    )
+    assert choose(results, 500, LONG)[0] is results[MethodName.M1]
+    assert choose(results, 500, COMPACT)[0] is results[MethodName.M2]
 
 
 def test_m1_and_m2_stand_in_for_each_other() -> None:
-    results = {Method.M1: failed(Method.M1), Method.M2: Measurement(Method.M2, 0.2)}
+    results = {MethodName.M1: failed(MethodName.M1), MethodName.M2: Measurement(MethodName.M2, 0.2)}
     chosen, _, path = choose(results, None, LONG)
-    assert chosen is results[Method.M2]
+    assert chosen is results[MethodName.M2]
     assert path == ("M1:too-few-bins",)
 
 
 def test_nothing_measured_tells_every_attempt() -> None:
-    chosen, _, path = choose({m: failed(m) for m in (Method.M1, Method.M2)}, None, COMPACT)
+    chosen, _, path = choose({m: failed(m) for m in (MethodName.M1, MethodName.M2)}, None, COMPACT)
     assert chosen is None
     assert path == ("M2:too-few-bins", "M1:too-few-bins")
 
@@ -103,12 +111,12 @@ def test_paper_counts_only_sams_or_the_data_sets_mask(plate: Capture) -> None:
     detected = Instance(BOX, detector_mask=own, mask_failure="mask-small")
     paper = measure_fruit(plate, detected, selector=Selector.PAPER)
     assert paper.selected is not None
-    assert paper.selected.method is Method.M1
+    assert paper.selected.method is MethodName.M1
     assert paper.reason == Choice.ELONGATED_BOX
     assert paper.flags[0] == "sam-mask-small"
     best = measure_fruit(plate, detected, selector=Selector.BEST)
     assert best.selected is not None
-    assert best.selected.method is Method.M6
+    assert best.selected.method is MethodName.M6
     assert best.mask_source is MaskSource.DETECTOR
     assert best.flags == ("sam-mask-small", "detector-mask")
     sam = replace(detected, mask=own, mask_source=MaskSource.SAM, mask_failure="")
@@ -126,7 +134,7 @@ def test_points_are_counted_before_the_gate(plate: Capture) -> None:
     assert fruit.reason == Choice.DENSE_MASK
     assert fruit.fallback[:2] == ("M6:too-few-points", "M5:too-few-points")
     assert fruit.selected is not None
-    assert fruit.selected.method is Method.M3
+    assert fruit.selected.method is MethodName.M3
 
 
 def test_a_detection_without_depth_gets_its_row(plate: Capture) -> None:
@@ -173,5 +181,5 @@ def test_seen_endpoints_log_m4_beside_the_choice(plate: Capture) -> None:
     instance = Instance(BOX, mask=mask, mask_source=MaskSource.SAM, keypoints=keypoints)
     fruit = measure_fruit(plate, instance)
     assert fruit.selected is not None
-    assert fruit.selected.method is Method.M6
-    assert fruit.measurements[Method.M4].length_m == pytest.approx(0.19, rel=1e-4)
+    assert fruit.selected.method is MethodName.M6
+    assert fruit.measurements[MethodName.M4].length_m == pytest.approx(0.19, rel=1e-4)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import end_flags, measure_fruit
 
 BLOSSOM, STEM = 40, 240  # the keypoints' outermost columns: 200 px apart
@@ -92,7 +92,7 @@ def test_a_row_says_that_an_end_is_hidden_once() -> None:
     keypoints = np.array([[u, 360.0, 1.0] for u in (440, 540, 640, 740, 840)])
     box = np.array([439.5, 339.5, 640.5, 380.5])
     seen = Instance(box, mask=depth > 0, mask_source=MaskSource.SAM)
-    methods = (Method.M3, Method.M5)
+    methods = (MethodName.M3, MethodName.M5)
     assert "end-hidden" not in measure_fruit(capture, seen, methods).flags
     hinted = measure_fruit(capture, replace(seen, keypoints=keypoints), methods)
     assert hinted.flags.count("end-hidden") == 1

@@ -11,7 +11,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.intervals import IntervalModels
-from cucumbervision.measurement.result import Choice, LengthDefinition, Method
+from cucumbervision.measurement.result import Choice, LengthDefinition, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -43,7 +43,7 @@ def view_of(
 
 
 def alone_of(view: FruitView) -> FruitMeasurement:
-    return measure_fruit(view.capture, view.instance, (Method.M6,))
+    return measure_fruit(view.capture, view.instance, (MethodName.M6,))
 
 
 def test_two_stops_give_one_tube_though_their_places_are_off() -> None:

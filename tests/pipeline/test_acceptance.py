@@ -17,7 +17,7 @@ from cucumbervision.measurement.result import (
     Length,
     LengthKind,
     Measurement,
-    Method,
+    MethodName,
     Reason,
 )
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
@@ -62,10 +62,10 @@ def raw(length_m: float, width_m: float, reason: Reason) -> tuple[FruitMeasureme
     mask = np.zeros(capture.depth_m.shape, bool)
     mask.flat[:pixels] = True
     camera = replace(capture.intrinsics, fx_px=500.0, fy_px=500.0)
-    five = Measurement(Method.M5, length_m, LengthKind.SURFACE_ARC)
-    six = Measurement(Method.M6, reason=reason)
+    five = Measurement(MethodName.M5, length_m, LengthKind.SURFACE_ARC)
+    six = Measurement(MethodName.M6, reason=reason)
     fruit = FruitMeasurement(
-        Instance(np.array([0.0, 0, 9, 9])), {Method.M5: five, Method.M6: six}, five,
+        Instance(np.array([0.0, 0, 9, 9])), {MethodName.M5: five, MethodName.M6: six}, five,
         Choice.DENSE_MASK, mask=mask, length=Length(length_m, LengthKind.SURFACE_ARC),
         distance_m=1.0,
     )  # fmt: skip

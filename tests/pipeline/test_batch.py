@@ -20,7 +20,7 @@ from cucumbervision.capture.source import (
     example_captures,
 )
 from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.batch import (
     Engine,
     Item,
@@ -37,7 +37,7 @@ from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1, Method.M3))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1, MethodName.M3))
 
 
 def test_two_processes_give_the_rows_of_one_and_recordings_are_read_in_the_parent(

@@ -14,7 +14,7 @@ from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import Method, Reason
+from cucumbervision.measurement.result import MethodName, Reason
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, load_registry
@@ -97,13 +97,16 @@ def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
     found = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
     for one, tube in zip(found.instances, found.tubes, strict=True):
         assert tube is not None
-        again = measure_fruit(plain, one).measurements[Method.M6]
+        again = measure_fruit(plain, one).measurements[MethodName.M6]
         assert tube.length_m == again.length_m
         other = replace(tube, length_m=1.0)
         fruit = measure_fruit(plain, one, tube=other)
         assert list(fruit.measurements) == list(AVAILABLE)
-        assert fruit.measurements[Method.M6].length_m == 1.0
-        assert Method.M6 not in measure_fruit(plain, one, (Method.M3,), tube=other).measurements
+        assert fruit.measurements[MethodName.M6].length_m == 1.0
+        assert (
+            MethodName.M6
+            not in measure_fruit(plain, one, (MethodName.M3,), tube=other).measurements
+        )
 
 
 def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
@@ -160,7 +163,7 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
     options = MeasureOptions(instances="models", segmenter="none")
     for one in make_finder(options, own_registry).find(row_a).instances:
         fruit = measure_fruit(row_a, one)
-        m4, m3 = fruit.measurements[Method.M4], fruit.measurements[Method.M3]
+        m4, m3 = fruit.measurements[MethodName.M4], fruit.measurements[MethodName.M3]
         # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
         assert m4.reason is Reason.OK
         assert m4.own

@@ -34,7 +34,7 @@ from cucumbervision.measurement.result import (
     LengthDefinition,
     LengthKind,
     Measurement,
-    Method,
+    MethodName,
 )
 from cucumbervision.perception.registry import Registry
 from cucumbervision.pipeline.measurer import (
@@ -80,7 +80,7 @@ def site(*entries: CorrectionEntry, scale: float | None = None, camera: Any = CA
 
 def fruit(
     length_m: float = 0.20,
-    method: Method = Method.M3,
+    method: MethodName = MethodName.M3,
     kind: LengthDefinition | LengthKind = LengthKind.SURFACE_CHORD,
     mask_source: MaskSource | None = MaskSource.DATASET,
     **interval: Any,
@@ -105,13 +105,13 @@ def test_a_fruit_is_corrected_and_says_so() -> None:
     assert done.length.basis is IntervalBasis.OWN_TRUTH
     assert done.calibration == chosen.tag
     assert done.flags == (Flag.CUT_BY_FRAME,)
-    assert done.measurements[Method.M3].length_m == 0.20
+    assert done.measurements[MethodName.M3].length_m == 0.20
 
 
 @pytest.mark.parametrize(
     ("changes", "definition", "flag"),
     [
-        ({"method": Method.M5}, LengthDefinition.CENTRELINE, Flag.NOT_COVERED),
+        ({"method": MethodName.M5}, LengthDefinition.CENTRELINE, Flag.NOT_COVERED),
         ({}, LengthDefinition.CHORD, Flag.NOT_COVERED),
         ({"mask_source": MaskSource.SAM}, LengthDefinition.CENTRELINE, Flag.OTHER_MASK),
         ({"mask_source": None}, LengthDefinition.CENTRELINE, Flag.OTHER_MASK),
@@ -166,7 +166,7 @@ def test_no_correction_but_an_interval() -> None:
 def test_a_tubes_lengths_have_corrections_of_their_own(kind: str, method: str) -> None:
     definition = LengthDefinition(kind)
     chosen = site(entry(Form.SCALE, method=method, truth_kind=definition, offset_m=0.0))
-    done = calibrated_fruit(fruit(method=Method.M6, kind=definition), chosen, definition)
+    done = calibrated_fruit(fruit(method=MethodName.M6, kind=definition), chosen, definition)
     assert done.length is not None
     assert done.length.value_m == pytest.approx(0.22)
 
@@ -195,7 +195,7 @@ def test_lengths_scale_with_the_depth_through_the_whole_run(tmp_path: Path) -> N
     path = tmp_path / "site.json"
     write_site_calibration(path, site(scale=1.04))
     captures = [example_captures() / "simulated-bench"]
-    options = MeasureOptions(methods=(Method.M3,))
+    options = MeasureOptions(methods=(MethodName.M3,))
     plain = measure_inputs(captures, tmp_path / "a", options).rows
     scaled = measure_inputs(captures, tmp_path / "b", replace(options, calibration=path)).rows
     for before, after in zip(plain, scaled, strict=True):
@@ -209,7 +209,7 @@ def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "site.json"
     other = Intrinsics(848, 480, 640.0, 640.0, 424.0, 240.0)
     write_site_calibration(path, site(entry(), camera=other))
-    options = MeasureOptions(methods=(Method.M3,), calibration=path)
+    options = MeasureOptions(methods=(MethodName.M3,), calibration=path)
     result = measure_inputs([example_captures()], tmp_path / "out", options)
     assert (result.rows, len(result.failures)) == ([], 3)
     assert {f.error for f in result.failures} == {"CalibrationError"}
@@ -231,7 +231,7 @@ def test_whatever_goes_wrong_in_a_capture_is_a_failure_with_a_name(
         raise ERRORS[code]
 
     capture = next(iter(open_source(example_captures()))).load()
-    measurer = Measurer(MeasureOptions(instances="dataset", methods=(Method.M1,)))
+    measurer = Measurer(MeasureOptions(instances="dataset", methods=(MethodName.M1,)))
     monkeypatch.setattr("cucumbervision.pipeline.measurer.measure_fruit", broken)
     result = measurer.attempt(capture)
     assert (result.fruit, [f.error for f in result.failures]) == ((), [code])
@@ -307,7 +307,7 @@ def test_the_edge_that_is_up_says_which_end_is_the_stems(edge: str, upright: boo
 
 def test_ends_are_looked_at_where_that_is_asked_for_and_networks_drew_the_masks() -> None:
     capture = next(iter(open_source(example_captures()))).load()
-    options = MeasureOptions(instances="models", methods=(Method.M6,))
+    options = MeasureOptions(instances="models", methods=(MethodName.M6,))
     before = Measurer(replace(options, end_look=False)).measure(capture)
     after = Measurer(options).measure(capture)
     assert "cucumber-look" not in {model["name"] for model in before.models}

@@ -5,21 +5,21 @@ from typing import Any
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import LengthDefinition, Method, Selector
+from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 
 
 def test_methods_are_read_from_text_and_keep_their_own_order() -> None:
     given: dict[str, Any] = {"methods": "M5, m1"}
-    assert MeasureOptions(**given).methods == (Method.M1, Method.M5)
+    assert MeasureOptions(**given).methods == (MethodName.M1, MethodName.M5)
     given = {"methods": "ALL"}
     assert MeasureOptions(**given) == MeasureOptions()
 
 
 def test_the_hash_tells_configurations_apart() -> None:
     assert MeasureOptions().sha256 == MeasureOptions().sha256
-    assert MeasureOptions().sha256 != MeasureOptions(methods=(Method.M1,)).sha256
+    assert MeasureOptions().sha256 != MeasureOptions(methods=(MethodName.M1,)).sha256
     assert len(MeasureOptions().sha256) == 64
 
 
@@ -32,10 +32,12 @@ def test_options_are_json(tmp_path: object) -> None:
 def test_names_are_taken_for_what_they_name() -> None:
     given: dict[str, Any] = {"length": "chord", "selector": "paper", "methods": ("m1", "M5")}
     assert MeasureOptions(**given) == MeasureOptions(
-        length=LengthDefinition.CHORD, selector=Selector.PAPER, methods=(Method.M1, Method.M5)
+        length=LengthDefinition.CHORD,
+        selector=Selector.PAPER,
+        methods=(MethodName.M1, MethodName.M5),
     )
     given = {"methods": "m6"}
-    assert MeasureOptions(**given).methods == (Method.M6,)
+    assert MeasureOptions(**given).methods == (MethodName.M6,)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Choice, Length, LengthDefinition, Method
+from cucumbervision.measurement.result import Choice, Length, LengthDefinition, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.overlay import COLORS, _label, draw_overlay
 
@@ -68,7 +68,7 @@ def test_simulated_captures_say_so(capture: Capture) -> None:
 
 
 def test_labels_say_which_length_and_what_runs_on(capture: Capture, instance: Instance) -> None:
-    fruit = measure_fruit(capture, instance, [Method.M3])
+    fruit = measure_fruit(capture, instance, [MethodName.M3])
     fruit = replace(fruit, length=Length(0.2104, LengthDefinition.THREAD))
     assert _label(2, fruit) == "2: 21.0 cm thread, M3"
     cut = replace(fruit, flags=(Flag.CUT_BY_FRAME,))

@@ -6,14 +6,14 @@ import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.batch import choose_engine
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 
 pytest.importorskip("ray")
 
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
 # Ray's own threads and sockets are still open when its cluster has ended.
 pytestmark = pytest.mark.filterwarnings("ignore")
 

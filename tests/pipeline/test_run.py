@@ -23,7 +23,7 @@ from cucumbervision.capture.source import (
 )
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.files import cell_value
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import count_captures
 from cucumbervision.pipeline.options import MeasureOptions
@@ -128,7 +128,9 @@ def test_captures_of_one_name_get_pictures_of_their_own(tmp_path: Path) -> None:
     other = tmp_path / "again"
     shutil.copytree(example_captures() / ROW_A, other)
     result = measure_inputs(
-        [example_captures() / ROW_A, other], tmp_path / "out", MeasureOptions(methods=(Method.M1,))
+        [example_captures() / ROW_A, other],
+        tmp_path / "out",
+        MeasureOptions(methods=(MethodName.M1,)),
     )
     assert sorted({str(row["capture"]) for row in result.rows}) == [ROW_A, f"{ROW_A}-2"]
     assert len(list((tmp_path / "out" / "overlays").iterdir())) == 2
@@ -277,7 +279,7 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
 
         return CaptureSource(path, "test", refs)
 
-    options = MeasureOptions(methods=(Method.M1,))
+    options = MeasureOptions(methods=(MethodName.M1,))
     result = measure_inputs([Path("house")], tmp_path, options, batch=BatchOptions(opener=opener))
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 70)
     assert [(f.capture, f.error) for f in result.failures] == [
@@ -292,7 +294,7 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
 
 def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
     (tmp_path / "overlays" / f"{ROW_A}.png").mkdir(parents=True)
-    options = MeasureOptions(methods=(Method.M1,))
+    options = MeasureOptions(methods=(MethodName.M1,))
     result = measure_inputs([example_captures() / ROW_A], tmp_path, options)
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 1)
     assert [f.error for f in result.failures] == ["FileError"]

@@ -14,7 +14,7 @@ import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, RunResult, measure_inputs
 from cucumbervision.urls import as_path, with_retries
@@ -22,7 +22,7 @@ from cucumbervision.urls import as_path, with_retries
 s3fs = pytest.importorskip("s3fs")
 moto_server = pytest.importorskip("moto.server")
 
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
 NAMES = ("simulated-bench", "simulated-row-b")
 
 

@@ -19,13 +19,13 @@ import pytest
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, RunResult, Step, measure_inputs
 
 NAMES = ("simulated-bench", "simulated-row-a", "simulated-row-b")
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
 TABLES = ("measurements.csv", "failures.csv")
 
 
@@ -147,7 +147,7 @@ def test_options_touch_what_they_had_a_part_in(run: Watched) -> None:
     assert run.measured == []
     run(replace(OPTIONS, instances="auto"))  # the same masks
     assert run.measured == []
-    run(replace(OPTIONS, methods=(Method.M1, Method.M3)))
+    run(replace(OPTIONS, methods=(MethodName.M1, MethodName.M3)))
     assert tuple(run.measured) == NAMES
 
 

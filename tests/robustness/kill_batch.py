@@ -34,12 +34,12 @@ import numpy as np
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.folder import Journal, OutputFolder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import Step, measure_inputs
 
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
 TABLES = ("measurements.csv", "failures.csv")
 
 

@@ -211,12 +211,12 @@ def run(folder: Path) -> None:
     """Measure a bundled capture with three methods, for its CSV and JSON."""
     from cucumbervision.accuracy.measured import read_measured
     from cucumbervision.capture.source import example_captures
-    from cucumbervision.measurement.result import Method
+    from cucumbervision.measurement.result import MethodName
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import measure_inputs
 
     out = folder / "measured"
-    methods = (Method.M1, Method.M2, Method.M3)
+    methods = (MethodName.M1, MethodName.M2, MethodName.M3)
     options = MeasureOptions(instances="dataset", methods=methods, segmenter="none")
     measure_inputs([example_captures() / "simulated-row-b"], out, options)
     for ending in ("csv", "json"):

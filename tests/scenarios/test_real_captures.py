@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 
@@ -38,7 +38,7 @@ def test_every_carrot_frame_is_measured_and_m3_repeats(shared_data: Path, tmp_pa
 
 def test_the_carrot_is_measured_from_boxes_by_sam(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "rgbd/carrot_realsense_1280"
-    options = MeasureOptions(methods=(Method.M3,), segmenter="mobile-sam", full_precision=True)
+    options = MeasureOptions(methods=(MethodName.M3,), segmenter="mobile-sam", full_precision=True)
     rows = measure_inputs([folder], tmp_path, options).rows
     assert {row["mask_source"] for row in rows} == {"sam"}
     m3 = lengths(rows, "m3_cm")

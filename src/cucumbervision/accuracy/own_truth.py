@@ -15,7 +15,7 @@ from cucumbervision.accuracy.table import Table
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
 from cucumbervision.files import write_csv
-from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
+from cucumbervision.measurement.result import LengthDefinition, MethodName, calibration_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.measured import Measured
 
-_KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
+_KIND_OF = {calibration_key(MethodName.M6, kind): kind for kind in LengthDefinition}
 
 _LONGEST_M, _SHORTEST_M = 1.0, 0.01
 

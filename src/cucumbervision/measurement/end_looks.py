@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.measurement.flags import DOUBTFUL_END, Flag
-from cucumbervision.measurement.result import LengthDefinition, Method
+from cucumbervision.measurement.result import LengthDefinition, MethodName
 from cucumbervision.measurement.selector import with_length
 from cucumbervision.perception.end_look import EndCrop, EndLook, end_crop
 
@@ -75,7 +75,7 @@ def with_end_looks(
 
 
 def _tube(fruit: FruitMeasurement) -> Measurement | None:
-    tube, drawn = fruit.measurements.get(Method.M6), fruit.mask_source in _DRAWN
+    tube, drawn = fruit.measurements.get(MethodName.M6), fruit.mask_source in _DRAWN
     return tube if tube is not None and tube.fit is not None and drawn else None
 
 
@@ -107,7 +107,7 @@ def _looked_at(
         return fruit
     seen = replace(tube, fit=replace(tube.fit, looks=looks))
     selected = seen if fruit.selected is tube else fruit.selected
-    measurements = {**fruit.measurements, Method.M6: seen}
+    measurements = {**fruit.measurements, MethodName.M6: seen}
     flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
     fruit = replace(fruit, measurements=measurements, selected=selected, flags=flags)
     if fruit.at_least or selected is not seen:

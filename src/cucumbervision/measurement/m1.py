@@ -9,7 +9,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import valid_median
 from cucumbervision.measurement.cloud import box_pixels
-from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,7 +64,7 @@ def measure_m1(
     """
     reference = reference_depth(depth_m, box)
     if reference is None:
-        return Measurement(Method.M1, reason=Reason.NO_DEPTH)
+        return Measurement(MethodName.M1, reason=Reason.NO_DEPTH)
     u, v = sample_grid(box)
     z = window_depths(depth_m, u, v, WINDOW_PX)
     with np.errstate(invalid="ignore"):
@@ -77,11 +77,11 @@ def measure_m1(
         if len(index) >= 2:
             segments.append(line[[index[0], index[-1]]])
     if not segments:
-        return Measurement(Method.M1, reason=Reason.TOO_FEW_SAMPLES)
+        return Measurement(MethodName.M1, reason=Reason.TOO_FEW_SAMPLES)
     lengths = np.array([np.linalg.norm(b - a) for a, b in segments])
     length = float(np.median(lengths))
     path = segments[int(np.argmin(np.abs(lengths - length)))]
-    return Measurement(Method.M1, length, LengthKind.BOX_CHORD, path_m=path)
+    return Measurement(MethodName.M1, length, LengthKind.BOX_CHORD, path_m=path)
 
 
 def reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
-from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,18 +42,18 @@ def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
     0.2
     """
     if not len(box_points_m):
-        return Measurement(Method.M2, reason=Reason.NO_DEPTH)
-    return _principal_chord(align_near(box_points_m, GATE_M), Method.M2)
+        return Measurement(MethodName.M2, reason=Reason.NO_DEPTH)
+    return _principal_chord(align_near(box_points_m, GATE_M), MethodName.M2)
 
 
-def _principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
+def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
     """Return the chord between the extreme projections on the principal axis.
 
     Parameters
     ----------
     cloud : AlignedCloud
         Behind the gate.
-    method : Method
+    method : MethodName
         The method in whose name it measures.
 
     Returns
@@ -65,7 +65,7 @@ def _principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
     Examples
     --------
     >>> cloud = align_near(np.array([[0.0, 0.0, 0.5], [0.3, 0.4, 0.5]]), GATE_M)
-    >>> round(_principal_chord(cloud, Method.M3).length_m, 6)
+    >>> round(_principal_chord(cloud, MethodName.M3).length_m, 6)
     0.5
     """
     if len(cloud.points_m) < 2:
@@ -110,5 +110,5 @@ def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     <Reason.TOO_FEW_POINTS: 'too-few-points'>
     """
     if len(mask_points_m) < _MIN_POINTS:
-        return Measurement(Method.M3, reason=Reason.TOO_FEW_POINTS)
-    return _principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)
+        return Measurement(MethodName.M3, reason=Reason.TOO_FEW_POINTS)
+    return _principal_chord(near or align_near(mask_points_m, GATE_M), MethodName.M3)

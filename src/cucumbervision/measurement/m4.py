@@ -8,7 +8,7 @@ import numpy as np
 
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,7 +66,7 @@ def measure_m4(
     0.2
     """
     if keypoints is None:
-        return Measurement(Method.M4, reason=Reason.NO_KEYPOINTS)
+        return Measurement(MethodName.M4, reason=Reason.NO_KEYPOINTS)
     u, v, visibility = np.asarray(keypoints, dtype=np.float64).T
     z = window_depths(depth_m, u, v, WINDOW_PX, mask)
     kept = (visibility >= MIN_VISIBILITY) & np.isfinite(z)
@@ -74,8 +74,10 @@ def measure_m4(
         with np.errstate(invalid="ignore"):
             kept &= np.abs(z - np.median(z[kept])) <= _DEPTH_SPREAD_M
     if not kept[0] or not kept[-1]:
-        return Measurement(Method.M4, reason=Reason.ENDPOINT_MISSING)
+        return Measurement(MethodName.M4, reason=Reason.ENDPOINT_MISSING)
     x, y = intrinsics.rays(u, v)
     points = np.stack([x * z, y * z, z], axis=1)[kept]
     path = points if len(points) >= _POLYLINE_FROM else points[[0, -1]]
-    return Measurement(Method.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path)
+    return Measurement(
+        MethodName.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from cucumbervision.geometry.axis import AlignedCloud, align_near, bin_centroids
 from cucumbervision.geometry.curve import natural_spline
 from cucumbervision.measurement.m2_m3 import GATE_M
-from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,13 +59,13 @@ def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     cloud = near or align_near(mask_points_m, GATE_M)
     points, along = cloud.points_m, cloud.along_m
     if len(points) < MIN_POINTS:
-        return Measurement(Method.M5, reason=Reason.TOO_FEW_POINTS)
+        return Measurement(MethodName.M5, reason=Reason.TOO_FEW_POINTS)
     spine = bin_centroids(points, along, _BINS, _MIN_BIN_POINTS)
     if len(spine) < _MIN_BINS:
-        return Measurement(Method.M5, reason=Reason.TOO_FEW_BINS)
+        return Measurement(MethodName.M5, reason=Reason.TOO_FEW_BINS)
     low = points[np.argpartition(along, _TIP_POINTS - 1)[:_TIP_POINTS]].mean(axis=0)
     high = points[np.argpartition(along, -_TIP_POINTS)[-_TIP_POINTS:]].mean(axis=0)
     length, path = natural_spline(np.vstack([low, spine, high]))
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
-        return Measurement(Method.M5, reason=Reason.OUT_OF_RANGE)
-    return Measurement(Method.M5, length, LengthKind.SURFACE_ARC, path_m=path)
+        return Measurement(MethodName.M5, reason=Reason.OUT_OF_RANGE)
+    return Measurement(MethodName.M5, length, LengthKind.SURFACE_ARC, path_m=path)

@@ -29,7 +29,7 @@ from cucumbervision.measurement.hidden_end import (
     beyond_ends,
     with_hidden_end,
 )
-from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason, TubeFit
+from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
 
 if TYPE_CHECKING:
@@ -296,10 +296,10 @@ def measure_m6(
     """
     view = view_tube(depth_m, mask, intrinsics)
     if view is None:
-        return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
+        return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
     found = fit_view(view)
     if isinstance(found, Reason):
-        return Measurement(Method.M6, reason=found)
+        return Measurement(MethodName.M6, reason=found)
     beyond = beyond_ends(depth_m, mask, intrinsics, *found.shape.balls())
     return with_hidden_end(judged_fit(view, found, beyond), depth_m, intrinsics)
 
@@ -438,11 +438,11 @@ def judged_fit(
     traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
     length = traits.lengths.centreline_m
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
-        return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
+        return Measurement(MethodName.M6, reason=Reason.OUT_OF_RANGE)
     fit = _fit(view, fitting, traits, beyond)
     if fit.explained < _MIN_EXPLAINED:
-        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
-    return Measurement(Method.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
+        return Measurement(MethodName.M6, reason=Reason.NOT_A_TUBE)
+    return Measurement(MethodName.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
 
 def _fit(

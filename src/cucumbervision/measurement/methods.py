@@ -13,7 +13,7 @@ from cucumbervision.measurement.m2_m3 import GATE_M, measure_m2, measure_m3
 from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.result import Measurement, Method, Reason
+from cucumbervision.measurement.result import Measurement, MethodName, Reason
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-AVAILABLE = tuple(Method)
+AVAILABLE = tuple(MethodName)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,9 @@ class Region:
 
 
 @OneThread()
-def run_methods(region: Region, methods: Iterable[Method] = AVAILABLE) -> dict[Method, Measurement]:
+def run_methods(
+    region: Region, methods: Iterable[MethodName] = AVAILABLE
+) -> dict[MethodName, Measurement]:
     """Measure one fruit by each of the methods.
 
     M3 falls back on M2 below 50 valid pixels, M4 on M3 where an endpoint is missing; such a
@@ -81,12 +83,12 @@ def run_methods(region: Region, methods: Iterable[Method] = AVAILABLE) -> dict[M
     ----------
     region : Region
         The fruit.
-    methods : iterable of Method
+    methods : iterable of MethodName
         Which to run; each is computed once, in the order M1 to M6.
 
     Returns
     -------
-    dict of Method to Measurement
+    dict of MethodName to Measurement
         One for each method asked.
 
     Raises
@@ -129,31 +131,31 @@ def _m2(region: Region) -> Measurement:
 
 def _m3(region: Region) -> Measurement:
     if region.mask_points_m is None:
-        return Measurement(Method.M3, reason=Reason.NO_MASK)
+        return Measurement(MethodName.M3, reason=Reason.NO_MASK)
     result = measure_m3(region.mask_points_m, region.mask_near)
-    return _or_else(result, Method.M2, _m2(region)) if not result.own else result
+    return _or_else(result, MethodName.M2, _m2(region)) if not result.own else result
 
 
 def _m4(region: Region) -> Measurement:
     result = measure_m4(region.depth_m, region.mask, region.keypoints, region.intrinsics)
     if result.reason is Reason.ENDPOINT_MISSING:
-        return _or_else(result, Method.M3, _m3(region))
+        return _or_else(result, MethodName.M3, _m3(region))
     return result
 
 
 def _m5(region: Region) -> Measurement:
     if region.mask_points_m is None:
-        return Measurement(Method.M5, reason=Reason.NO_MASK)
+        return Measurement(MethodName.M5, reason=Reason.NO_MASK)
     return measure_m5(region.mask_points_m, region.mask_near)
 
 
 def _m6(region: Region) -> Measurement:
     if region.mask is None:
-        return Measurement(Method.M6, reason=Reason.NO_MASK)
+        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
     return measure_m6(region.depth_m, region.mask, region.intrinsics)
 
 
-def _or_else(failed: Measurement, method: Method, other: Measurement) -> Measurement:
+def _or_else(failed: Measurement, method: MethodName, other: Measurement) -> Measurement:
     path = (f"{failed.method}:{failed.reason}", *other.fallback)
     if other.length_m is None:
         return replace(failed, fallback=(*path, f"{method}:{other.reason}"))

@@ -179,14 +179,14 @@ def stem_first(
     --------
     >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision.measurement.result import Measurement, Method
+    >>> from cucumbervision.measurement.result import Measurement, MethodName
     >>> from cucumbervision.instances.instance import Instance
     >>> lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     >>> blank = np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.float32)
     >>> line = np.array([[0.0, 0.1, 0.5], [0.0, -0.1, 0.5]])  # upwards: y is down
     >>> down = Capture(*blank, lens, "a", gravity=(0.0, 1.0, 0.0))
     >>> fruit = Instance(np.array([20.0, 12, 40, 36]))
-    >>> turned, sure = stem_first(Measurement(Method.M3, 0.2, path_m=line), fruit, down)
+    >>> turned, sure = stem_first(Measurement(MethodName.M3, 0.2, path_m=line), fruit, down)
     >>> turned.path_m[0].tolist(), round(sure, 3)
     ([0.0, -0.1, 0.5], 0.998)
     """

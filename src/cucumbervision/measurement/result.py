@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from cucumbervision.perception.end_look import EndLook
 
 
-class Method(StrEnum):
-    """The six measuring methods."""
+class MethodName(StrEnum):
+    """The package's own measuring methods, by name."""
 
     M1 = "M1"
     M2 = "M2"
@@ -236,7 +236,7 @@ class Measurement:
 
     Parameters
     ----------
-    method : Method
+    method : MethodName
         The method that was asked.
     length_m : float, optional
         Its length in metres; None when it gave none.
@@ -249,19 +249,19 @@ class Measurement:
     path_m : ndarray of float64, shape (K, 3), optional
         The line that was measured, camera coordinates in metres; of a measured fruit it begins
         at the stem end.
-    measured_by : Method, optional
+    measured_by : MethodName, optional
         The method that stood in, where this one fell back on another.
     fit : TubeFit, optional
         The tube, where one was fitted.
     """
 
-    method: Method
+    method: MethodName
     length_m: float | None = None
     kind: LengthKind | None = None
     reason: Reason = Reason.OK
     fallback: tuple[str, ...] = ()
     path_m: NDArray[np.float64] | None = field(default=None, repr=False)
-    measured_by: Method | None = None
+    measured_by: MethodName | None = None
     fit: TubeFit | None = field(default=None, repr=False)
 
     @property
@@ -270,7 +270,7 @@ class Measurement:
         return self.length_m is not None and self.measured_by is None
 
     @property
-    def source(self) -> Method:
+    def source(self) -> MethodName:
         """The method whose length this is."""
         return self.measured_by or self.method
 
@@ -288,7 +288,7 @@ class FruitMeasurement:
     ----------
     instance : Instance
         Where it is in the picture.
-    measurements : mapping of Method to Measurement
+    measurements : mapping of MethodName to Measurement
         Every method that was run.
     selected : Measurement, optional
         The one that the selector took; None when nothing could be measured.
@@ -321,7 +321,7 @@ class FruitMeasurement:
     """
 
     instance: Instance
-    measurements: Mapping[Method, Measurement]
+    measurements: Mapping[MethodName, Measurement]
     selected: Measurement | None
     reason: Choice
     fallback: tuple[str, ...] = ()
@@ -343,7 +343,7 @@ class FruitMeasurement:
         return f"<FruitMeasurement: {said}>"
 
     @property
-    def method(self) -> Method | None:
+    def method(self) -> MethodName | None:
         """The method whose length stands."""
         return None if self.selected is None else self.selected.source
 
@@ -368,17 +368,17 @@ class FruitMeasurement:
         return replace(self, flags=(*self.flags, *new))
 
 
-def calibration_key(method: Method, kind: LengthDefinition | LengthKind) -> str:
+def calibration_key(method: MethodName, kind: LengthDefinition | LengthKind) -> str:
     """Return what calibrations and interval models call a method's length.
 
     Examples
     --------
-    >>> calibration_key(Method.M5, LengthKind.SURFACE_ARC)
+    >>> calibration_key(MethodName.M5, LengthKind.SURFACE_ARC)
     'M5'
-    >>> calibration_key(Method.M6, LengthDefinition.THREAD)
+    >>> calibration_key(MethodName.M6, LengthDefinition.THREAD)
     'M6 thread'
-    >>> calibration_key(Method.M6, LengthDefinition.CENTRELINE)
+    >>> calibration_key(MethodName.M6, LengthDefinition.CENTRELINE)
     'M6'
     """
-    other = method is Method.M6 and kind in (LengthDefinition.THREAD, LengthDefinition.CHORD)
+    other = method is MethodName.M6 and kind in (LengthDefinition.THREAD, LengthDefinition.CHORD)
     return f"{method} {kind}" if other else str(method)

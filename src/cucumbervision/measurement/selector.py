@@ -30,7 +30,7 @@ from cucumbervision.measurement.result import (
     Length,
     LengthDefinition,
     Measurement,
-    Method,
+    MethodName,
     Selector,
     calibration_key,
 )
@@ -147,7 +147,7 @@ _EDGE_PX = 1.0
 
 
 def choose(
-    measurements: Mapping[Method, Measurement],
+    measurements: Mapping[MethodName, Measurement],
     mask_points: int | None,
     box: NDArray[np.float64],
     selector: Selector = Selector.BEST,
@@ -161,7 +161,7 @@ def choose(
 
     Parameters
     ----------
-    measurements : mapping of Method to Measurement
+    measurements : mapping of MethodName to Measurement
         What was run; a method that was not is passed over.
     mask_points : int, optional
         Valid depth readings in the mask; None without a mask.
@@ -183,20 +183,21 @@ def choose(
     --------
     >>> import numpy as np
     >>> from cucumbervision.measurement.result import Reason
-    >>> m5 = Measurement(Method.M5, reason=Reason.TOO_FEW_BINS)
-    >>> m3 = Measurement(Method.M3, 0.21)
-    >>> best, choice, path = choose({Method.M5: m5, Method.M3: m3}, 400, np.array([0, 0, 9, 40.0]))
+    >>> m5 = Measurement(MethodName.M5, reason=Reason.TOO_FEW_BINS)
+    >>> m3 = Measurement(MethodName.M3, 0.21)
+    >>> box = np.array([0, 0, 9, 40.0])
+    >>> best, choice, path = choose({m5.method: m5, m3.method: m3}, 400, box)
     >>> str(best.method), str(choice), path
     ('M3', 'mask-points-ge-100', ('M5:too-few-bins',))
     """
     choice, order = _order(mask_points, box)
     tried: list[str] = []
     for method in order:
-        if method is Method.M6 and selector is Selector.PAPER:
+        if method is MethodName.M6 and selector is Selector.PAPER:
             continue
         result = measurements.get(method)
         # M4 that fell back is M3 by another name, and M3 has its own turn.
-        if result is None or (method is Method.M4 and result.measured_by is not None):
+        if result is None or (method is MethodName.M4 and result.measured_by is not None):
             continue
         if result.length_m is not None:
             return result, choice, (*tried, *result.fallback)
@@ -204,22 +205,28 @@ def choose(
     return None, choice, tuple(tried)
 
 
-def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, list[Method]]:
+def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, list[MethodName]]:
     width, height = float(box[2] - box[0]), float(box[3] - box[1])
     elongated = max(width, height) >= _ELONGATED * min(width, height)
-    by_box = [Method.M1, Method.M2] if elongated else [Method.M2, Method.M1]
+    by_box = [MethodName.M1, MethodName.M2] if elongated else [MethodName.M2, MethodName.M1]
     if mask_points is None:
         return (Choice.ELONGATED_BOX if elongated else Choice.COMPACT_BOX), by_box
     if mask_points >= SPLINE_POINTS:
-        return Choice.DENSE_MASK, [Method.M6, Method.M5, Method.M4, Method.M3, *by_box]
-    return Choice.SPARSE_MASK, [Method.M3, *by_box]
+        return Choice.DENSE_MASK, [
+            MethodName.M6,
+            MethodName.M5,
+            MethodName.M4,
+            MethodName.M3,
+            *by_box,
+        ]
+    return Choice.SPARSE_MASK, [MethodName.M3, *by_box]
 
 
 @OneThread()
 def measure_fruit(
     capture: Capture,
     instance: Instance,
-    methods: Iterable[Method] = AVAILABLE,
+    methods: Iterable[MethodName] = AVAILABLE,
     selector: Selector = Selector.BEST,
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
@@ -237,7 +244,7 @@ def measure_fruit(
         The frame.
     instance : Instance
         Where the fruit is in it.
-    methods : iterable of Method
+    methods : iterable of MethodName
         Which to run; the selector chooses among these.
     selector : Selector
         How to choose.
@@ -286,7 +293,7 @@ def measure_fruit(
     if tube is not None and tube.method in methods:
         found[tube.method] = tube
     if ends is not None:
-        instance = with_tubes_ends(instance, found.get(Method.M6), capture, ends)
+        instance = with_tubes_ends(instance, found.get(MethodName.M6), capture, ends)
     turned = {method: stem_first(one, instance, capture) for method, one in found.items()}
     measurements = {method: one for method, (one, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)

@@ -17,7 +17,7 @@ from cucumbervision.measurement.result import (
     FruitMeasurement,
     LengthDefinition,
     Measurement,
-    Method,
+    MethodName,
     Reason,
 )
 from cucumbervision.measurement.selector import (
@@ -156,7 +156,7 @@ def measure_views(
     joint = _joint(kept) if len(kept) > 1 else None
     if joint is None:
         alone = measure_fruit(
-            *(first.view.capture, first.view.instance, (Method.M6,)),
+            *(first.view.capture, first.view.instance, (MethodName.M6,)),
             definition=definition,
             scale_known=scale_known,
             models=models,
@@ -230,7 +230,7 @@ def _together(
     flags += [flag for flag in alone.flags if flag not in _BY_VIEW]
     return replace(
         alone,
-        measurements={Method.M6: one_tube},
+        measurements={MethodName.M6: one_tube},
         selected=None if one_tube.length_m is None else one_tube,
         reason=Choice.SEVERAL_VIEWS,
         flags=tuple(dict.fromkeys(flags)),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Choice, FruitMeasurement, Method, Reason
+from cucumbervision.measurement.result import Choice, FruitMeasurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +70,7 @@ def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
     """Return the mean diameter, metres; NaN, which no limit refuses, where it is not known."""
     if fruit.traits is not None:
         return fruit.traits.diameter_mean_m
-    tube = fruit.measurements.get(Method.M6)
+    tube = fruit.measurements.get(MethodName.M6)
     out = tube is not None and tube.reason is Reason.OUT_OF_RANGE
     if not out or fruit.mask is None or fruit.distance_m is None or fruit.length is None:
         return np.nan

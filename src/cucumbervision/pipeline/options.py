@@ -14,7 +14,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import json_value
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.pose import CUT_BEYOND_M
-from cucumbervision.measurement.result import LengthDefinition, Method, Selector
+from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.runtime import RUNTIMES
 from cucumbervision.perception.sam import PROMPTS
@@ -66,7 +66,7 @@ class MeasureOptions:
         (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
-    methods : tuple of Method
+    methods : tuple of MethodName
         Which methods run; also as their names, 'all', or 'm1,m5'.
     selector : Selector
         How one is chosen.
@@ -106,7 +106,7 @@ class MeasureOptions:
     end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
-    methods: tuple[Method, ...] = AVAILABLE
+    methods: tuple[MethodName, ...] = AVAILABLE
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.CENTRELINE
     confidence: float = DEFAULT_CONFIDENCE
@@ -137,7 +137,7 @@ class MeasureOptions:
         given: Any = self.methods  # people write names, or 'all', or one text such as 'm1,m5'
         given = given.split(",") if isinstance(given, str) else given
         methods = {str(name).strip().upper() for name in given}
-        listed = (_choice("methods", name, Method) for name in sorted(methods))
+        listed = (_choice("methods", name, MethodName) for name in sorted(methods))
         chosen = AVAILABLE if methods == {"ALL"} else tuple(listed)
         object.__setattr__(self, "methods", chosen)
         named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]

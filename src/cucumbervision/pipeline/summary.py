@@ -9,7 +9,7 @@ from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound
-from cucumbervision.measurement.result import Choice, Method
+from cucumbervision.measurement.result import Choice, MethodName
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -103,7 +103,7 @@ class Summary:
             large = Flag.DEPTH_UNIT in flags
             if refused == Choice.IMPLAUSIBLE or (refused == Choice.IMPLAUSIBLE_DIAMETER and large):
                 self.too_large += large
-                read = [row[f"{method.lower()}_cm"] for method in reversed(Method)]
+                read = [row[f"{method.lower()}_cm"] for method in reversed(MethodName)]
                 self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
             self.labels[str(row.get("label") or "")] += 1

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cucumbervision.capture.motion import moved_px
 from cucumbervision.measurement.flags import is_lower_bound
 from cucumbervision.measurement.pose import FruitPose
-from cucumbervision.measurement.result import Choice, Method
+from cucumbervision.measurement.result import Choice, MethodName
 from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -58,7 +58,7 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
         keypoints=False,
         input_sizes=options.input_sizes or (_FAST_SIZE_PX,),
         full_precision=False,
-        methods=(Method.M3, Method.M5, Method.M6),
+        methods=(MethodName.M3, MethodName.M5, MethodName.M6),
     )
 
 

@@ -18,7 +18,7 @@ from cucumbervision.agronomy.grades import grade
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.measurement.flags import flag_remarks
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
 from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
@@ -430,7 +430,7 @@ def _kept(one: Field) -> Field | None:
 _KEPT = {one.name: kept for one in FIELDS if (kept := _kept(one)) is not None}
 _METHODS = tuple(
     replace(one, path=f"methods.{method}")
-    for method in Method
+    for method in MethodName
     for one in FIELDS
     if one.name == f"{method.lower()}_cm"
 )

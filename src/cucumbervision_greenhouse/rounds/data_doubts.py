@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.measurement.result import Choice, Method
+from cucumbervision.measurement.result import Choice, MethodName
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision_greenhouse.store.views import Verdict
 
@@ -49,5 +49,5 @@ def _row(record: DetectionRecord, methods: Sequence[MethodRecord]) -> dict[str, 
         "mask_source": record.mask_source,
         "label": record.label,
         "simulated": False,
-        **{f"{method.lower()}_cm": lengths_cm.get(method) for method in Method},
+        **{f"{method.lower()}_cm": lengths_cm.get(method) for method in MethodName},
     }

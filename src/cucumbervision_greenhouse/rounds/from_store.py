@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.errors import RoundError
 from cucumbervision.measurement.matching import ALONG, DEPTH, UP
-from cucumbervision.measurement.result import LengthDefinition, Method
+from cucumbervision.measurement.result import LengthDefinition, MethodName
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_fruit import USUAL, FalseShare
@@ -156,7 +156,7 @@ def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
     stops = {stop.key: stop for stop in content.stops}
     groups = defaultdict(list)
     for view in content.views:
-        if view.record.method == Method.M6 and view.verdict is not Verdict.REJECTED:
+        if view.record.method == MethodName.M6 and view.verdict is not Verdict.REJECTED:
             groups[view.group].append(view)
     found = {}
     for views in groups.values():

@@ -14,7 +14,7 @@ from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_i
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import Method, Selector
+from cucumbervision.measurement.result import MethodName, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
@@ -221,7 +221,7 @@ def fruit_lengths(
     lengths: dict[str, float | None] = {
         str(method): measurement.length_m for method, measurement in fruit.measurements.items()
     }
-    tube = fruit.measurements[Method.M6].tube
+    tube = fruit.measurements[MethodName.M6].tube
     lengths["M6 thread"] = tube.thread_m if tube else None
     lengths["M6 chord"] = tube.chord_m if tube else None
     # The paper's selector does not use the detector's mask.
@@ -238,7 +238,7 @@ def fruit_lengths(
 
 def interval_details(fruit: FruitMeasurement) -> dict[str, Any]:
     """Return the details of a measurement that interval models use as features."""
-    m6 = fruit.measurements[Method.M6]
+    m6 = fruit.measurements[MethodName.M6]
     details: dict[str, Any] = {
         "m6_reason": str(m6.reason),
         "mask_failure": fruit.instance.mask_failure,

@@ -16,7 +16,7 @@ from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.measurement.pose import Part, stem_first
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry
@@ -253,7 +253,7 @@ def evaluate_real_photos(
     return evaluate_photos(photos, networks, missing, tell)
 
 
-_READ = (*Method, "M6 thread", "M6 chord", "selector best", "selector paper")
+_READ = (*MethodName, "M6 thread", "M6 chord", "selector best", "selector paper")
 
 
 def length_records(

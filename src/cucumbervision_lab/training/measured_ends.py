@@ -24,7 +24,7 @@ from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import Rle
 from cucumbervision.instances.masks import distances_inside, mask_pixels
 from cucumbervision.measurement.intervals import mask_features, tube_features
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.keypoint_axis import axis_line
 from cucumbervision.pipeline.measurer import Measurer
@@ -275,7 +275,7 @@ def measure_drawn(
 
 @lru_cache(maxsize=1)
 def _measurer() -> Measurer:
-    return Measurer(MeasureOptions(instances="models", methods=(Method.M6,)))
+    return Measurer(MeasureOptions(instances="models", methods=(MethodName.M6,)))
 
 
 def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
@@ -283,7 +283,7 @@ def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
     if mask is None or np.count_nonzero(mask) < _LEAST_SEEN:
         return None
     instance = Instance(label.box, mask=mask, mask_source=MaskSource.DATASET)
-    return measure_fruit(capture, instance, (Method.M6,))
+    return measure_fruit(capture, instance, (MethodName.M6,))
 
 
 def _matched(
@@ -302,7 +302,7 @@ def _matched(
 def _record(
     fruit: FruitMeasurement, label: Label, picture: LabelledPicture, *, given: bool
 ) -> MeasuredFruit | None:
-    m6 = fruit.measurements.get(Method.M6)
+    m6 = fruit.measurements.get(MethodName.M6)
     if m6 is None or m6.fit is None or m6.tube is None or fruit.mask is None:
         return None
     features = {

@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import Added, Place, add_captures
 from cucumbervision_greenhouse.rounds.from_store import read_round
@@ -26,7 +26,7 @@ from cucumbervision_lab.synthesis.scene import Kind, Scene, render
 
 CAMERA = Intrinsics(424, 240, 308.2, 308.1, 212.1, 119.8)
 MORNING = key_of("rounds", "morning")
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M3, Method.M6))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M3, MethodName.M6))
 ACROSS_M = 1.4
 # Along, up, from the left aisle's cameras; length and radius: metres.
 FRUIT = (

@@ -15,7 +15,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import LengthDefinition, Method
+from cucumbervision.measurement.result import LengthDefinition, MethodName
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import add_captures
@@ -28,7 +28,7 @@ from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.views import DetectionView, Verdict
 
 MORNING = key_of("rounds", "morning")
-OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M3, Method.M6))
+OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M3, MethodName.M6))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
@@ -115,7 +115,7 @@ def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None
         assert record.mask is not None
         assert fruit.mask is not None
         assert (decode_rle(record.mask, stop.height_px, stop.width_px) == fruit.mask).all()
-        assert [m.method for m in record.methods] == [str(m) for m in Method]
+        assert [m.method for m in record.methods] == [str(m) for m in MethodName]
 
 
 def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> None:
@@ -137,7 +137,7 @@ def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: CaptureRe
     assert along == pytest.approx(tube.centreline_m, rel=0.01)
     assert max(tube.diameter_m) == pytest.approx(record.diameter_max_m or 0, rel=0.02)
     # The thinned path still begins and ends where the fruit does.
-    fit = measured.fruit[0].measurements[Method.M6].fit
+    fit = measured.fruit[0].measurements[MethodName.M6].fit
     assert fit is not None
     np.testing.assert_allclose(tube.path_m[-1], fit.traits.axis_m[-1], atol=1e-6)
 
@@ -166,7 +166,7 @@ def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
     assert seen(0.25) == pytest.approx(0.75 * best)
     assert seen(0.0, Flag.CUT_BY_FRAME) == pytest.approx(best / 2)
     assert seen(0.0, Flag.CUT_BY_FRAME, Flag.END_HIDDEN) == pytest.approx(best / 4)
-    plain = replace(fruit, selected=fruit.measurements[Method.M3], fill=0.9, flags=())
+    plain = replace(fruit, selected=fruit.measurements[MethodName.M3], fill=0.9, flags=())
     assert view_score(plain) == pytest.approx(best / 2)
 
 

@@ -7,7 +7,9 @@ which half or more shows, marked by eye, and which captures the detector was tra
 counts as found where the box around the measured mask overlaps its own by half (IoU). On eight of
 the marked fruit is a green sticker, which no grower's fruit has and which a detector can learn: it
 is painted over in the colour picture, and the figures with it come second. The four captures
-called sample show one fruit, so their lengths also tell how well a length repeats.
+called sample show one fruit, so their lengths also tell how well a length repeats. Both ends of a
+fruit are marked in two passes where both are visible; `length_between_m` follows the depth from one
+to the other, and lengths and intervals are compared with that.
 """
 
 from __future__ import annotations
@@ -22,10 +24,14 @@ import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.optimize import least_squares
 
+from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.geometry.curve import points_along, polyline_length
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import Method
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
@@ -34,12 +40,17 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.detection.outcomes import match_boxes
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.pipeline.measurer import CaptureResult
 
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
+
+_STATIONS = 41  # along a fruit
+_CAP = 0.08  # of the length: the surface falls away from a parabola at either end
+_DEPTH_SPREAD_M = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +61,8 @@ class Judged:
     trained: bool
     fruit: list[tuple[dict[str, Any], FruitMeasurement | None]]
     false: list[FruitMeasurement]
+    marked_m: list[tuple[float, float]]
+    """Lengths between the ends as marked in two passes, of each fruit; NaN where not marked."""
 
     def hits(self, *, marked: bool) -> tuple[int, int]:
         """Return how many fruit were found, and how many there are."""
@@ -67,7 +80,23 @@ def judge(result: CaptureResult, marks: dict[str, Any]) -> Judged:
     matches = match_boxes(boxes, true, ignored=marks["ignored"])
     hits = dict(matches.pairs)
     pairs = [(one, found[hits[k]] if k in hits else None) for k, one in enumerate(marks["fruit"])]
-    return Judged(marks["name"], marks["trained"], pairs, [found[k] for k in matches.false])
+    false = [found[k] for k in matches.false]
+    marked = [_marked_m(result.capture, true, fruit) for true, fruit in pairs]
+    return Judged(marks["name"], marks["trained"], pairs, false, marked)
+
+
+def _marked_m(
+    capture: Capture, marks: dict[str, Any], fruit: FruitMeasurement | None
+) -> tuple[float, float]:
+    tube = None if fruit is None else fruit.measurements.get(Method.M6)
+    if "ends" not in marks or tube is None or tube.fit is None:
+        return float("nan"), float("nan")
+    traits = tube.fit.traits
+    first, second = (
+        length_between_m(capture, ends, traits.axis_m, traits.diameter_max_m / 2)
+        for ends in marks["ends"]
+    )
+    return first, second
 
 
 def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[np.uint8]:
@@ -90,19 +119,69 @@ def length_text(fruit: FruitMeasurement | None) -> str:
     return " ".join([f"{fruit.instance.confidence:.2f}: {length}", *fruit.flags])
 
 
+def length_between_m(
+    capture: Capture, ends_px: ArrayLike, axis_m: NDArray[np.float64], radius_m: float
+) -> float:
+    """Return the length of a fruit between two marked ends, by the depth along it.
+
+    The picture of a measured axis tells how the fruit bends between the ends, and nothing else. A
+    parabola through the depth along that line, to which outliers count little, is the surface; the
+    axis lies a radius behind it. NaN where less than half of the fruit has depth.
+
+    Parameters
+    ----------
+    capture : Capture
+        With depth.
+    ends_px : array_like, shape (2, 2)
+        u, v of both ends, pixels.
+    axis_m : ndarray of float64, shape (K, 3)
+        The measured axis, camera coordinates.
+    radius_m : float
+        Of the fruit.
+    """
+    ends = np.asarray(ends_px, np.float64)
+    line = capture.intrinsics.project(points_along(axis_m, np.linspace(0, 1, _STATIONS)))
+    if np.linalg.norm(line[0] - ends[0]) > np.linalg.norm(line[-1] - ends[0]):
+        line = line[::-1]
+    share = np.linspace(0, 1, _STATIONS)
+    line = line + (1 - share[:, None]) * (ends[0] - line[0]) + share[:, None] * (ends[1] - line[-1])
+    columns, rows = np.rint(line).astype(int).T
+    depth = np.array(
+        [
+            np.median(part[valid_depth(part)]) if valid_depth(part).any() else np.nan
+            for x, y in zip(columns, rows, strict=True)
+            for part in [capture.depth_m[max(y - 5, 0) : y + 6, max(x - 5, 0) : x + 6]]
+        ]
+    )
+    inner = (share > _CAP) & (share < 1 - _CAP) & np.isfinite(depth)
+    if inner.sum() < len(share) / 2:
+        return float("nan")
+    terms = np.vander(share, 3)
+    first = np.linalg.lstsq(terms[inner], depth[inner], rcond=None)[0]
+
+    def off(shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(terms[inner] @ shape - depth[inner])
+
+    fit = least_squares(off, first, loss="soft_l1", f_scale=_DEPTH_SPREAD_M)
+    z = terms @ fit.x + radius_m
+    x, y = capture.intrinsics.rays(line[:, 0], line[:, 1])
+    return polyline_length(np.stack([x * z, y * z, z], axis=1))
+
+
 def fruit_table(judged: list[Judged]) -> Table:
     """Return one line a fruit, and one a false positive."""
-    table = Table("capture", "trained on", "marked", "found", title="Every fruit")
+    table = Table("capture", "trained on", "marked", "between ends", "found", title="Every fruit")
     for one in judged:
-        for true, found in one.fruit:
+        for (true, found), lengths in zip(one.fruit, one.marked_m, strict=True):
             table.add_row(
                 one.name[:26],
                 "yes" if one.trained else "no",
                 "yes" if true["marked"] else "",
+                "" if np.isnan(lengths[0]) else f"{100 * np.mean(lengths):.1f} cm",
                 length_text(found),
             )
         for fruit in one.false:
-            table.add_row(one.name[:26], "", "", f"false positive {length_text(fruit)}")
+            table.add_row(one.name[:26], "", "", "", f"false positive {length_text(fruit)}")
     return table
 
 
@@ -148,7 +227,7 @@ def summary(judged: list[Judged]) -> list[str]:
     if len(repeats) > 1:
         spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
         lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
-    return lines + interval_lines(judged)
+    return lines + interval_lines(judged) + marked_lines(judged)
 
 
 def interval_lines(judged: list[Judged]) -> list[str]:
@@ -169,6 +248,33 @@ def interval_lines(judged: list[Judged]) -> list[str]:
     return [
         f"intervals, both ends in sight: {len(widths)} of {len(lengths)} given, median width "
         f"{np.median(widths):.0f} %, widest {max(widths):.0f} %"
+    ]
+
+
+def marked_lines(judged: list[Judged]) -> list[str]:
+    """Return how far lengths are off those between marked ends, and how many intervals hold."""
+    chosen = [
+        (fruit.length, lengths)
+        for one in judged
+        for (_, fruit), lengths in zip(one.fruit, one.marked_m, strict=True)
+        if fruit is not None and fruit.length is not None and not np.isnan(lengths).any()
+    ]
+    if not chosen:
+        return []
+    passes = np.array([lengths for _, lengths in chosen])
+    marked = passes.mean(axis=1)
+    off = 100 * (np.array([length.value_m for length, _ in chosen]) / marked - 1)
+    holds = [
+        length.low_m <= true <= length.high_m
+        for (length, _), true in zip(chosen, marked, strict=True)
+        if length.low_m is not None and length.high_m is not None
+    ]
+    apart = 100 * np.abs(passes[:, 1] - passes[:, 0]) / marked
+    return [
+        f"length between marked ends, {len(chosen)} fruit: off by {np.median(np.abs(off)):.1f} % "
+        f"(median), {off[np.abs(off).argmax()]:+.1f} % (worst), {off.mean():+.1f} % (mean); "
+        f"intervals hold {sum(holds)} of {len(holds)}; the passes differ by "
+        f"{np.median(apart):.1f} % (median)"
     ]
 
 

@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.batch import choose_engine
+from cucumbervision.pipeline import run
+from cucumbervision.pipeline.batch import Outcome, ReadCapture, SearchedCapture, choose_engine
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import BatchOptions, measure_inputs
+from cucumbervision.pipeline.run import BatchOptions, FolderWorker, measure_inputs
 
 pytest.importorskip("ray")
 
@@ -41,3 +45,24 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
             options,
             batch=BatchOptions(engine=choose_engine(ray="local")),
         )
+
+
+class KilledWorker(FolderWorker):
+    """A worker whose process is killed by one capture, as by a full memory."""
+
+    def detect(self, read: Outcome[Any] | ReadCapture) -> Outcome[Any] | SearchedCapture:
+        """Detect the fruit, unless it is this capture."""
+        if isinstance(read, ReadCapture) and read.capture.name == "simulated-row-b":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().detect(read)
+
+
+def test_a_capture_that_kills_its_worker_is_a_failure_and_the_others_are_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "FolderWorker", KilledWorker)
+    batch = BatchOptions(engine=choose_engine(1, "local"))
+    result = measure_inputs([example_captures()], tmp_path, OPTIONS, batch=batch)
+    (failure,) = result.failures
+    assert (failure.capture, result.captures) == ("simulated-row-b", 2)
+    assert "killed twice" in failure.message

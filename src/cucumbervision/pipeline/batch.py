@@ -278,13 +278,13 @@ class _Pool:
                 try:
                     return alone.submit(_do, item).result()
                 except BrokenProcessPool:
-                    return _outcome_of_killed(item)
+                    return outcome_of_killed(item)
 
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _outcome_of_killed(item: Item) -> Outcome[Any]:
+def outcome_of_killed(item: Item) -> Outcome[Any]:
     """Return the outcome of a capture whose process was killed twice."""
     if isinstance(item, Failure):
         return Outcome(failures=(item,))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.perception.runtime import limit_threads
-from cucumbervision.pipeline.batch import Outcome, portable
+from cucumbervision.pipeline.batch import Outcome, outcome_of_killed, portable
 from cucumbervision.pipeline.measurer import Failure
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ _MEASURING = 0.75
 the readers, and the run hangs."""
 
 _READING = 0.25  # of a CPU, a reading task
+
+_TRIES = 2  # of a capture whose worker is killed
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,9 @@ class RayEngine:
     ) -> Iterator[Outcome[Any]]:
         """Do the items; Ray Data bounds what is in memory between reading and measuring.
 
+        A worker that is killed costs no row: its captures are done again, and one whose worker is
+        killed twice is a failure.
+
         Raises
         ------
         MissingExtraError
@@ -60,6 +65,9 @@ class RayEngine:
             self._connect(ray)
             try:
                 for row in self._dataset(ray, listed, worker).iter_rows():
+                    while done < row["number"]:
+                        yield outcome_of_killed(listed[done])
+                        done += 1
                     outcome = pickle.loads(row["done"])
                     if isinstance(outcome, CucumberVisionError):
                         raise outcome
@@ -67,6 +75,10 @@ class RayEngine:
                     yield outcome
                     if stop():
                         break
+                else:
+                    for item in listed[done:]:
+                        yield outcome_of_killed(item)
+                    done = len(listed)
             finally:
                 ray.shutdown()
         for one in listed[done:]:
@@ -93,17 +105,24 @@ class RayEngine:
         context = ray.data.DataContext.get_current()
         context.execution_options.preserve_order = True
         context.enable_progress_bars = False
-        logging.getLogger("ray.data").setLevel(logging.ERROR)
-        items = [{"item": pickle.dumps(portable(one))} for one in listed]
+        logging.getLogger("ray.data").setLevel(logging.CRITICAL)
+        # Ray would begin a capture that kills its worker again and again, without end.
+        context.max_errored_blocks = -1
+        items = [
+            {"number": number, "item": pickle.dumps(portable(one))}
+            for number, one in enumerate(listed)
+        ]
         on_gpus = worker.measurer.options.runtime in ("cuda", "tensorrt")
         dataset = ray.data.from_items(items, override_num_blocks=len(items))
-        dataset = dataset.map(_Reading(worker), num_cpus=_READING)
+        dataset = dataset.map(_Reading(worker), num_cpus=_READING, max_retries=_TRIES - 1)
         return dataset.map(
             _Measuring,
             fn_constructor_args=(worker, max(1, int(share))),
             compute=ray.data.ActorPoolStrategy(size=workers),
             num_cpus=share,
             num_gpus=gpus / workers if on_gpus else 0,
+            max_restarts=-1,
+            max_task_retries=_TRIES - 1,
         )
 
 
@@ -113,8 +132,9 @@ class _Reading:
     def __init__(self, worker: Worker[Any]) -> None:
         self._worker = worker
 
-    def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
-        return {"read": pickle.dumps(self._worker.read(pickle.loads(row["item"])))}
+    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
+        read = self._worker.read(pickle.loads(row["item"]))
+        return {"number": row["number"], "read": pickle.dumps(read)}
 
 
 class _Measuring:
@@ -124,12 +144,13 @@ class _Measuring:
         limit_threads(threads)
         self._worker = worker
 
-    def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
+    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
+        outcome: Outcome[Any] | CucumberVisionError
         try:
-            seen = self._worker.detect(pickle.loads(row["read"]))
-            return {"done": pickle.dumps(self._worker.measure(seen))}
+            outcome = self._worker.measure(self._worker.detect(pickle.loads(row["read"])))
         except CucumberVisionError as error:  # nothing can be measured at all
-            return {"done": pickle.dumps(error)}
+            outcome = error
+        return {"number": row["number"], "done": pickle.dumps(outcome)}
 
 
 def _import_ray() -> Any:

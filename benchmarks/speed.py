@@ -457,7 +457,7 @@ class Visit:
 def visit(store: Path, replay: Path) -> Iterator[Visit]:
     """Serve a dashboard on the loopback, and open a page of Chromium on it."""
     from playwright.sync_api import sync_playwright
-    from tests.greenhouse.dashboard.conftest import FLAGS
+    from tests.greenhouse.conftest import FLAGS
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -497,7 +497,7 @@ def passing(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
 def dashboard(quick: bool) -> list[Figure]:
     """Time presses, preview and pages in Chromium; the server has the same cores."""
     from tests.conftest import record
-    from tests.greenhouse.dashboard.conftest import LONG, WALK, long_round
+    from tests.greenhouse.conftest import LONG, WALK, long_round
 
     presses = 20 if quick else 200
     measured = "#where:has-text('saved')"

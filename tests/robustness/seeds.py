@@ -442,7 +442,7 @@ def judgement(folder: Path) -> None:
 
 def settings(folder: Path) -> None:
     """Write the dashboard's settings and its login by OpenID Connect."""
-    from cucumbervision_greenhouse.dashboard.settings import Settings, write_settings
+    from cucumbervision_greenhouse.backend.settings import Settings, write_settings
 
     write_settings(Settings(unit="in"), folder / "house.settings.json")
     (folder / "secrets.toml").write_text(

@@ -214,8 +214,8 @@ def _judgement(folder: Path, _name: str) -> None:
 
 
 def _settings(folder: Path, name: str) -> None:
-    from cucumbervision_greenhouse.dashboard.access import read_openid_connect
-    from cucumbervision_greenhouse.dashboard.settings import read_settings
+    from cucumbervision_greenhouse.backend.access import read_openid_connect
+    from cucumbervision_greenhouse.backend.settings import read_settings
 
     def units() -> None:
         found = read_settings(folder / "house.settings.json")

@@ -33,7 +33,7 @@ from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.dashboard.measuring import SharedMeasurer
+from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.records import Round, key_of

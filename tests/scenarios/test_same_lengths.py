@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.greenhouse.dashboard.conftest import add_one
+from tests.greenhouse.conftest import add_one
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -15,7 +15,7 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision_greenhouse.dashboard.settings import Settings
+from cucumbervision_greenhouse.backend.settings import Settings
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.records import DetectionRecord, Round
 from cucumbervision_greenhouse.store.repository import open_store

@@ -40,7 +40,8 @@ def dashboard(
 
     Other machines need the token in the printed link, or a login by OpenID Connect.
     """
-    from cucumbervision_greenhouse.dashboard.server import default_store, serve
+    from cucumbervision_greenhouse.backend.settings import default_store
+    from cucumbervision_greenhouse.dashboard.server import serve
 
     serve(
         store or default_store(),

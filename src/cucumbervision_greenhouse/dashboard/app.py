@@ -11,8 +11,10 @@ import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.access import Login, note_viewer, read_openid_connect
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.access import Login, note_viewer, read_openid_connect
+from cucumbervision_greenhouse.backend.words import plain
+from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 from cucumbervision_greenhouse.dashboard.views import (
     about,
@@ -24,7 +26,6 @@ from cucumbervision_greenhouse.dashboard.views import (
     today,
     upload,
 )
-from cucumbervision_greenhouse.dashboard.words import plain
 
 if TYPE_CHECKING:
     from streamlit.navigation.page import StreamlitPage

@@ -12,12 +12,13 @@ import pyarrow as pa
 from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
+from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
-    from cucumbervision_greenhouse.dashboard.settings import Units
+    from cucumbervision_greenhouse.backend.settings import Units
 
 # Vega itself says what is wrong with a chart; to check each against its schema takes longer than
 # all else that a page does; channels are named for the same reason, where a string would do.
@@ -34,18 +35,6 @@ _STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725"
 _MANY = 40  # fruit from which narrow bars say more than they scatter
 
 
-_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
-
-
-_OTHERS = {
-    "no class": "#E69F00",
-    "too short": "#56B4E9",
-    "too long": "#D55E00",
-    "undecided": "#999999",
-    "not measured": "#555555",
-}
-
-
 def _class_colors(names: Iterable[str]) -> alt.Scale:
     """Return a scale with a colour for each class: classes in greens, the best darkest and first.
 
@@ -55,11 +44,11 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     {'domain': ['class I', 'too long'], 'range': ['#1B7837', '#D55E00']}
     """
     present = set(names)
-    classes = sorted(present - set(_OTHERS))  # 'class I' before 'class II'
-    others = [name for name in _OTHERS if name in present]
-    greens = [_GREENS[min(k, len(_GREENS) - 1)] for k in range(len(classes))]
+    classes = sorted(present - set(OTHER_COLORS))  # 'class I' before 'class II'
+    others = [name for name in OTHER_COLORS if name in present]
+    greens = [CLASS_GREENS[min(k, len(CLASS_GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
-        domain=[*classes, *others], range=[*greens, *(_OTHERS[name] for name in others)]
+        domain=[*classes, *others], range=[*greens, *(OTHER_COLORS[name] for name in others)]
     )
 
 
@@ -68,17 +57,6 @@ _BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has room for it
 
 def _color_of_class(names: Iterable[str]) -> alt.Color:
     return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
-
-
-def class_color(name: str) -> str:
-    """Return the colour of a class: greens for classes, the best darkest.
-
-    Examples
-    --------
-    >>> class_color("class I"), class_color("too long")
-    ('#1B7837', '#D55E00')
-    """
-    return _OTHERS.get(name) or _GREENS[min(name.count("I"), len(_GREENS)) - 1]
 
 
 def day_name(day: int) -> str:
@@ -179,7 +157,7 @@ def _class(name: str) -> tuple[str, str]:
 def _length_step(length: float | None, units: Units) -> tuple[str, str]:
     """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
     if length is None:
-        return "not measured", _OTHERS["not measured"]
+        return "not measured", OTHER_COLORS["not measured"]
     step = 5 if units.name == "cm" else 2
     number = int(length // step)
     name = f"{number * step} to {(number + 1) * step} {units.name}"

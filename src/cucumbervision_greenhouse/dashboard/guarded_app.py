@@ -14,10 +14,10 @@ from starlette.middleware import Middleware
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.service.server import TOKEN_VARIABLE
-from cucumbervision_greenhouse.dashboard import resources
-from cucumbervision_greenhouse.dashboard.access import AccessGuard, Login
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.access import AccessGuard, Login
+from cucumbervision_greenhouse.capture_page.routes import routes
 from cucumbervision_greenhouse.dashboard.callbacks import finish_callbacks
-from cucumbervision_greenhouse.dashboard.routes import routes
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 
 # Without `server.serve`, which decides on the login, nobody is admitted.

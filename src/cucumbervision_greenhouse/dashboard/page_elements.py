@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
@@ -11,18 +12,18 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import hours_words
-from cucumbervision_greenhouse.dashboard import resources
-from cucumbervision_greenhouse.dashboard.fruit_view import component
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
+from cucumbervision_greenhouse.backend.words import action_words, plain, sentence, step_words
 from cucumbervision_greenhouse.dashboard.round_choice import choose_round, missing_round
-from cucumbervision_greenhouse.dashboard.words import action_words, plain, sentence, step_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Sequence
+    from collections.abc import Callable, Container, Mapping, Sequence
 
     from streamlit.delta_generator import DeltaGenerator
 
     from cucumbervision_greenhouse.agronomy.picking import PickWork
-    from cucumbervision_greenhouse.dashboard.jobs import Job, Work
+    from cucumbervision_greenhouse.backend.jobs import Job, Work
     from cucumbervision_greenhouse.store.records import JointRecord
     from cucumbervision_greenhouse.store.views import DetectionView, RoundView
 
@@ -271,3 +272,95 @@ def live(ticket: str = "") -> None:
 def go(address: str) -> None:
     """Leave Streamlit's pages for another address of this server."""
     component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)
+
+
+_MARKS = ("ruler", "point", "box", "stroke")
+
+
+@st.cache_resource(show_spinner=False)
+def component(name: str) -> Any:
+    """Return an element of ours, made of the files of that name in `static`."""
+    folder = PICTURE_FILES if name == "picture" else Path(__file__).with_name("static")
+    html, css, js = (
+        (folder / f"{name}.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    )
+    return st.components.v2.component(f"cucumbervision_{name}", html=html, css=css, js=js)
+
+
+def picture(
+    key: str,
+    images: dict[str, str],
+    size_px: tuple[int, int],
+    *,
+    layers: list[dict[str, Any]] | None = None,
+    bar: dict[str, Any] | None = None,
+    tools: tuple[str, ...] = (),
+    ruler_text: str = "",
+    title: str = "",
+    focus_px: tuple[float, float, float, float] | None = None,
+    place: Mapping[str, str] | None = None,
+    adds: bool = False,
+    outcome: tuple[object, str] = ("", ""),
+    content: dict[str, object] | None = None,
+    on: Mapping[str, Callable[[], None]] | None = None,
+) -> Any:
+    """Draw a picture that takes clicks, which Streamlit's own does not.
+
+    Parameters
+    ----------
+    key : str
+        The element's own.
+    images : dict of str to str
+        Data URLs by name; more than one can be switched.
+    size_px : tuple of int
+        Width and height that points are given in.
+    layers : list of dict
+        As `fruit_layers` gives them; each can be switched.
+    bar : dict
+        As `scale_bar` gives it.
+    tools : tuple of str
+        Of 'ruler', 'point', 'box', 'brush' and 'erase'.
+    ruler_text : str
+        What is written on the ruler.
+    title : str
+        What the picture shows, for screen readers.
+    focus_px : tuple of float, optional
+        Box that the picture opens on.
+    place : mapping of str to str
+        'stop' and 'capture' of the picture, for what is outlined in it.
+    adds : bool
+        Whether a point or box adds a fruit; else it is returned.
+    outcome : tuple of object and str
+        The last correction, and what became of it, which is said over the picture.
+    content : dict, optional
+        'grid' and 'opened' of a row's map, which has marks in the place of a picture.
+    on : mapping of str to callable, optional
+        What is called for 'tapped' and 'judged' of a map.
+
+    Returns
+    -------
+    ComponentResult
+        `ruler`, `point` and `box`: the numbers that were drawn, once; `stroke`: the 'points' of a
+        brush, its 'radius', and whether it takes away ('erase').
+    """
+    width, height = size_px
+    data = {
+        "images": images,
+        "width": width,
+        "height": height,
+        "layers": layers or [],
+        "bar": bar,
+        "tools": list(tools),
+        "rulerText": ruler_text,
+        "title": title,
+        "focus": focus_px and list(focus_px),
+        **(place or {}),
+        "adds": adds,
+        "job": outcome[0],
+        "told": outcome[1],
+        "map": content,
+    }
+    # The page reads the values itself; a callback makes the component send them.
+    acts = {**dict.fromkeys(_MARKS, lambda: None), **(on or {})}
+    callbacks = {f"on_{name}_change": act for name, act in acts.items()}
+    return component("picture")(key=key, data=data, **callbacks)

@@ -8,9 +8,9 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
-from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.words import plain, round_name, sentence
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
-from cucumbervision_greenhouse.dashboard.words import plain, round_name, sentence
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
 from cucumbervision_greenhouse.store.records import Round
 

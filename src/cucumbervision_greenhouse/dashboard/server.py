@@ -11,25 +11,14 @@ from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.service.server import TOKEN_VARIABLE, check_access
+from cucumbervision_greenhouse.backend.settings import (
+    IMAGES_VARIABLE,
+    REPLAY_VARIABLE,
+    STORE_VARIABLE,
+)
 
-STORE_VARIABLE = "CUCUMBERVISION_STORE"
-IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
-REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
 _APP = Path(__file__).with_name("guarded_app.py")
-
-
-def default_store() -> str:
-    """Return the path of the user's own store.
-
-    Examples
-    --------
-    >>> default_store().endswith("rounds.db")
-    True
-    """
-    import platformdirs
-
-    return str(Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "rounds.db")
 
 
 def require_extra() -> None:
@@ -114,7 +103,7 @@ def serve(
         If the replay does not exist.
     """
     require_extra()
-    from cucumbervision_greenhouse.dashboard.access import Login, decide_login, read_openid_connect
+    from cucumbervision_greenhouse.backend.access import Login, decide_login, read_openid_connect
 
     how = decide_login(address, oidc=read_openid_connect() is not None, always=login)
     os.environ[LOGIN_VARIABLE] = how.value

@@ -19,8 +19,8 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
-from cucumbervision_greenhouse.dashboard import resources
-from cucumbervision_greenhouse.dashboard.capture_state import walk
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.capture_page.state import walk
 from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, move_stop, settle
 from cucumbervision_greenhouse.store.corrections import StopPlace

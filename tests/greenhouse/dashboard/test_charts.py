@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from cucumbervision_greenhouse.backend.settings import Units
 from cucumbervision_greenhouse.dashboard import charts
-from cucumbervision_greenhouse.dashboard.settings import Units
 
 COLORS = {
     "domain": ["class I", "class II", "no class", "undecided"],

@@ -6,8 +6,8 @@ import streamlit as st
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.words import plain
 
 
 def page() -> None:

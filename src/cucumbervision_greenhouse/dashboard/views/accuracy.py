@@ -17,10 +17,11 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.fruit_view import component
-from cucumbervision_greenhouse.dashboard.settings import replace_text
-from cucumbervision_greenhouse.dashboard.words import length_words, metres_words, plain
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.settings import replace_text
+from cucumbervision_greenhouse.backend.words import length_words, metres_words, plain
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.store.views import Verdict
@@ -28,7 +29,7 @@ from cucumbervision_greenhouse.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision_greenhouse.dashboard.settings import Units
+    from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.store.records import DetectionRecord, MethodRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import DetectionView, RoundView
@@ -338,7 +339,7 @@ def typed_m(cell: str, units: Units) -> float | None:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.dashboard.settings import Units
+    >>> from cucumbervision_greenhouse.backend.settings import Units
     >>> typed_m("21.5", Units("cm")), typed_m(" 21,5 ", Units("cm")), typed_m("", Units("cm"))
     (0.215, 0.215, None)
     """

@@ -9,14 +9,15 @@ import streamlit as st
 
 from cucumbervision.agronomy.classes import UNDECIDED, class_name, class_of
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.charts import day_name, expected_classes, forecast_chart
-from cucumbervision_greenhouse.dashboard.words import (
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.words import (
     counted,
     hours_span_words,
     round_day,
     span_words,
 )
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.charts import day_name, expected_classes, forecast_chart
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of, age_words
 
 if TYPE_CHECKING:

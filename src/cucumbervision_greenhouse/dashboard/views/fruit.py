@@ -12,21 +12,18 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import painted_mask
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
-from cucumbervision_greenhouse.dashboard.fruit_view import (
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.fruit_pictures import (
     as_data_url,
     depth_picture,
     fruit_layers,
     joint_tube,
-    picture,
     ruler_m,
     scale_bar,
     stop_layers,
 )
-from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo
-from cucumbervision_greenhouse.dashboard.round_tables import GradedRound, figure_lines
-from cucumbervision_greenhouse.dashboard.words import (
+from cucumbervision_greenhouse.backend.round_tables import GradedRound, figure_lines
+from cucumbervision_greenhouse.backend.words import (
     interval_words,
     kind_words,
     length_words,
@@ -36,6 +33,9 @@ from cucumbervision_greenhouse.dashboard.words import (
     sentence,
     step_words,
 )
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
+from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
 
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.dashboard.jobs import Job
-    from cucumbervision_greenhouse.dashboard.settings import Units
+    from cucumbervision_greenhouse.backend.jobs import Job
+    from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
     from cucumbervision_greenhouse.store.records import (
         DetectionRecord,

@@ -8,12 +8,10 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
-from cucumbervision_greenhouse.dashboard import charts, page_elements, resources
-from cucumbervision_greenhouse.dashboard import round_tables as tables
-from cucumbervision_greenhouse.dashboard.callbacks import label_options
-from cucumbervision_greenhouse.dashboard.round_tables import GradedRound
-from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
-from cucumbervision_greenhouse.dashboard.words import (
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import round_tables as tables
+from cucumbervision_greenhouse.backend.round_tables import GradedRound
+from cucumbervision_greenhouse.backend.words import (
     interval_words,
     length_words,
     metres_words,
@@ -21,6 +19,9 @@ from cucumbervision_greenhouse.dashboard.words import (
     remarks,
     row_name,
 )
+from cucumbervision_greenhouse.dashboard import charts, page_elements
+from cucumbervision_greenhouse.dashboard.callbacks import label_options
+from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.rounds.adding import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant

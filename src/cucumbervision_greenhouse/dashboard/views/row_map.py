@@ -7,13 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.charts import MAP_PX, map_picture
-from cucumbervision_greenhouse.dashboard.fruit_view import picture
-from cucumbervision_greenhouse.dashboard.page_elements import button, do, draw_undo
-from cucumbervision_greenhouse.dashboard.round_tables import map_lines, map_words, row_and_side
-from cucumbervision_greenhouse.dashboard.views.stops import list_stops
-from cucumbervision_greenhouse.dashboard.words import (
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
+from cucumbervision_greenhouse.backend.words import (
     count_words,
     counted,
     length_words,
@@ -23,13 +19,17 @@ from cucumbervision_greenhouse.dashboard.words import (
     row_name,
     step_words,
 )
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.charts import MAP_PX, map_picture
+from cucumbervision_greenhouse.dashboard.page_elements import button, do, draw_undo, picture
+from cucumbervision_greenhouse.dashboard.views.stops import list_stops
 from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first
 from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision_greenhouse.dashboard.round_tables import GradedRound
+    from cucumbervision_greenhouse.backend.round_tables import GradedRound
     from cucumbervision_greenhouse.rounds.fruit_table import FruitContext, OtherDay
     from cucumbervision_greenhouse.store.views import DetectionView, RoundView
 

@@ -10,9 +10,10 @@ from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.settings import EXPOSURE_US, PRESETS
-from cucumbervision_greenhouse.dashboard.words import plain, told_apart
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
+from cucumbervision_greenhouse.backend.words import plain, told_apart
+from cucumbervision_greenhouse.dashboard import page_elements
 
 _FINDERS = {
     "auto": "A capture's own masks, else networks",

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision_greenhouse.dashboard import resources
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.words import counted, stop_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
-from cucumbervision_greenhouse.dashboard.words import counted, stop_name
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
 from cucumbervision_greenhouse.rounds.walking import sides_of
 

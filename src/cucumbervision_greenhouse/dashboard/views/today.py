@@ -11,11 +11,9 @@ import streamlit as st
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.callbacks import label_options
-from cucumbervision_greenhouse.dashboard.page_elements import button
-from cucumbervision_greenhouse.dashboard.round_tables import doubtful
-from cucumbervision_greenhouse.dashboard.words import (
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.round_tables import doubtful
+from cucumbervision_greenhouse.backend.words import (
     counted,
     height_words,
     length_words,
@@ -24,6 +22,9 @@ from cucumbervision_greenhouse.dashboard.words import (
     plain,
     round_day,
 )
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.callbacks import label_options
+from cucumbervision_greenhouse.dashboard.page_elements import button
 from cucumbervision_greenhouse.rounds.adding import is_demonstration
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_words
 

@@ -8,16 +8,17 @@ import streamlit as st
 
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
-from cucumbervision_greenhouse.dashboard import page_elements, resources
-from cucumbervision_greenhouse.dashboard.fruit_view import component
-from cucumbervision_greenhouse.dashboard.progress import progress_of
-from cucumbervision_greenhouse.dashboard.uploading import CAMERAS
-from cucumbervision_greenhouse.dashboard.uploads import SentPlace
-from cucumbervision_greenhouse.dashboard.words import counted, plain, round_day, sentence
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.progress import progress_of
+from cucumbervision_greenhouse.backend.uploading import CAMERAS
+from cucumbervision_greenhouse.backend.uploads import SentPlace
+from cucumbervision_greenhouse.backend.words import counted, plain, round_day, sentence
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
-    from cucumbervision_greenhouse.dashboard.uploads import Upload
+    from cucumbervision_greenhouse.backend.uploads import Upload
     from cucumbervision_greenhouse.store.views import RoundView
 
 _SHOWN = 5  # uploads whose outcomes are shown

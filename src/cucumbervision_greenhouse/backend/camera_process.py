@@ -1,0 +1,210 @@
+"""The camera in a process of its own, which writes its frames into a ring on disk.
+
+It goes on while the server is killed and started again:
+
+    python -m cucumbervision_greenhouse.backend.camera_process FOLDER
+
+The server asks for it by files in that folder: what to stream (`config.json`), and that somebody
+looks (`watched`, touched again and again; without it the process ends). The process tells its state
+in `state.json`, and holds `lock` while it runs.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.capture.raw_frames import FrameRing
+from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.errors import CameraError, CucumberVisionError, DepthError
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+
+_CLOCK_S = 1.5  # a camera's own time differs less from this machine's, where it is the same clock
+_LOCKED_S = 2.0  # how long is tried for the lock, which who asks for it holds for a moment
+_LOCK_EVERY_S = 0.05
+
+
+class CameraFolder:
+    """The files by which a server and the camera's process talk.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     talk = CameraFolder(Path(folder))
+    ...     talk.tell("absent", "no camera")
+    ...     talk.ask(CameraConfig(fps=6), unwatched_s=15.0, paced=False)
+    ...     config, *_ = talk.asked()
+    ...     talk.state(), config.fps, talk.is_held()
+    (('absent', 'no camera'), 6, False)
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.ring = path, FrameRing(path)
+        self._config, self._state = path / "config.json", path / "state.json"
+        self._watched, self._lock = path / "watched", path / "lock"
+
+    def ask(self, config: CameraConfig, *, unwatched_s: float, paced: bool) -> None:
+        """Say what to stream, and for how long after somebody looked last."""
+        playback = None if config.playback is None else str(config.playback.resolve())
+        asked = {"config": {**asdict(config), "playback": playback}}
+        text = json.dumps({**asked, "unwatched_s": unwatched_s, "paced": paced})
+        with suppress(OSError):
+            if self._config.read_text(encoding="utf-8") == text:
+                return
+        self._replace(self._config, text)
+
+    def asked(self) -> tuple[CameraConfig, float, bool]:
+        """Return what to stream, for how long after somebody looked last, and whether paced."""
+        asked = json.loads(self._config.read_text(encoding="utf-8"))
+        about: dict[str, Any] = asked["config"]
+        settings = CameraSettings(**about.pop("settings"))
+        playback = about.pop("playback")
+        config = CameraConfig(
+            **about, settings=settings, playback=None if playback is None else Path(playback)
+        )
+        return config, asked["unwatched_s"], asked["paced"]
+
+    def config_version(self) -> int:
+        """Return a number that changes whenever something else is asked for."""
+        return self._config.stat().st_mtime_ns
+
+    def watch(self) -> None:
+        """Say that somebody looks."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        self._watched.touch()
+
+    def watched_at(self) -> int | None:
+        """Return a number that changes whenever somebody looks; None where it is to end."""
+        with suppress(FileNotFoundError):
+            return self._watched.stat().st_mtime_ns
+        return None
+
+    def end(self) -> None:
+        """Ask the process to release the camera and end."""
+        self._watched.unlink(missing_ok=True)
+
+    def tell(self, state: str, message: str = "") -> None:
+        """Say how it is: 'opening', 'live', 'playing' or 'absent', and why."""
+        self._replace(self._state, json.dumps([state, message]))
+
+    def state(self) -> tuple[str, str]:
+        """Return how it is, and why."""
+        with suppress(OSError, ValueError):
+            state, message = json.loads(self._state.read_text(encoding="utf-8"))
+            return str(state), str(message)
+        return "opening", ""
+
+    @contextmanager
+    def held(self, patience_s: float = 0.0) -> Iterator[bool]:
+        """Hold the lock of the one process; give whether it is held."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        until_s = time.monotonic() + patience_s
+        with self._lock.open("ab") as lock:
+            while True:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except OSError:
+                    if time.monotonic() < until_s:
+                        time.sleep(_LOCK_EVERY_S)
+                        continue
+                    yield False
+                    return
+                yield True
+                return
+
+    def is_held(self) -> bool:
+        """Return whether a process has the camera."""
+        with self.held() as free:
+            return not free
+
+    def _replace(self, path: Path, text: str) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        half = path.with_name(f".{path.name}.{os.getpid()}")
+        half.write_text(text, encoding="utf-8")
+        half.replace(path)
+
+
+class _Watch:
+    """Whether somebody looks, by a clock that nobody sets."""
+
+    def __init__(self, folder: CameraFolder) -> None:
+        self._folder, self._seen, self._at_s = folder, folder.watched_at(), time.monotonic()
+
+    def is_over(self, unwatched_s: float) -> bool:
+        """Return whether nobody looks any more."""
+        newest = self._folder.watched_at()
+        if newest != self._seen:
+            self._seen, self._at_s = newest, time.monotonic()
+        return newest is None or time.monotonic() - self._at_s > unwatched_s
+
+
+def stream(folder: CameraFolder) -> None:
+    """Write a camera's frames into the ring until nobody looks; its faults become its state."""
+    with folder.held(_LOCKED_S) as is_own:
+        if not is_own:
+            return
+        watch = _Watch(folder)
+        folder.tell("opening")
+        try:
+            while not _stream_once(folder, watch):
+                pass  # a recording is over, or the settings are new: it begins again
+            folder.tell("opening")
+        except CucumberVisionError as error:
+            folder.tell("absent", str(error))
+        except Exception as error:
+            folder.tell("absent", f"{type(error).__name__}: {error}")
+            raise
+
+
+def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
+    """Write frames; return True where nobody looks any more, False where it is to begin anew."""
+    version, shown = folder.config_version(), 0
+    config, unwatched_s, paced = folder.asked()
+    state = "live" if config.playback is None else "playing"
+    with RealSenseCamera(config) as camera:
+        begun_s = time.monotonic()
+        while not watch.is_over(unwatched_s):
+            if folder.config_version() != version:
+                return False
+            try:
+                capture = camera.capture_burst()
+            except DepthError:  # something lies close before the camera: the next may be better
+                continue
+            except CameraError:
+                if config.playback is None or not shown:
+                    raise
+                return False
+            folder.ring.write(capture, _taken_s(capture, time.time()))
+            if not shown:
+                folder.tell(state)
+            shown += 1
+            if paced:
+                time.sleep(max(0.0, begun_s + shown / config.fps - time.monotonic()))
+    return True
+
+
+def _taken_s(capture: Capture, now_s: float) -> float:
+    """Return the camera's own time where its clock is this machine's, else the time of arrival."""
+    camera_s = capture.timestamp_s
+    return camera_s if camera_s is not None and 0 <= now_s - camera_s < _CLOCK_S else now_s
+
+
+if __name__ == "__main__":
+    stream(CameraFolder(Path(sys.argv[1])))

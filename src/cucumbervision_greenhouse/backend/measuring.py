@@ -1,0 +1,378 @@
+"""Measure captures and uploads into the store, and a fruit again with a corrected mask."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_of_mask, mask_iou
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision.pipeline.fields import NumberedFruit
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision_greenhouse.rounds.adding import RoundCapture, add_all
+from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
+from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_capture
+from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.perception.networks import Segmenter
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision_greenhouse.backend.jobs import Job
+    from cucumbervision_greenhouse.store.records import (
+        CaptureRecord,
+        DetectionRecord,
+        Point,
+        StopRecord,
+    )
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionDetail
+    from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
+
+
+class SharedMeasurer:
+    """The measurer of all viewers: loaded once, and again only when the options change.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where the networks lie.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._lock = threading.Lock()
+        self._loaded: Measurer | None = None
+        self._segmenter: Segmenter | None = None
+
+    def with_options(self, options: MeasureOptions) -> Measurer:
+        """Return what measures with these options."""
+        with self._lock:
+            if self._loaded is None or self._loaded.options != options:
+                self._loaded = Measurer(options, self._registry)
+            return self._loaded
+
+    def warm_up(self, options: MeasureOptions) -> None:
+        """Load the networks, and let each compute once: the first time takes much longer."""
+        first = next(iter(open_source(example_captures()))).load()
+        # Without the masks that come with it, which would be taken in the networks' place.
+        self.with_options(options).measure(replace(first, masks=()))
+        with suppress(InstancesError):  # whatever it outlines there
+            self.mask_from_click(first, (first.width / 2, first.height / 2))
+
+    def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return the mask of the fruit at a point.
+
+        What lies there gets its outline from its box, as all other fruit do: that of a point alone
+        is narrower, so that an end that is in sight seemed hidden.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        there = _some(self._sam().mask_at(capture.color, *at_px))
+        x1, y1, x2, y2 = box_of_mask(there).tolist()
+        try:
+            drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
+        except InstancesError:
+            return there
+        return drawn if mask_iou(drawn, there) > _SAME_IOU else there
+
+    def mask_from_box(
+        self, capture: Capture, box_px: tuple[float, float, float, float]
+    ) -> NDArray[np.bool_]:
+        """Return the mask of the fruit in a box.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        x1, y1, x2, y2 = box_px
+        box = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
+        (found,) = self._sam().segment(capture.color, [Instance(box)])
+        return _some(found.mask)
+
+    def mask_of(
+        self,
+        capture: Capture,
+        point: Sequence[float] | None,
+        box: Sequence[float] | None,
+    ) -> NDArray[np.bool_]:
+        """Return the mask of the fruit at a point, or in a box where none is given.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        if point:
+            return self.mask_from_click(capture, (float(point[0]), float(point[1])))
+        x1, y1, x2, y2 = (float(value) for value in box or ())
+        return self.mask_from_box(capture, (x1, y1, x2, y2))
+
+    def correct(
+        self,
+        store: Store,
+        detail: DetectionDetail,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+        drawn_by: MaskSource = MaskSource.SAM,
+    ) -> int:
+        """Measure a fruit of the store anew with this mask, and let that stand; logged.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's.
+        """
+        capture = stored_capture(store.images, detail.capture, detail.stop)
+        record = detail.view.record
+        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
+        keypoints = _kept_keypoints(record.keypoints, mask)
+        instance = Instance(
+            box_of_mask(mask), record.score, record.label, mask, drawn_by, None, keypoints
+        )
+        found = self.with_options(options).measure_instance(capture, instance)
+        return store.correct(detail.view.key, _placed(capture, detail.stop, found, record.number))
+
+    def add(
+        self,
+        store: Store,
+        stop: StopRecord,
+        capture: Capture,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+    ) -> str:
+        """Measure a fruit that was not found, add it to its capture's, and return its key; logged.
+
+        Parameters
+        ----------
+        store : Store
+            Where the stop is.
+        stop : StopRecord
+            The stop.
+        capture : Capture
+            One of its captures, as `stored_capture` gives it.
+        mask : ndarray of bool, shape (H, W)
+            The fruit.
+        options : MeasureOptions
+            How to measure.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's, or no fruit can be so large.
+
+        Notes
+        -----
+        What does not look like a fruit (`is_doubtful`) is flagged, and not accepted.
+        """
+        if mask.mean() > _LARGEST_SHARE:
+            raise InstancesError(
+                "no fruit was found there: the outline takes most of the picture",
+                remedy="tap its middle or draw a closer box",
+            )
+        taken = next(one for one in stop.captures if one.name == capture.name)
+        _refuse_copy(store, stop, taken, mask)
+        instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
+        found = self.with_options(options).measure_instance(capture, instance)
+        fruit = _placed(capture, stop, found, 1)
+        if is_doubtful(found, capture):
+            flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
+            fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
+        return store.add_fruit(stop.key, capture.name, fruit)
+
+    def _sam(self) -> Segmenter:
+        with self._lock:
+            if self._segmenter is None:
+                from cucumbervision.perception.networks import open_segmenter
+
+                self._segmenter = open_segmenter(prompt="box", registry=self._registry)
+            return self._segmenter
+
+
+def _placed(
+    capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
+) -> DetectionRecord:
+    """Return a fruit of a stored capture, with its offset along the row."""
+    record = fruit_record(NumberedFruit(capture, number, fruit))
+    return placed_fruit(record, stored_pose(stop.pose, stop.side))
+
+
+def measure_waiting(
+    waiting: WaitingCaptures,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: MeasureOptions,
+    settle: Callable[[str], str],
+    job: Job,
+) -> int:
+    """Measure what waits until nothing does; return how many captures became stops.
+
+    A capture is let go once its stop is in the store, so that it is there at every moment.
+
+    Parameters
+    ----------
+    waiting : WaitingCaptures
+        The captures.
+    settle : callable
+        Given a round's key when none of its captures waits any more; says what went wrong.
+    job : Job
+        Counts the captures of each round, and gets a note for each that could not be measured.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured at all: a network or the calibration cannot be loaded.
+    """
+    left: list[Waiting] = []
+    measures = measurer.with_options(options)
+    measures.load()  # without it none is tried
+
+    def items() -> Iterator[RoundCapture | Failure]:
+        nonlocal left
+        while left := waiting.captures():
+            one = left[0]
+            waiting.begin(one)
+            try:
+                yield RoundCapture.to_add(
+                    store, one.round_key, one.load(), measures, key=one.key, keep=True
+                )
+            except CucumberVisionError as error:
+                yield Failure.of(error, one.key)
+
+    # In turn: each is let go, or dropped, before the next is looked at.
+    for _, added in add_all(store, items(), measures, in_turn):
+        one = left[0]
+        if added.failure is not None:
+            job.notes.append(added.failure.message)
+            continue
+        job.notes += filter(None, [added.note])
+        job.measured[one.key] = one.round_key
+        waiting.done(one)
+        last_of_round = all(other.round_key != one.round_key for other in left[1:])
+        if last_of_round and (fault := settle(one.round_key)):
+            job.notes.append(fault)
+    return len(job.measured)
+
+
+_SAME_IOU = 0.7  # of two outlines of what lies at one point
+_LARGEST_SHARE = 0.5  # of the picture
+_DOUBTFUL_SCORE = 0.25  # as of a find that the networks are little sure of
+_RING_PX = 12  # about an outline, where its surroundings are looked at
+_STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2  # of the surroundings lie so much farther
+_UNSURE, _STOUT = 0.15, 0.5  # of the length: to the interval's lower end; the diameter
+
+
+def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
+    """Tell whether what was measured may be no fruit: by its shape, and by the depth about it.
+
+    A fruit is a tube (M6) that fits well, no stouter than half its length, of which the length is
+    known to 15 % at the lower end, and part of its surroundings lies behind it.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        As it was measured.
+    capture : Capture
+        Where.
+    """
+    tube, length = fruit.selected, fruit.length
+    if tube is None or tube.fit is None or length is None or length.low_m is None:
+        return True
+    if {Flag.POOR_FIT, Flag.UNCERTAIN, Flag.END_ON} & set(fruit.flags):
+        return True
+    unsure = length.value_m - length.low_m > _UNSURE * length.value_m
+    if unsure or tube.fit.traits.diameter_max_m > _STOUT * length.value_m:
+        return True
+    return not _is_raised(fruit.mask, capture)
+
+
+def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
+    """Tell whether part of what surrounds a mask lies farther than it."""
+    if mask is None:
+        return False
+    size = 2 * _RING_PX + 1
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    known = valid_depth(capture.depth_m)
+    own, about = capture.depth_m[mask & known], capture.depth_m[wide & ~mask & known]
+    if not len(own) or not len(about):
+        return False
+    farther = about > float(np.median(own)) + _STANDS_OUT_M
+    return bool(farther.mean() > _STANDS_OUT_SHARE)
+
+
+_COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
+
+
+def _refuse_copy(
+    store: Store,
+    stop: StopRecord,
+    capture: CaptureRecord,
+    mask: NDArray[np.bool_],
+    but: int | None = None,
+) -> None:
+    """Refuse a mask that is that of another fruit of the same picture; deleted ones do not count.
+
+    Raises
+    ------
+    InstancesError
+        Naming that fruit.
+    """
+    views = store.detections(stop.round_key, DetectionFilter(stop_key=stop.key))
+    corrected = store.corrected(stop.round_key)
+    masks = {one.number: one.mask for one in capture.fruit}
+    for view in views:
+        number = view.record.number
+        if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
+            continue
+        rle = corrected[view.key].mask if view.key in corrected else masks.get(number)
+        if rle is None:
+            continue
+        other = decode_rle(rle, *mask.shape)
+        shared, smaller = int((mask & other).sum()), min(int(mask.sum()), int(other.sum()))
+        if shared > _COPY_SHARE * max(smaller, 1):
+            raise InstancesError(
+                f"that is fruit {number}, which is there already",
+                remedy="tap the fruit itself, or delete one of the two",
+            )
+
+
+def _kept_keypoints(
+    keypoints: Sequence[Point], mask: NDArray[np.bool_]
+) -> NDArray[np.float64] | None:
+    """Return a fruit's keypoints where its new mask still holds them; else None: they are stale."""
+    if not keypoints:
+        return None
+    points = np.array(keypoints, np.float64)
+    u, v = points[:, :2].round().astype(np.int64).T
+    height, width = mask.shape
+    inside = mask[v.clip(0, height - 1), u.clip(0, width - 1)]
+    return points if inside.mean() >= 0.5 else None
+
+
+def _some(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    if mask is None or np.count_nonzero(mask) < 100:
+        raise InstancesError(
+            "no fruit was found there", remedy="tap its middle or draw a closer box"
+        )
+    return mask

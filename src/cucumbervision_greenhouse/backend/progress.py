@@ -1,0 +1,168 @@
+"""What is saved, waits and is measured of a round: one count, which every page shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision_greenhouse.backend.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from cucumbervision_greenhouse.backend.jobs import Job
+    from cucumbervision_greenhouse.backend.uploads import Upload
+    from cucumbervision_greenhouse.store.waiting import Waiting
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A round's work as it stands.
+
+    Parameters
+    ----------
+    waiting : int
+        Captures of the round that are saved and not measured yet.
+    measured : int
+        Those that were measured since nothing waited.
+    checking : int
+        Uploaded files that are checked, or wait for it: how many captures they hold is not known.
+    is_open : bool
+        Whether a recording is read, which may hold more captures than are counted.
+    aside : int
+        Captures that failed three times: they are kept, and not tried again.
+    elsewhere : int
+        Captures of other rounds that wait.
+    fault : str
+        Why nothing that waits can be measured; empty where it can.
+    title, done, total : str, int
+        Other work on the round, or on none, and its steps; a total of 0 where it is not known.
+    """
+
+    waiting: int = 0
+    measured: int = 0
+    checking: int = 0
+    is_open: bool = False
+    aside: int = 0
+    elsewhere: int = 0
+    fault: str = ""
+    title: str = ""
+    done: int = 0
+    total: int = 0
+
+    @property
+    def words(self) -> str:
+        """The work at hand, for people; empty where there is none.
+
+        Examples
+        --------
+        >>> Progress(waiting=31, measured=12).words
+        'Measuring: 12 of 43 captures'
+        >>> Progress(waiting=1, elsewhere=3).words
+        'Measuring: 0 of 1 capture; 3 of other rounds wait too'
+        >>> Progress(measured=2, is_open=True, checking=1).words
+        'Measuring: 2 captures so far; checking 1 file'
+        >>> Progress(title="Loading the networks").words, Progress(elsewhere=2).words
+        ('Loading the networks …', 'Measuring 2 captures of other rounds')
+        >>> Progress(waiting=2, fault="lost.json: is not there").words
+        '2 captures wait to be measured: lost.json: is not there'
+        """
+        captures, total = "", self.waiting + self.measured
+        if self.waiting and self.fault:
+            waits = counted(self.waiting, "capture waits", "captures wait")
+            return f"{waits} to be measured: {self.fault}"
+        if self.is_open:
+            captures = f"Measuring: {counted(self.measured, 'capture', 'captures')} so far"
+        elif self.waiting:
+            captures = f"Measuring: {self.measured} of {counted(total, 'capture', 'captures')}"
+        files = f"checking {counted(self.checking, 'file', 'files')}" if self.checking else ""
+        if captures or files:
+            others = f"{self.elsewhere} of other rounds wait too" if self.elsewhere else ""
+            words = "; ".join(filter(None, (captures, files, others)))
+            return words[0].upper() + words[1:]
+        if self.title:
+            return f"{self.title}: {self.done} of {self.total}" if self.total else f"{self.title} …"
+        if self.elsewhere:
+            return f"Measuring {counted(self.elsewhere, 'capture', 'captures')} of other rounds"
+        return ""
+
+    @property
+    def first_words(self) -> str:
+        """What stands for the stops of a round that has none yet; empty where nothing is to come.
+
+        Examples
+        --------
+        >>> Progress(waiting=30).first_words
+        '30 captures are saved, and none is measured yet. Their results appear here.'
+        >>> Progress(aside=1).first_words
+        '1 capture could not be measured; it is kept beside the store.'
+        """
+        if self.waiting:
+            saved = counted(self.waiting, "capture is", "captures are")
+            return f"{saved} saved, and none is measured yet. Their results appear here."
+        if self.checking or self.is_open:
+            return "Uploaded files are being read. Their results appear here."
+        if self.aside:
+            kept = "it is" if self.aside == 1 else "they are"
+            lost = counted(self.aside, "capture", "captures")
+            return f"{lost} could not be measured; {kept} kept beside the store."
+        return ""
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """The same for a browser: the words, and how far a bar has come; no total: not known."""
+        steps = self.measured, self.waiting + self.measured
+        if not self.waiting or self.is_open:
+            steps = (0, 0) if self.is_open or self.checking else (self.done, self.total)
+        return {"words": self.words, "done": steps[0], "total": steps[1], "waiting": self.waiting}
+
+
+def progress_of(
+    round_key: str,
+    captures: Iterable[Waiting],
+    aside: Iterable[Waiting] = (),
+    uploads: Sequence[Upload] = (),
+    measured: Mapping[str, str] | None = None,
+    jobs: Iterable[Job] = (),
+    fault: str = "",
+) -> Progress:
+    """Return the work on a round.
+
+    Parameters
+    ----------
+    round_key : str
+        The round.
+    captures : iterable of Waiting
+        The queue, of all rounds.
+    aside : iterable of Waiting
+        Those that are not tried again, of all rounds.
+    uploads : sequence of Upload
+        Those that are measured, or wait for it, of all rounds.
+    measured : mapping of str to str
+        Captures of the queue that were measured since it was empty, by key, each with its round.
+    jobs : iterable of Job
+        Those that wait or run, in their order.
+    fault : str
+        Why the queue cannot be measured; empty where it can.
+    """
+    own = [one for one in uploads if one.sending.round == round_key]
+    stops = measured or {}
+    queued = [one.round_key == round_key for one in captures if one.key not in stops]
+    counted_ones = [one for one in own if one.captures is not None]
+    job = next((one for one in jobs if one.round_key in ("", round_key)), None)
+    return Progress(
+        waiting=sum(queued) + sum(_left(one) for one in counted_ones),
+        measured=list(stops.values()).count(round_key) + sum(one.measured for one in own),
+        checking=sum(len(one.sending.files) for one in own if one.captures is None),
+        is_open=any(one.is_open for one in own),
+        aside=sum(one.round_key == round_key for one in aside),
+        elsewhere=len(queued) - sum(queued) + sum(_left(one) for one in uploads if one not in own),
+        fault=fault,
+        title=job.title if job else "",
+        done=job.done if job else 0,
+        total=job.total if job else 0,
+    )
+
+
+def _left(upload: Upload) -> int:
+    return max((upload.captures or 0) - upload.measured, 0)

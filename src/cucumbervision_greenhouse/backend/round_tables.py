@@ -1,0 +1,138 @@
+"""A round as the pages show it: its fruit with their grades, and the lines of tables and charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.agronomy.grades import grade
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision_greenhouse.backend.words import (
+    length_words,
+    metres_words,
+    row_name,
+)
+from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, round_figures
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from cucumbervision.agronomy.grades import Grade
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision_greenhouse.backend.settings import Units
+    from cucumbervision_greenhouse.rounds.from_store import RoundContent
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFigures, RoundFruit
+    from cucumbervision_greenhouse.store.records import DetectionRecord
+    from cucumbervision_greenhouse.store.views import DetectionView
+
+
+_LOW_CONFIDENCE = 0.45  # below it, a fruit that is seen once may be a false detection
+
+
+@dataclass(frozen=True, eq=False)
+class GradedRound:
+    """The fruit of a round with their grades and figures.
+
+    Parameters
+    ----------
+    fruit : tuple of DetectionView
+        Each fruit once: its representative view, with the length from all views.
+    deleted : tuple of DetectionView
+        Those that somebody deleted; no figure counts them.
+    grades : dict of str to Grade
+        By fruit key, of both, in the order of the walk.
+    figures : RoundFigures
+        Numbers of fruit and their lengths.
+    """
+
+    fruit: tuple[DetectionView, ...]
+    deleted: tuple[DetectionView, ...]
+    grades: Mapping[str, Grade]
+    figures: RoundFigures
+
+
+def grade_round(
+    content: RoundContent, table: Sequence[RoundFruit], profile: CropProfile
+) -> GradedRound:
+    """Return a round's fruit with their grades; `table` has its lengths."""
+    shown = {line.view.key: line.view for line in table}
+    best = [view for view in content.views if view.best]
+    fruit = tuple(shown[view.key] for view in best if view.key in shown)
+    deleted = tuple(view for view in best if view.key not in shown)
+    grades = {view.key: grade(shown.get(view.key, view).record, profile) for view in best}
+    return GradedRound(fruit, deleted, grades, round_figures(content, table))
+
+
+def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit that one view alone shows, unsurely, and nobody has looked at."""
+    return [
+        view
+        for view in views
+        if view.views == 1 and view.verdict is None and view.record.score < _LOW_CONFIDENCE
+    ]
+
+
+def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
+    """Return a line for every figure that the store keeps of a fruit: what it is, and its value.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> figure_lines(DetectionRecord(1, diameter_max_m=0.0412))[-1]
+    {'What': 'Largest diameter', 'Value': '41.2 mm'}
+    """
+    lines = []
+    for one in FIELDS:
+        cell = one.cell(getattr(record, one.si_name, None), one.digits)
+        if one.type == "number" and cell is not None and not one.name.startswith("box_"):
+            value = f"{cell:g} {one.unit}".strip()
+            lines.append({"What": one.says[0].upper() + one.says[1:], "Value": value})
+    return lines
+
+
+def length_lines(
+    fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
+) -> list[dict[str, Any]]:
+    """Return a line for each measured fruit on the plant for the histogram: length and class."""
+    return [
+        {"length": units.value(view.record.length_m), "class": grades[view.key].label}
+        for view in fruit
+        if hanging_lengths_m([view])
+    ]
+
+
+def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
+    """Return a line for each fruit with a position: along the row, height, class, length."""
+    return [
+        {
+            "key": view.key,
+            "row": row_and_side(view),
+            "along": round(max(view.along_m, 0.0), 2),
+            "height": -round(view.record.centre_y_m or 0.0, 3),
+            "length": units.value(view.record.length_m),
+            "class": graded.grades[view.key].label,
+            "says": map_words(view, graded, units),
+            "views": view.views,
+            "mark": _mark_of(view),
+        }
+        for view in graded.fruit
+        if view.along_m is not None
+    ]
+
+
+def row_and_side(view: DetectionView) -> str:
+    """Return what the map calls the row and side of a fruit."""
+    return row_name(view.row) + (f", {view.side}" if view.side else "")
+
+
+def map_words(view: DetectionView, graded: GradedRound, units: Units) -> str:
+    """Return what the map says of a fruit: its place, length and class."""
+    known = [graded.grades[view.key].words] if view.key in graded.grades else []
+    place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
+    return ", ".join([f"{place}: {length_words(view.record, units)}", *known])
+
+
+def _mark_of(view: DetectionView) -> str:
+    if view.picked_s is not None:
+        return "picked"
+    return "simulated" if view.simulated else "seen"

@@ -1,0 +1,220 @@
+"""Uploads into a round: each capture at its place, and the outcome of each file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
+from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadError
+from cucumbervision.intake.archives import Limits
+from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
+from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, round_for_capture
+from cucumbervision_greenhouse.rounds.walking import last_step, refuse_taken
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.source import CaptureSource, ReadOptions
+    from cucumbervision.intake.uploads import AcceptedSource
+    from cucumbervision.pipeline.measurer import Measurer
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
+    from cucumbervision_greenhouse.backend.uploads import Uploads
+    from cucumbervision_greenhouse.rounds.walking import NextPlace
+    from cucumbervision_greenhouse.store.repository import Store
+
+    _Opened: TypeAlias = tuple[AcceptedSource, CaptureSource]
+
+# Focal length over the picture's height, of colour cameras as their makers give them.
+CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
+
+
+def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
+    """Return a camera's usual intrinsics at a picture's size; each single one differs by 1 to 2 %.
+
+    Examples
+    --------
+    >>> round(_usual_intrinsics("RealSense D435 / D435i", 1280, 720).fx_px)
+    924
+    """
+    focal_px = CAMERAS[camera] * height
+    middle = (width - 1) / 2, (height - 1) / 2
+    return Intrinsics(width, height, focal_px, focal_px, *middle, Stream.COLOR)
+
+
+def measure_upload(
+    uploads: Uploads,
+    key: str,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: MeasureOptions,
+) -> None:
+    """Check an upload and save its captures as stops of its round; a bad one costs only itself.
+
+    Each outcome is kept as it comes, with how many captures there are and how many are done with:
+    refused files first, then as the files were sorted into captures. Simulated captures go into the
+    demonstration instead.
+
+    Parameters
+    ----------
+    uploads : Uploads
+        Where it is.
+    key : str
+        Which one.
+
+    Notes
+    -----
+    Where a network or the calibration cannot be loaded, that is the outcome of all files, which
+    stay for the next time.
+    """
+    files, outcomes = uploads.files(key), list[UploadOutcome]()
+    measures = measurer.with_options(options)
+
+    def note(*new: UploadOutcome, done: bool = False, **counts: int) -> None:
+        outcomes.extend(new)
+        uploads.note(key, outcomes, done=done, **counts)
+
+    try:
+        measures.load()
+    except CucumberVisionError as error:
+        note(*(_failed(name, str(error)) for name, _ in files))
+        return
+    upload = uploads.try_once(key)
+    sending = upload.sending
+    if upload.tries >= MOST_TRIES:
+        words = "ended the program each time it was measured"
+        note(*(_failed(name, words) for name, _ in files), done=True)
+        return
+    place = sending.place.next_place
+    limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
+    measured = itertools.count(1)
+
+    def items(sources: Iterable[_Opened]) -> Iterator[RoundCapture]:
+        nonlocal place
+        for read in (read for source in sources for read in _captures(source)):
+            if isinstance(read, UploadOutcome):
+                note(read, measured=next(measured))
+                continue
+            capture, place = _placed(read, place)
+            try:
+                yield _to_add(capture, measures, store, sending.round)
+            except CucumberVisionError as error:
+                note(
+                    _failed(capture.source or capture.name, error.message), measured=next(measured)
+                )
+
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
+        try:
+            accepted = accept_uploads(files, Path(folder), limits)
+        except UploadError as error:
+            note(*(_failed(name, error.message) for name, _ in files), done=True)
+            return
+        opened = [_open(one, options.reading, sending.camera) for one in accepted.sources]
+        there = [one for one in opened if not isinstance(one, UploadOutcome)]
+        note(
+            *(_failed(str(one.source), one.message) for one in accepted.refused),
+            *(one for one in opened if isinstance(one, UploadOutcome)),
+            captures=sum(source.total or 0 for _, source in there),
+            is_open=any(source.total is None for _, source in there),
+        )
+        for item, added in add_all(store, items(there), measures, in_turn):
+            if isinstance(item, RoundCapture):
+                note(_outcome(item, added, sending.round), measured=next(measured))
+    note(done=True)
+
+
+def _failed(name: str, words: str) -> UploadOutcome:
+    return UploadOutcome(name=name, saved=False, words=words)
+
+
+def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened | UploadOutcome:
+    """Return a source with its captures, or why it has none, by the sender's names."""
+    try:
+        return source, _open_with(source, reading, camera)
+    except CucumberVisionError as error:
+        return _failed(str(error.source or source.title), f"{error.message}; {error.remedy}")
+
+
+def _captures(opened: _Opened) -> Iterator[Capture | UploadOutcome]:
+    """Yield a source's captures, and why a part of it is none."""
+    source, refs = opened[0], iter(opened[1])
+    while True:
+        try:
+            ref = next(refs, None)
+            if ref is None:
+                return
+            yield ref.load()
+        except CucumberVisionError as error:
+            yield _failed(str(error.source or source.title), error.message)
+
+
+def _open_with(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
+    """Open a source with the camera's usual intrinsics where pictures bring none."""
+    try:
+        return source.open(reading)
+    except IntrinsicsError:
+        pictures = sorted(p for p in source.path.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
+        if not camera or reading.intrinsics or not pictures:
+            raise
+    height, width = read_color(pictures[0]).shape[:2]
+    model = CameraModel.of(_usual_intrinsics(camera, width, height)).model_dump(mode="json")
+    path = source.path.with_name(f"{source.path.name}-camera.json")
+    path.write_text(json.dumps(model), encoding="utf-8")
+    return source.open(replace(reading, intrinsics=path))
+
+
+def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:
+    """Return a capture with its place, its own first, and where the next one is."""
+    own = capture.stop
+    if own.position_m is None:
+        own, place = replace(own, position_m=place.position_m), place.onward()
+    own = replace(own, row=own.row or place.row or None, side=own.side or place.side)
+    return replace(capture, stop=own), place
+
+
+def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) -> RoundCapture:
+    """Return a capture on its way into the round, or into the demonstration if it is simulated.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the same camera took another at its place, or the store cannot be read.
+    """
+    home = round_for_capture(store, round_key, simulated=capture.simulated)
+    if capture.stop.step is None:
+        step = last_step(store.stops(home)) + 1
+        capture = replace(capture, stop=replace(capture.stop, step=step))
+    item = RoundCapture.to_add(store, home, capture, measurer, keep=True)
+    if item.place is not None:
+        refuse_taken(store, home, *item.place.spot_and_camera)
+    return item
+
+
+def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
+    """Return what the sender reads of a capture; the same one sent again is there already."""
+    if added.failure is not None:
+        return _failed(item.input, added.failure.message)
+    if added.deleted:
+        return _failed(item.input, "was deleted: undo that to have it back")
+    if added.again:
+        words = "was there already, and is measured again: its intrinsics or options changed"
+        return UploadOutcome(name=item.input, saved=True, words=words)
+    if item.place is None or not added.new:
+        return _failed(item.input, "is in the round already")
+    stop = item.place.capture.stop
+    at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
+    moved = (
+        "; computer-made, so in the round 'Demonstration'" if item.round_key != round_key else ""
+    )
+    words = added.note or f"{added.fruit} fruit"
+    return UploadOutcome(name=item.input, saved=True, words=f"{words} ({at}{moved})")

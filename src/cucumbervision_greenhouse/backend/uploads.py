@@ -1,0 +1,300 @@
+"""Uploads on disk: files as they come, part by part, and the outcome of each, past any restart."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+import time
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from cucumbervision.errors import NameRefusedError, UploadError
+from cucumbervision.names import checked_name
+from cucumbervision_greenhouse.backend.settings import replace_text
+from cucumbervision_greenhouse.rounds.walking import NextPlace
+from cucumbervision_greenhouse.store.records import key_of
+
+MOST_TRIES = 3  # an upload that ends the program each time must not do so for ever
+_ABOUT = "upload.json"
+_MOST_FILES = 1000
+_KEPT = 20  # uploads whose outcomes are still told
+_UNCOUNTED = {"captures": None, "measured": 0, "is_open": False}
+_RESERVE_BYTES = 500_000_000  # that captures, which are kept at once, need of the disk
+
+
+def _given(name: str) -> str:
+    try:
+        return checked_name(name, "row or side")
+    except NameRefusedError as error:
+        raise ValueError(str(error)) from None
+
+
+Name = Annotated[str, Field(max_length=500)]
+GivenName = Annotated[Name, AfterValidator(_given)]
+Length = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SentFile(_Frozen):
+    """A file by its sender's words: its name, its size in bytes, when it was changed last."""
+
+    name: Name
+    size: Annotated[int, Field(ge=0)]
+    changed: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+
+
+class SentPlace(_Frozen):
+    """Where the first capture was taken that does not say, as `NextPlace`."""
+
+    row: GivenName = ""
+    side: GivenName = "left"
+    position_m: Length = 0.0
+    step_m: Length = 0.4
+    back: bool = False
+
+    @property
+    def next_place(self) -> NextPlace:
+        """The same for a walk."""
+        return NextPlace(self.row, self.side, self.position_m, self.step_m, self.back)
+
+
+class UploadOutcome(_Frozen):
+    """The outcome of a file, or of a capture in it.
+
+    Parameters
+    ----------
+    name : str
+        By its sender's name.
+    saved : bool
+        Whether it is a stop now.
+    words : str
+        How many fruit, and where; or why not.
+    """
+
+    name: str
+    saved: bool
+    words: str
+
+
+class Sending(_Frozen):
+    """What a browser announces before it sends."""
+
+    round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
+    files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=_MOST_FILES)]
+    place: SentPlace = SentPlace()
+    camera: Name = ""
+
+    @property
+    def key(self) -> str:
+        """The same whenever the same files are sent into the same round."""
+        parts = (f"{one.name}/{one.size}/{one.changed}" for one in self.files)
+        return key_of("upload", self.round, *parts)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(one.size for one in self.files)
+
+
+class Upload(_Frozen):
+    """An upload as it stands.
+
+    Parameters
+    ----------
+    sending : Sending
+        What was announced.
+    begun_s : float
+        When, seconds since 1970.
+    done : bool
+        Whether all of it was measured; its files are gone then.
+    tries : int
+        How often its measuring was begun.
+    outcomes : tuple of UploadOutcome
+        Of what was measured so far.
+    captures : int, optional
+        How many it holds, as far as is known; None while its files are checked.
+    measured : int
+        How many of them are done with.
+    is_open : bool
+        Whether a recording is being read, which may hold more.
+    """
+
+    sending: Sending
+    begun_s: float
+    done: bool = False
+    tries: int = 0
+    outcomes: tuple[UploadOutcome, ...] = ()
+    captures: int | None = None
+    measured: int = 0
+    is_open: bool = False
+
+
+class Uploads:
+    """A folder of uploads.
+
+    Parameters
+    ----------
+    folder : Path
+        Made with the first.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.changes = 0
+        self._lock = threading.Lock()
+
+    def begin(self, sending: Sending, limit_bytes: int) -> list[int]:
+        """Take an upload on, or go on with one; return how much of each file is there.
+
+        Raises
+        ------
+        UploadError
+            If it is larger than the limit, or than the disk has room for; nothing is kept.
+        """
+        if sending.size > limit_bytes:
+            raise UploadError(
+                f"{sending.size / 1e6:.0f} MB are more than the {limit_bytes / 1e6:.0f} MB that "
+                "are taken",
+                remedy="send it in smaller parts, or change the limit in 'Settings'",
+            )
+        with self._lock:
+            known = self.read(sending.key)
+            if known is None or known.done:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                free = shutil.disk_usage(self.folder).free
+                if sending.size + _RESERVE_BYTES > free:
+                    raise UploadError(
+                        f"the disk has room for {max(free - _RESERVE_BYTES, 0) / 1e6:.0f} MB",
+                        remedy="free some space on the disk",
+                    )
+                shutil.rmtree(self.folder / sending.key, ignore_errors=True)
+                try:
+                    (self.folder / sending.key).mkdir()
+                    self._write(Upload(sending=sending, begun_s=time.time()))
+                except BaseException:
+                    shutil.rmtree(self.folder / sending.key, ignore_errors=True)
+                    raise
+        return self.received(sending.key)
+
+    def received(self, key: str) -> list[int]:
+        """Return how many bytes of each file are there.
+
+        Raises
+        ------
+        UploadError
+            If there is no such upload.
+        """
+        return [
+            path.stat().st_size if path.exists() else 0
+            for path in (self._part(key, number) for number in range(len(self._known(key).files)))
+        ]
+
+    def append(self, key: str, number: int, offset: int, data: bytes) -> int:
+        """Add a part to a file, unless it is there already; return how much is there then.
+
+        Raises
+        ------
+        UploadError
+            If there is no such file, or it would be larger than it was announced.
+        """
+        sending = self._known(key)
+        if not 0 <= number < len(sending.files):
+            raise UploadError("there is no such file", remedy="choose the files again")
+        path = self._part(key, number)
+        with self._lock, path.open("ab") as stream:
+            there = stream.tell()
+            if there != offset:  # a part that is sent again
+                return there
+            if there + len(data) > sending.files[number].size:
+                raise UploadError(
+                    "is larger than it was",
+                    source=sending.files[number].name,
+                    remedy="choose the files again",
+                )
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+            return there + len(data)
+
+    def is_whole(self, key: str) -> bool:
+        """Return whether every file is there."""
+        return self.received(key) == [one.size for one in self._known(key).files]
+
+    def files(self, key: str) -> list[tuple[str, Path]]:
+        """Return the files of an upload by their senders' names."""
+        files = self._known(key).files
+        for number in range(len(files)):
+            self._part(key, number).touch()  # an empty one has no parts
+        return [(one.name, self._part(key, number)) for number, one in enumerate(files)]
+
+    def to_measure(self) -> list[str]:
+        """Return the uploads that are there and not measured, the oldest first."""
+        return [
+            one.sending.key
+            for one in reversed(self.all())
+            if not one.done and self.is_whole(one.sending.key)
+        ]
+
+    def all(self, round_key: str | None = None) -> list[Upload]:
+        """Return the uploads, or those into a round, the newest first."""
+        found = [self.read(path.parent.name) for path in self.folder.glob(f"*/{_ABOUT}")]
+        known = [one for one in found if one and round_key in (None, one.sending.round)]
+        return sorted(known, key=lambda one: one.begun_s, reverse=True)
+
+    def try_once(self, key: str) -> Upload:
+        """Note that measuring begins, and return the upload as it was before."""
+        with self._lock:
+            upload = self.read(key)
+            if upload is None:
+                raise UploadError("this upload is gone", remedy="choose the files again")
+            self._write(upload.model_copy(update={**_UNCOUNTED, "tries": upload.tries + 1}))
+            return upload
+
+    def note(
+        self, key: str, outcomes: list[UploadOutcome], *, done: bool = False, **counts: int
+    ) -> None:
+        """Keep outcomes and counts of captures (as `Upload` names them).
+
+        When all is done the files go, and the oldest uploads with theirs.
+        """
+        with self._lock:
+            upload = self.read(key)
+            if upload is None:
+                return
+            # One that a killed run saved stays saved, though its capture is there already now.
+            saved = {one.name: one for one in upload.outcomes if one.saved}
+            kept = tuple(one if one.saved else saved.get(one.name, one) for one in outcomes)
+            self._write(upload.model_copy(update={"outcomes": kept, "done": done, **counts}))
+            if done:
+                for number in range(len(upload.sending.files)):
+                    self._part(key, number).unlink(missing_ok=True)
+                for old in self.all()[_KEPT:]:
+                    shutil.rmtree(self.folder / old.sending.key, ignore_errors=True)
+
+    def _known(self, key: str) -> Sending:
+        upload = self.read(key)
+        if upload is None:
+            raise UploadError("this upload is gone", remedy="choose the files again")
+        return upload.sending
+
+    def _part(self, key: str, number: int) -> Path:
+        return self.folder / key / f"{number:04d}"
+
+    def read(self, key: str) -> Upload | None:
+        """Return an upload as it stands; None where there is none of that key."""
+        try:
+            text = (self.folder / key / _ABOUT).read_text(encoding="utf-8")
+            return Upload.model_validate_json(text)
+        except (OSError, ValidationError):
+            return None
+
+    def _write(self, upload: Upload) -> None:
+        path = self.folder / upload.sending.key / _ABOUT
+        replace_text(path, upload.model_dump_json())
+        self.changes += 1

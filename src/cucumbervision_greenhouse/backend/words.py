@@ -1,0 +1,352 @@
+"""Values and names as words on a page, safe for Streamlit, which reads text as Markdown."""
+
+from __future__ import annotations
+
+import re
+import time
+from itertools import chain, count
+from typing import TYPE_CHECKING, TypeVar
+
+from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
+from cucumbervision.measurement.flags import flag_remarks
+from cucumbervision.names import readable
+from cucumbervision_greenhouse.agronomy.picking import hours_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.agronomy.picking import Pick, Span
+    from cucumbervision_greenhouse.backend.settings import Units
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.store.records import DetectionRecord
+    from cucumbervision_greenhouse.store.views import ActionView, RoundView, StopView
+
+Option = TypeVar("Option")
+
+# Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
+_MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
+_LINE_STARTS = re.compile(r"(?m)^(\s*\d+)\.")
+# What becomes a link, an icon or another sign in spite of these, since it is looked for in the text
+# that is drawn: addresses, :names:, and arrows and the like between spaces.
+_FOUND_LATER = re.compile(
+    r"(?i)(https?(?=://)|www(?=\.)|@(?=[-\w])|:(?=[\w+/-]+:)"
+    r"|(?<!\S)(?:<(?=->(?!\S)|[-=](?!\S))|-(?=[->](?!\S))|[>~](?==(?!\S))))"
+)
+_JOINER = "\u2060"  # takes no room, and parts no word
+
+
+def plain(text: object) -> str:
+    r"""Return a text that Streamlit draws letter by letter, on one line.
+
+    Examples
+    --------
+    >>> plain("row [3](x) *a*")
+    'row \\[3\\]\\(x\\) \\*a\\*'
+    >>> plain("http://x"), plain("a :tada:")
+    ('http\u2060\\://x', 'a \\:\u2060tada\\:')
+    """
+    words = _FOUND_LATER.sub(rf"\1{_JOINER}", readable(" ".join(str(text).split())))
+    return _LINE_STARTS.sub(r"\1\\.", _MARKS.sub(r"\\\1", words))
+
+
+def sentence(text: object) -> str:
+    """Return a text as `plain` does, beginning with a capital.
+
+    Examples
+    --------
+    >>> sentence("nothing to undo")
+    'Nothing to undo'
+    """
+    words = plain(text)
+    return words[:1].upper() + words[1:]
+
+
+def pick_words(pick: Pick) -> str:
+    """Return the class of a fruit on the pick list: 'class I', 'undecided: class I or too long'.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.forecast import FruitState
+    >>> from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind
+    >>> fruit = FruitState("a", "1", 0.5, 0.25, 0.01)
+    >>> pick_words(Pick(fruit, "I", 0.99))
+    'class I'
+    >>> pick_words(Pick(fruit, "undecided", 0.5, PickKind.UNDECIDED, ("II", "I")))
+    'undecided: class II or I'
+    """
+    if pick.name != UNDECIDED:
+        return class_name(pick.name)
+    if pick.fruit.at_least:
+        return f"{UNDECIDED} (only part of it is seen)"
+    return f"{UNDECIDED}: {choice_words(pick.possible)}"
+
+
+def length_words(record: DetectionRecord, units: Units) -> str:
+    """Return a length as people say it: a lower bound as such, and 'not measured' for none.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> length_words(DetectionRecord(1, length=Length(0.241), flags="end-hidden"), Units("cm"))
+    'at least 24.1 cm'
+    """
+    if record.length_m is None:
+        return "not measured"
+    return ("at least " if record.at_least else "") + units.text(record.length_m)
+
+
+def interval_words(record: DetectionRecord, units: Units) -> str | None:
+    """Return a length's interval from end to end; None where it has none, or is a lower bound.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> record = DetectionRecord(1, length=Length(0.24, low_m=0.235, high_m=0.247))
+    >>> interval_words(record, Units("cm"))
+    '23.5 to 24.7 cm'
+    """
+    length = record.length
+    if length is None or record.at_least or not (length.low_m and length.high_m):
+        return None
+    return f"{units.value(length.low_m):.{units.digits}f} to {units.text(length.high_m)}"
+
+
+def kind_words(kind: str | None) -> str:
+    """Return what a length is of, for people.
+
+    Examples
+    --------
+    >>> kind_words("centreline"), kind_words(None)
+    ('Length along the middle', 'Length')
+    """
+    return "Length" + {
+        "centreline": " along the middle",
+        "thread": " over the outer side",
+        "chord": " straight from end to end",
+    }.get(kind or "", "")
+
+
+def metres_words(along_m: float | None) -> str:
+    """Return a position along a row: a row begins at 0, also where a fruit hangs before it.
+
+    Examples
+    --------
+    >>> metres_words(1.204), metres_words(-0.12)
+    ('1.20 m', '0.00 m')
+    """
+    return f"{max(along_m or 0.0, 0.0):.2f} m"
+
+
+def height_words(record: DetectionRecord, units: Units) -> str:
+    """Return how high a fruit hangs, empty where that is not known.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> height_words(DetectionRecord(1, centre_y_m=-0.312), Units("cm"))
+    '31 cm above the camera'
+    """
+    if record.centre_y_m is None:
+        return ""
+    at = units.value(abs(record.centre_y_m)) or 0.0
+    if round(at) == 0:
+        return "as high as the camera"
+    return f"{at:.0f} {units.name} {'below' if record.centre_y_m > 0 else 'above'} the camera"
+
+
+def counted(number: int, one: str, many: str) -> str:
+    """Return a number with its word.
+
+    Examples
+    --------
+    >>> counted(1, "stop", "stops"), counted(2, "stop", "stops")
+    ('1 stop', '2 stops')
+    """
+    return f"{number} {one if number == 1 else many}"
+
+
+def round_day(at_s: float) -> str:
+    """Return a moment as the day and time of this place.
+
+    Examples
+    --------
+    >>> len(round_day(1_700_000_000.0))
+    17
+    """
+    return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+
+
+def round_name(one: RoundView) -> str:
+    """Return what a round is called in a list: its name, house, day and number of stops."""
+    house = f", {one.record.house}" if one.record.house else ""
+    stops = counted(one.stops, "stop", "stops")
+    return f"{one.record.name or 'Round'}{house} · {round_day(one.walked_s)} · {stops}"
+
+
+_ACTIONS = {
+    "accept": "accepted",
+    "reject": "not a fruit",
+    "clear": "no longer accepted, nor marked as no fruit",
+    "pick": "picked",
+    "unpick": "not picked",
+    "correct": "the new outline",
+    "add": "the fruit that was added",
+    "merge": "same fruit",
+    "unmerge": "different fruit",
+    "link-growth": "same fruit on two days",
+    "unlink-growth": "different fruit on two days",
+    "place-stop": "the stop's new place or name",
+    "delete-stop": "the stop was deleted",
+    "take-back-stop": "the last stop was taken back",
+    "rename-round": "the round's new name",
+    "delete-round": "the round was deleted",
+}
+
+
+def action_words(action: ActionView) -> str:
+    """Return what somebody did, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.views import ActionView
+    >>> action_words(ActionView(7, 0.0, "ana", "reject", None, ("a",)))
+    'not a fruit'
+    >>> action_words(ActionView(7, 0.0, "ana", "pick", None, ("a", "b")))
+    'picked (2 fruit)'
+    """
+    words, number = _ACTIONS.get(action.kind, action.kind), len(action.fruit)
+    return f"{words} ({number} fruit)" if action.kind == "pick" and number > 1 else words
+
+
+def added_words(*, doubtful: bool) -> str:
+    """Return what became of a fruit that somebody added."""
+    if doubtful:
+        return (
+            "Added, but it does not look like a fruit. It is not on the pick list until someone "
+            "accepts it. 'Undo' removes it."
+        )
+    return "Added to the round. 'Undo' removes it."
+
+
+def remarks(record: DetectionRecord, units: Units) -> str:
+    """Return the remarks on a fruit, as short sentences; technical flags are left out.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, length=Length(0.24), flags="ends-unsure end-hidden")
+    >>> remarks(fruit, Units("cm"))
+    'an end is hidden: at least 24.0 cm'
+    """
+    is_bound = record.at_least and record.length_m is not None
+    return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
+
+
+def stop_name(stop: Stop | StopView) -> str:
+    """Return where a stop is, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> stop_name(Stop("3", "left", 1.2, 4))
+    'Stop 4: row 3, left, 1.20 m'
+    """
+    at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
+    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
+    return f"{step_words(stop.step)}: {where or 'no place given'}"
+
+
+def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
+    """Return options with their names, those with a name of before numbered: a choice goes by name.
+
+    Examples
+    --------
+    >>> told_apart({"a": "Row 3", "b": "Row 3", "c": "Row 4", "d": "Row 3"})
+    {'a': 'Row 3', 'b': 'Row 3 (2)', 'c': 'Row 4', 'd': 'Row 3 (3)'}
+    """
+    found: dict[Option, str] = {}
+    used: set[str] = set()
+    for option, name in names.items():
+        numbered = (f"{name} ({number})" for number in count(2))
+        found[option] = next(label for label in chain([name], numbered) if label not in used)
+        used.add(found[option])
+    return found
+
+
+def step_words(step: int | None) -> str:
+    """Return a stop's number, for people.
+
+    Examples
+    --------
+    >>> step_words(0), step_words(None)
+    ('Stop 0', 'Stop')
+    """
+    return "Stop" if step is None else f"Stop {step}"
+
+
+def row_name(row: str | None) -> str:
+    """Return what a row is called in a sentence.
+
+    Examples
+    --------
+    >>> row_name("3"), row_name("")
+    ('Row 3', 'Row ?')
+    """
+    return f"Row {row or '?'}"
+
+
+def count_words(report: RowReport) -> str:
+    """Return how many fruit a row has: as found, and with its interval where that is estimated.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    >>> from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate
+    >>> count_words(RowReport("", 0, 0, 3, CountEstimate.of_nothing()))
+    '3 fruit found'
+    """
+    if report.fruit == 0:
+        return "no fruit found"
+    low, high = (report.fruit - len(report.count.seen) + end for end in report.count.interval())
+    if low == high == report.fruit:
+        return f"{report.fruit} fruit found"
+    there = f"{low} to {high}" if low < high else f"{low}"
+    return f"{report.fruit} seen, about {report.expected:.0f} real ({there})"
+
+
+def span_words(of: Span) -> str:
+    """Return a number of fruit with its interval, both whole.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.picking import Span
+    >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
+    ('4 (3 to 5)', '0 to 1', '–')
+    """
+    if of.high < 0.5:
+        return "–"
+    if of.expected < 0.5:
+        return f"0 to {of.high:.0f}"
+    words = f"{of.expected:.0f}"
+    return words if of.low == of.high else f"{words} ({of.low:.0f} to {of.high:.0f})"
+
+
+def hours_span_words(of: Span) -> str:
+    """Return hours of work with their interval, as `hours_words` says each.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.picking import Span
+    >>> hours_span_words(Span(0.31, 0.2, 0.5)), hours_span_words(Span(3.24, 2.9, 4.0))
+    ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
+    """
+    low, at, high = map(hours_words, (of.low, of.expected, of.high))
+    return at if low == high else f"{at} ({low} to {high})"

@@ -1,0 +1,1 @@
+"""The light page that captures rounds while walking, without Streamlit, and its routes."""

@@ -1,0 +1,279 @@
+"""What the capture page shows, as JSON: rounds, the next place, the last stop with its fruit."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from cucumbervision.agronomy.grades import grade
+from cucumbervision.errors import CucumberVisionError, StoreError
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.fruit_pictures import mask_outline, stop_layers
+from cucumbervision_greenhouse.backend.words import (
+    action_words,
+    added_words,
+    length_words,
+    round_name,
+    stop_name,
+)
+from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
+from cucumbervision_greenhouse.store.corrections import TAKE_BACK
+from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.capture.frames import Capture, Stop
+    from cucumbervision_greenhouse.backend.jobs import Job
+    from cucumbervision_greenhouse.capture_page.routes import SentFruit, SentUndo
+    from cucumbervision_greenhouse.capture_page.shutter import Pressed
+    from cucumbervision_greenhouse.store.records import StopRecord
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import ActionView, RoundView, StopView
+
+_UNDO_S = 60.0  # how long a stop that is being measured is waited for
+
+
+def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
+    """Return a walk as it stands.
+
+    Parameters
+    ----------
+    store : Store
+        Signed by the viewer.
+    round_key : str
+        The round that is open; empty for the newest. Where there is none of that key, none is.
+    source : str
+        'camera' or 'replay'; by what the server was started with where it is neither.
+    """
+    every = resources.rounds()
+    if source not in ("camera", "replay"):
+        source = "replay" if resources.replay_named() else "camera"
+    one = next((x for x in every if round_key in ("", x.key)), None)
+    shown = _preview_of(source)
+    home = DEMONSTRATION if shown is not None and shown.simulated else one.key if one else ""
+    stops = resources.store().stops(home) if any(x.key == home for x in every) else []
+    waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
+    place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
+    aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
+    progress = resources.progress(home)
+    return {
+        "now_s": time.time(),
+        "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
+        "houses": resources.houses(),
+        "round": one.key if one else "",
+        "missing": bool(round_key) and one is None,
+        "home": home,
+        "source": source,
+        "place": asdict(place),
+        "rows": _rows([*stops, *waiting]),
+        "from": last and {"key": last.key, **_place(last)},
+        "sides": sides_of(stops),
+        "work": progress.told,
+        "first": progress.first_words,
+        "doubts": [line for x in every if x.key == home for line in resources.doubts_of(x)],
+        "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
+        f"beside the store in {aside[0].folder.parent.name}."
+        if aside
+        else resources.measuring_fault(),
+        "last": _last_stop(one, last) if one and last else None,
+        "done": _done(store, home),
+    }
+
+
+def _rows(stops: Sequence[Stop | StopView]) -> dict[str, dict[str, Any]]:
+    """Return where the walk of each row goes on, by the rows' names."""
+    rows = dict.fromkeys(one.row or "" for one in stops)
+    return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
+
+
+def _done(store: Store, home: str) -> dict[str, Any] | None:
+    """Return what the viewer did last in a round besides presses, which *Undo* takes back."""
+    action = _last_action(store, home)
+    return None if action is None else {"at_s": action.at_s, "words": action_words(action)}
+
+
+def _preview_of(source: str) -> Any:
+    try:
+        return resources.feed(source).preview().capture
+    except CucumberVisionError:
+        return None
+
+
+def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
+    """Return the stop that was measured last: its pictures, with the outlines of its fruit."""
+    store, units = resources.store(), resources.settings().units
+    record, profile = store.stop(last.key), resources.profile_of(one)[1]
+    views = [
+        view
+        for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
+        if view.verdict is not Verdict.REJECTED
+    ]
+    grades = {view.key: grade(view.record, profile) for view in views}
+    names = {key: found.label for key, found in grades.items()}
+    captures = []
+    for taken in record.captures:
+        own = [view for view in views if view.capture == taken.name]
+        captures.append(
+            {
+                "name": taken.name,
+                "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
+                "size": [taken.width_px, taken.height_px],
+                "layers": stop_layers(taken, own, names, units),
+                "fruit": [
+                    {
+                        "key": view.key,
+                        "number": view.record.number,
+                        "length": length_words(view.record, units),
+                        "class": grades[view.key].words,
+                    }
+                    for view in own
+                ],
+            }
+        )
+    fault = record.failures[0]["message"] if record.failures else ""
+    return {
+        "key": last.key,
+        "round": last.round_key,
+        "name": stop_name(last),
+        "fault": fault,
+        "captures": captures,
+    }
+
+
+def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
+    """Return what became of a press, once it is on the disk or known not to be.
+
+    Parameters
+    ----------
+    pressed : Pressed, str or None
+        As `Shutter.press` returned it; a text says why it was refused.
+    patience_s : float
+        How long that is waited for; then it waits on, and is to be asked for again.
+    """
+    if pressed is None:  # kept before this program was started
+        return {"state": "saved", "words": "Saved"}
+    if isinstance(pressed, str):
+        return {"state": "refused", "words": pressed}
+    try:
+        kept = pressed.kept.result(max(patience_s, 0.0))
+    except Exception:  # `error` has its words, none where it is not decided yet
+        state = "refused" if pressed.is_lost else "waiting"
+        return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
+    words = f"{stop_name(kept.stop)}: saved"
+    if pressed.moved is not None:
+        words += f". Another stop is already at {pressed.stop.position_m:.2f} m"
+    where = {"stop": kept.key, "home": kept.round_key, "place": _place(kept.stop)}
+    return {"state": "saved", "words": words, **where}
+
+
+def _place(stop: Stop | StopView) -> dict[str, Any]:
+    return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
+
+
+def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
+    """Take back the last thing that a browser did in a round, and only that; say what it was.
+
+    A press is taken back by deleting its stop, measured or not.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to undo, the stop is not there, or its measuring does not end.
+    """
+    home, pressed_s = asked.round or "", 0.0
+    if asked.stop is not None:
+        home, pressed_s = _round_and_time(store, asked.stop)
+    action = _last_action(store, home)
+    if action is not None and action.at_s > (asked.at_s or pressed_s):
+        resources.undo(store, home, number=action.number)
+        return {"words": f"Taken back: {action_words(action)}", "action": action.number}
+    if asked.stop is None:
+        raise StoreError("nothing to undo", remedy="delete a stop on the row map")
+    return {"words": _delete_stop(store, asked.stop)}
+
+
+def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
+    """Return the round of a stop that is measured or waits, and when it was taken."""
+    for one in resources.waiting().captures():
+        if one.key == stop:
+            return one.round_key, one.pressed_s
+    there = store.stop(stop)
+    return there.round_key, there.taken_s
+
+
+def _last_action(store: Store, round_key: str) -> ActionView | None:
+    """Return what a viewer did last in a round; a press that was taken back is over."""
+    if not any(one.key == round_key for one in resources.rounds()):
+        return None
+    actions = store.own_actions(round_key)
+    return next((one for one in actions if one.kind != TAKE_BACK), None)
+
+
+def _delete_stop(store: Store, key: str) -> str:
+    waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
+    if waiting is not None and not waiting.tries:
+        resources.waiting().done(waiting)
+        return f"{stop_name(waiting.stop)}: deleted"
+    until = time.monotonic() + _UNDO_S
+    while resources.waiting().holds(key):  # it is being measured
+        if time.monotonic() > until:
+            raise StoreError("this stop is still being measured", remedy="try again")
+        time.sleep(0.05)
+    stop = store.stop(key)
+    store.delete_stop(key, taken_back=True)
+    resources.merge(stop.round_key)
+    return "The last stop was deleted. 'Undo' on the row map brings it back"
+
+
+def outline(asked: SentFruit) -> dict[str, Any]:
+    """Return the outlines of what lies at a point or in a box, to be seen before it is measured.
+
+    Raises
+    ------
+    InstancesError
+        If there is nothing.
+    """
+    record, capture = _picture_of(asked)
+    measurer = resources.measurer()
+    job = resources.worker().submit(
+        "Outlining the fruit",
+        lambda _: measurer.mask_of(capture, asked.point, asked.box),
+        record.round_key,
+    )
+    job.wait()
+    return {"outline": mask_outline(job.result)}
+
+
+def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
+    """Outline and measure the fruit at a point or in a box; return it with words for people.
+
+    Raises
+    ------
+    InstancesError
+        If there is none, or it is there already.
+    """
+    record, capture = _picture_of(asked)
+    options, measurer = resources.settings().options, resources.measurer()
+
+    def work(_: Job) -> str:
+        mask = measurer.mask_of(capture, asked.point, asked.box)
+        return measurer.add(store, record, capture, mask, options)
+
+    # Its networks serve one at a time.
+    job = resources.worker().submit("Measuring the fruit", work, record.round_key)
+    job.wait()
+    return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
+
+
+def _picture_of(asked: SentFruit) -> tuple[StopRecord, Capture]:
+    store = resources.store()
+    record = store.stop(asked.stop)
+    taken = next((one for one in record.captures if one.name == asked.capture), None)
+    if taken is None:
+        raise StoreError("this picture is not there any more", remedy="reload the page")
+    return record, stored_capture(store.images, taken, record)

@@ -1,0 +1,447 @@
+from __future__ import annotations
+
+import io
+import json
+import random
+import struct
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("httpx2")
+
+from starlette.applications import Starlette
+from starlette.testclient import TestClient
+from tests.greenhouse.conftest import ThreadRecorder
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.quality import depth_quality
+from cucumbervision.capture.raw_frames import FrameRing
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.access import DEVICE, AccessGuard
+from cucumbervision_greenhouse.backend.camera_feed import CameraFeed, Preview
+from cucumbervision_greenhouse.capture_page.routes import Shown, routes
+from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.views import Verdict
+
+WALK = key_of("walk")
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+@pytest.fixture
+def asked(house: Path) -> Iterator[TestClient]:
+    with TestClient(Starlette(routes=list(routes()))) as client:
+        yield client
+
+
+def sent(number: str, at_s: float, position_m: float = 9.0, **other: Any) -> dict[str, Any]:
+    place = {"row": "1", "side": "left", "position_m": position_m}
+    return {"number": number, "at_s": at_s, "round": WALK, "source": "replay", **place, **other}
+
+
+def press(asked: TestClient, *presses: dict[str, Any]) -> list[dict[str, Any]]:
+    while True:  # as the page does, while any waits
+        answer = asked.post("/api/press", json={"presses": presses})
+        assert answer.status_code == 200, answer.text
+        told = list(answer.json()["presses"])
+        if all(one["state"] != "waiting" for one in told):
+            return told
+
+
+def wait_for_jobs() -> None:
+    while jobs := resources.worker().unfinished():
+        assert jobs[0].wait(600)
+
+
+def test_a_press_sent_again_is_the_same_stop_and_is_measured(
+    asked: TestClient, store: Store
+) -> None:
+    resources.change_settings(fruit_from="dataset")
+    resources.feed("replay").preview()
+    first = sent("a", time.time() + 0.01)
+    (saved,) = press(asked, first)
+    assert saved["state"] == "saved"
+    assert saved["words"] == "Stop 1: row 1, left, 9.00 m: saved"
+    again = press(asked, first, first, sent("b", time.time()))
+    assert [one["state"] for one in again] == ["saved"] * 3
+    assert again[0] == again[1] == saved
+    # The place is taken meanwhile: one step on from there, and that is said.
+    assert again[2]["place"]["position_m"] == 9.4
+    assert "already at 9.00 m" in again[2]["words"]
+    wait_for_jobs()
+    # Computer-made captures never go into a grower's round.
+    assert [stop.position_m for stop in store.stops(DEMONSTRATION)] == [9.0, 9.4]
+    walk = asked.get("/api/walk", params={"round": WALK, "source": "replay"}).json()
+    assert (walk["round"], walk["home"]) == (WALK, DEMONSTRATION)
+    assert walk["place"]["position_m"] == 9.8
+    assert walk["last"]["name"] == "Stop 2: row 1, left, 9.40 m"
+    (capture,) = walk["last"]["captures"]
+    assert all(one["length"].endswith(" cm") for one in capture["fruit"])
+    picture = asked.get(capture["picture"])
+    assert picture.headers["content-type"] == "image/jpeg"
+    assert picture.content[:2] == b"\xff\xd8"
+
+
+def test_a_press_is_refused_where_its_picture_or_its_round_is_gone(
+    asked: TestClient,
+) -> None:
+    old, lost = press(asked, sent("a", time.time() - 100), sent("b", 0.0, round=key_of("gone")))
+    assert old["state"] == lost["state"] == "refused"
+    assert "no picture of that moment" in old["words"]
+    assert lost["words"] == "the round was deleted"
+    assert resources.waiting().captures() == []
+
+
+def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
+    answer = asked.get(f"/api/files/{WALK}", params={"formats": ["xlsx", "csv", "html"]})
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''morning.zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        lines = archive.read("fruit.csv").decode("utf-8-sig").splitlines()
+    assert {"round.xlsx", "fruit.csv", "round.html"} < names
+    assert len(lines) == 9  # eight fruit and the head
+    assert asked.get(f"/api/files/{key_of('gone')}?formats=csv").status_code == 404
+    assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        json.dumps({"presses": [{"number": "a"}]}),
+        json.dumps({"presses": [sent("../../a", 0.0)]}),
+        json.dumps({"presses": [sent("a", 0.0, position_m=-1)]}),
+        json.dumps({"presses": [sent("a", 0.0, source="/etc")]}),
+        *(json.dumps({"presses": [sent("a", at_s)]}) for at_s in (1e308, -1.0, 5e9)),
+        json.dumps({"presses": [sent("a", 0.0)] * 51}),
+    ],
+)
+def test_a_damaged_request_is_told_in_a_line(asked: TestClient, content: str) -> None:
+    answer = asked.post("/api/press", content=content)
+    assert (answer.status_code, answer.json()) == (
+        400,
+        {"error": "the request is damaged; reload the page"},
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "most_mb"),
+    [
+        ("/api/press", 0.25),
+        ("/api/rounds", 0.25),
+        ("/api/uploads", 4),
+        (f"/api/uploads/{WALK}/0", 16),
+    ],
+)
+def test_a_body_that_is_too_large_is_refused_while_it_is_read(
+    asked: TestClient, path: str, most_mb: float
+) -> None:
+    def body() -> Iterator[bytes]:
+        for _ in range(20):
+            yield bytes(2**20)
+
+    guarded = TestClient(AccessGuard(asked.app), "http://localhost")
+    refused = guarded.post(path, content=body())  # without its length
+    assert refused.status_code == 413
+    assert "is larger than" in refused.json()["error"]
+    announced = guarded.post(path, content=bytes(int(most_mb * 2**20) + 1))
+    assert announced.status_code == 413
+    assert guarded.post(path, content=b"x" * int(most_mb * 2**20)).status_code in (400, 409, 422)
+
+
+def test_the_last_stop_is_taken_back_measured_or_not(
+    asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resources, "wake", lambda: None)  # nothing is measured
+    resources.feed("replay").preview()
+    (saved,) = press(asked, sent("a", time.time() + 0.01))
+    answer = asked.post("/api/undo", json={"stop": saved["stop"]}).json()
+    assert answer == {"words": "Stop 1: row 1, left, 9.00 m: deleted"}
+    assert resources.waiting().captures() == []
+    last = store.stops(WALK)[-1]
+    assert "was deleted" in asked.post("/api/undo", json={"stop": last.key}).json()["words"]
+    wait_for_jobs()
+    assert store.stop_is_deleted(last.key)
+    gone = asked.post("/api/undo", json={"stop": key_of("no stop")})
+    assert gone.status_code == 409
+    assert "\n" not in gone.json()["error"]
+
+
+def test_undo_takes_back_the_last_thing_of_this_browser_and_only_that(
+    asked: TestClient, store: Store
+) -> None:
+    stop = store.stops(WALK)[-1]
+    first, second, third = (one.key for one in store.detections(WALK)[:3])
+    ana = TestClient(asked.app, cookies={DEVICE: "ana"})
+    bert = TestClient(asked.app, cookies={DEVICE: "bert"})
+
+    def rejected() -> set[str]:
+        return {x.key for x in store.detections(WALK) if x.verdict is Verdict.REJECTED}
+
+    store.signed("dashboard", "ana").set_verdict([first], Verdict.REJECTED)
+    store.signed("dashboard", "ana").set_verdict([second], Verdict.REJECTED)
+    store.signed("dashboard", "bert").set_verdict([third], Verdict.REJECTED)
+    pressed = {"round": WALK, "stop": stop.key, "at_s": stop.taken_s}  # before all of it
+    walk = ana.get("/api/walk", params={"round": WALK, "source": "camera"}).json()
+    assert walk["done"]["words"] == "not a fruit"
+    undone = "Taken back: not a fruit"
+    assert ana.post("/api/undo", json=pressed).json()["words"] == undone
+    assert rejected() == {first, third}  # not what bert did since
+    assert ana.post("/api/undo", json=pressed).json()["words"] == undone
+    assert rejected() == {third}
+    # Now the press is ana's last thing: its stop goes, and is not brought back by the next undo.
+    assert ana.post("/api/undo", json=pressed).json()["words"].startswith("The last stop")
+    assert store.stop_is_deleted(stop.key)
+    again = ana.post("/api/undo", json={"round": WALK})
+    assert (again.status_code, again.json()["error"].split(";")[0]) == (409, "nothing to undo")
+    assert store.stop_is_deleted(stop.key)
+    assert bert.post("/api/undo", json={"round": WALK}).json()["words"] == undone
+    assert rejected() == set()
+    wait_for_jobs()
+
+
+def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: Store) -> None:
+    stop = store.stops(WALK)[-1]
+    capture = store.stop(stop.key).captures[0]
+    one = capture.fruit[0]
+    store.signed("dashboard").add_fruit(stop.key, capture.name, replace(one, mask=None))
+    before = len(store.detections(WALK))
+    asked.post("/api/undo", json={"stop": stop.key})
+    assert store.stop_is_deleted(stop.key) is False
+    assert len(store.detections(WALK)) == before - 1
+
+
+def test_a_round_is_begun(asked: TestClient, store: Store) -> None:
+    begun = asked.post("/api/rounds", json={"name": " Evening ", "house": "2"}).json()["round"]
+    one = next(one for one in store.rounds() if one.key == begun)
+    assert (one.record.name, one.record.house) == ("Evening", "2")
+    assert one.record.profile == "long-cucumber"
+    walk = asked.get("/api/walk", params={"round": begun, "source": "camera"}).json()
+    assert (walk["round"], walk["last"], walk["place"]["row"]) == (begun, None, "1")
+
+
+def test_a_walk_of_no_round_opens_no_other_one(asked: TestClient) -> None:
+    walk = asked.get("/api/walk", params={"round": "nonsense", "source": "camera"}).json()
+    assert (walk["missing"], walk["round"], walk["home"], walk["last"]) == (True, "", "", None)
+    newest = asked.get("/api/walk", params={"source": "camera"}).json()
+    assert (newest["missing"], newest["round"]) == (False, WALK)
+
+
+def test_a_walk_says_where_each_row_goes_on(asked: TestClient, store: Store) -> None:
+    for step, row, at_m in ((1, "8", 0.5), (2, "8", 1.0), (3, "9", 2.0)):
+        store.save_stop(StopRecord(key_of(step), WALK, row, "left", at_m, step=step))
+    walk = asked.get("/api/walk", params={"round": WALK, "source": "camera"}).json()
+    assert (walk["rows"]["8"]["position_m"], walk["rows"]["9"]["position_m"]) == (1.5, 2.4)
+    assert "10" not in walk["rows"]
+
+
+def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:
+    resources.change_settings(upload_limit_mb=1)
+    files = [{"name": "odd.png", "size": 13, "changed": 1.5}]
+    begun = asked.post("/api/uploads", json={"round": WALK, "files": files}).json()
+    assert begun["received"] == [0]
+    place = f"/api/uploads/{begun['upload']}/0"
+    assert asked.post(f"{place}?offset=0", content=b"MZ no").json() == {"received": 5}
+    assert asked.post("/api/uploads", json={"round": WALK, "files": files}).json() == {
+        **begun,
+        "received": [5],
+    }
+    assert asked.post(f"{place}?offset=5", content=b" picture").json() == {"received": 13}
+    wait_for_jobs()
+    (upload,) = resources.uploads().all(WALK)
+    assert upload.done
+    assert [(one.name, one.saved) for one in upload.outcomes] == [("odd.png", False)]
+    files[0]["size"] = 1_000_001
+    refused = asked.post("/api/uploads", json={"round": WALK, "files": files})
+    assert refused.status_code == 409
+    assert "more than the 1 MB" in refused.json()["error"]
+    for path in ("/api/uploads/..%2F..%2Fhouse/0?offset=0", f"{place}?offset=-1"):
+        assert asked.post(path, content=b"x").status_code in (400, 404)
+
+
+def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
+    asked: TestClient, store: Store
+) -> None:
+    view = store.detections(WALK)[0]
+    box = view.record
+    middle = [(box.box_x1_px + box.box_x2_px) / 2, (box.box_y1_px + box.box_y2_px) / 2]
+    fruit = {"stop": view.stop_key, "capture": view.capture}
+    there = asked.post("/api/fruit", json={**fruit, "point": middle})
+    assert there.status_code == 409
+    assert "there already" in there.json()["error"]
+    for path in ("/api/fruit", "/api/outline"):
+        gone = asked.post(path, json={**fruit, "capture": "other", "point": middle})
+        assert "not there any more" in gone.json()["error"]
+        assert asked.post(path, json=fruit).status_code == 400
+    assert len(store.detections(WALK)) == 8
+
+
+def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Store) -> None:
+    view = store.detections(WALK)[0]
+    box = view.record
+    edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
+    sent = {"stop": view.stop_key, "capture": view.capture, "box": edges}
+    (line,) = asked.post("/api/outline", json=sent).json()["outline"]
+    points = np.reshape(line, (-1, 2))
+    drawn = [*points.min(axis=0), *points.max(axis=0)]
+    np.testing.assert_allclose(drawn, edges, atol=0.1 * (edges[2] - edges[0]))
+    assert len(store.detections(WALK)) == 8
+    assert not store.detection(view.key).view.corrected
+
+
+def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:
+    with asked.websocket_connect(f"/api/news?round={WALK}") as line:
+        first = line.receive_json()
+        assert first["work"] == {"words": "", "done": 0, "total": 0, "waiting": 0}
+        line.send_text("next")
+        again = line.receive_json()  # the same after a while: the line is not dead
+        assert {**again, "now_s": 0} == {**first, "now_s": 0}
+        assert again["now_s"] - first["now_s"] >= 2.0
+        store.pick([store.detections(WALK)[0].key])
+        line.send_text("next")
+        while line.receive_json()["version"] == first["version"]:
+            line.send_text("next")  # until the test's own limit
+
+
+def test_a_preview_is_sent_when_it_changes_and_not_before_it_was_shown(
+    asked: TestClient,
+) -> None:
+    with asked.websocket_connect("/api/preview?source=replay") as line:
+        while (header := read(line.receive_bytes())[0])["state"] != "replay":
+            line.send_text("next")
+        assert header["simulated"]
+        assert header["quality"]["seen"] == "100 %"
+        line.send_text("next")
+        press(asked, sent("a", time.time()))
+        name = header["name"]
+        while header["name"] == name:
+            header, color, depth = read(line.receive_bytes())
+            line.send_text("next")
+        assert color[:2] == depth[:2] == b"\xff\xd8"
+    wait_for_jobs()
+
+
+def read(message: bytes) -> tuple[dict[str, Any], bytes, bytes]:
+    """A message of the preview: header, colour, depth."""
+    (length,) = struct.unpack("<I", message[:4])
+    header = json.loads(message[4 : 4 + length])
+    at = 4 + length + header.get("color_bytes", 0)
+    return header, message[4 + length : at], message[at:]
+
+
+def test_a_picture_that_shows_nothing_new_is_not_sent() -> None:
+    rng, camera = np.random.default_rng(3), Intrinsics(320, 180, 230.0, 230.0, 160.0, 90.0)
+    color = rng.integers(0, 256, (180, 320, 3)).astype(np.uint8)
+
+    def preview(picture: Any, number: int) -> Preview:
+        depth_m = np.full((180, 320), 0.5, np.float32)
+        capture = Capture(picture, depth_m, camera, "a")
+        return Preview("live", capture, depth_quality(capture), number)
+
+    shown = Shown()
+    assert shown.changes(preview(color, 1))
+    assert not shown.changes(preview(color, 2))
+    noise = rng.integers(-2, 3, color.shape)
+    assert not shown.changes(preview((color + noise).clip(0, 255).astype(np.uint8), 3))
+    moved = preview(np.roll(color, 40, axis=1), 4)
+    assert shown.changes(moved)
+    assert not shown.changes(replace(moved, number=5))
+    assert shown.changes(Preview("absent", message="no camera"))
+    assert not shown.changes(Preview("absent", message="no camera"))
+
+
+@pytest.mark.parametrize("name", ["../routes.py", "%2e%2e%2froutes.py", "none.js", ""])
+def test_only_the_page_s_own_files_are_given(asked: TestClient, name: str) -> None:
+    assert asked.get(f"/capture/{name}", follow_redirects=False).status_code in (307, 404)
+
+
+def test_the_capture_page_and_streamlit_s_first_page_name_what_they_need(
+    asked: TestClient,
+) -> None:
+    page = asked.get("/capture").text
+    for part in ("capture.js", "capture.css", "capture.webmanifest", "icon.svg"):
+        assert f"/capture/{part}" in page
+        assert asked.get(f"/capture/{part}").status_code == 200
+    worker = asked.get("/capture/capture-offline.js")
+    assert worker.headers["service-worker-allowed"] == "/capture"
+    # Without it the browser looks for the server below the page's address, which fails.
+    assert "BACKEND_BASE_URL: location.origin" in asked.get("/results").text
+
+
+def test_each_of_1000_presses_is_one_stop_with_its_own_picture(
+    asked: TestClient,
+    store: Store,
+    make_recording: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Pressed by four hands at once; some are told late, twice, or in a lot after a gap."""
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(make_recording(tmp_path / "walk.db3", 200)))
+    monkeypatch.setattr(resources, "wake", lambda: None)  # what is kept is looked at here
+    resources.change_settings(burst=1)
+    feed, taken, write = resources.feed("replay"), list[tuple[float, float]](), FrameRing.write
+    assert isinstance(feed, CameraFeed)
+    feed._start = ThreadRecorder
+
+    def noted(ring: FrameRing, capture: Capture, at_s: float) -> None:
+        taken.append((at_s, block_m(capture)))
+        write(ring, capture, at_s)
+
+    monkeypatch.setattr(FrameRing, "write", noted)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)
+    time.sleep(1.0)
+    rounds = [Round(key_of("hand", hand), f"hand {hand}") for hand in range(4)]
+    for hand in rounds:
+        store.save_round(hand)
+    pressed: dict[str, float] = {}
+    lock = threading.Lock()
+
+    def walk(hand: int) -> None:
+        rng, gap = random.Random(hand), list[dict[str, Any]]()
+        for number in range(250):
+            name, at_s = f"{hand}-{number}", time.time()
+            one = sent(name, at_s, float(number), round=rounds[hand].key)
+            with lock:
+                pressed[key_of("press", rounds[hand].key, name)] = at_s
+            gap.append(one)
+            # The connection is gone for up to 2 s now and then.
+            if rng.random() < 0.1 or at_s - gap[0]["at_s"] > 2.0 or number == 249:
+                again = rng.sample(gap, len(gap) // 2)
+                answers = press(asked, *gap) + press(asked, *again)
+                assert {answer["state"] for answer in answers} == {"saved"}
+                gap.clear()
+            time.sleep(0.02 + 0.03 * rng.random())
+
+    with ThreadPoolExecutor(4) as hands:
+        list(hands.map(walk, range(4)))
+    kept = resources.waiting().captures()
+    feed.close()
+    assert len(pressed) == 1000
+    assert sorted(one.key for one in kept) == sorted(pressed)
+    times, blocks = np.array(taken).T
+    for one in kept:
+        at_s = pressed[one.key]
+        shown = np.isclose(blocks, block_m(one.load()), atol=2e-4)
+        # The nearest that the camera gave, but for frames older than 3 s, held four a second.
+        assert np.abs(times[shown] - at_s).min() < np.abs(times - at_s).min() + 0.3
+
+
+def block_m(capture: Capture) -> float:
+    """How far the recording's block is: 1 mm farther in each frame."""
+    return float(capture.depth_m[90, 150])

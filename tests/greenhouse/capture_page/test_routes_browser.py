@@ -1,0 +1,246 @@
+"""A press is one stop of its moment: by key and touch, offline and over a restart."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("pyrealsense2", exc_type=ImportError)
+
+from cucumbervision.capture.raw_frames import FrameRing
+from cucumbervision_greenhouse.backend.camera_process import CameraFolder
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
+
+WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
+
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
+
+
+class Walk:
+    """A round that a page of the camera's is open on; a recording plays in its place."""
+
+    def __init__(self, folder: Path, recording: Path, start: Callable[..., Any]) -> None:
+        self.folder, self.store = folder, folder / "house.db"
+        with open_store(self.store) as store:
+            store.save_round(WALK)
+        self._waiting = WaitingCaptures(waiting_folder(str(self.store)))
+        self.address = start(folder, "--store", str(self.store), "--replay", str(recording))
+        self.server: subprocess.Popen[bytes] = self.address.process
+
+    def kill(self) -> None:
+        """Kill the server."""
+        self.server.kill()
+        self.server.wait()
+
+    def start_again(self) -> None:
+        """Start it at its address."""
+        with (self.folder / "server.log").open("ab") as log:
+            self.server = subprocess.Popen(
+                self.server.args, stdout=log, stderr=log, cwd=self.folder
+            )
+
+    def kept(self) -> set[str]:
+        """Return the keys of all presses that were kept."""
+        waiting = {one.key for one in (*self._waiting.captures(), *self._waiting.set_aside())}
+        with open_store(self.store) as store:
+            return waiting | {one.key for one in store.stops(WALK.key)}
+
+    def pictures(self) -> set[float]:
+        """Return how far the block is in each picture: 1 mm farther in each frame."""
+        found = []
+        for one in (*self._waiting.captures(), *self._waiting.set_aside()):
+            depth_m = one.load().depth_m
+            found.append(float(depth_m[depth_m.shape[0] // 2, depth_m.shape[1] // 2]))
+        with open_store(self.store) as store:
+            for stop in store.stops(WALK.key):
+                record = store.stop(stop.key)
+                depth_m = stored_capture(store.images, record.captures[0], record).depth_m
+                found.append(float(depth_m[depth_m.shape[0] // 2, depth_m.shape[1] // 2]))
+        return set(np.round(found, 4))
+
+
+def opened(page: Any, walk: Walk) -> Any:
+    page.goto(f"{walk.address}/capture")
+    page.locator("button.take:enabled").wait_for()
+    page.wait_for_function("document.getElementById('color').naturalWidth > 0")
+    page.wait_for_timeout(2000)
+    return page
+
+
+def shot(page: Any, name: str) -> None:
+    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
+        page.wait_for_timeout(1500)
+        page.screenshot(path=Path(folder) / f"press-{name}.png")
+
+
+def wait_for_stops(page: Any, walk: Walk, number: int) -> None:
+    for _ in range(600):
+        if len(walk.kept()) >= number:
+            break
+        page.wait_for_timeout(200)
+    page.wait_for_timeout(3000)  # one too many would come now
+    assert len(walk.kept()) == number
+
+
+@pytest.fixture
+def walk(
+    tmp_path: Path, make_recording: Callable[..., Path], start_server: Callable[..., Any]
+) -> Iterator[Walk]:
+    walk = Walk(tmp_path, make_recording(tmp_path / "walk.db3", 300), start_server)
+    yield walk
+    walk.kill()
+    CameraFolder(walk.store.with_suffix(".frames") / "replay").end()
+
+
+def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[..., Any]) -> None:
+    page = opened(new_page(has_touch=True), walk)
+    page.keyboard.press("Enter")
+    wait_for_stops(page, walk, 1)
+    shot(page, "key")
+    page.locator("button.take").tap()
+    wait_for_stops(page, walk, 2)
+    shot(page, "touch")
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 3)
+    for key in ("Enter", "Space"):  # the button has the focus now
+        page.keyboard.press(key)
+        page.wait_for_timeout(300)
+    page.keyboard.down("Enter")
+    for _ in range(5):
+        page.keyboard.down("Enter")  # a key that is held repeats itself
+    page.keyboard.up("Enter")
+    wait_for_stops(page, walk, 6)
+    page.goto(f"{walk.address}/results")
+    page.goto(f"{walk.address}/capture")
+    page.locator("button.take:enabled").wait_for()
+    page.keyboard.press("Enter")
+    wait_for_stops(page, walk, 7)
+
+
+def test_presses_while_offline_each_get_their_picture(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.context.set_offline(True)
+    for _ in range(4):
+        page.locator("button.take").click()
+        page.wait_for_timeout(1000)
+    page.context.set_offline(False)
+    wait_for_stops(page, walk, 4)
+    shot(page, "offline")
+    assert len(walk.pictures()) == 4
+
+
+def test_capture_opens_and_takes_presses_while_the_server_is_away(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    found = page.request.get(f"{walk.address}/capture/capture.webmanifest").json()
+    assert (found["start_url"], found["display"]) == ("/capture", "standalone")
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    page.reload()  # from now on it is the worker's
+    page.locator("button.take:enabled").wait_for()
+    page.context.set_offline(True)
+    page.reload()
+    page.locator("button.take:enabled").wait_for()
+    page.locator("button.take").click()
+    page.get_by_text("1 press is kept on this device").wait_for()
+    page.context.set_offline(False)
+    wait_for_stops(page, walk, 1)
+    shot(page, "reloaded")
+
+
+def test_an_answer_that_is_cut_off_replaces_nothing_that_was_known(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.route("**/api/walk?*", lambda route: route.fulfill(status=200, body='{"round": "'))
+    for _ in range(2):
+        page.reload()
+        page.locator("button.take:enabled").wait_for()
+
+
+def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., Any]) -> None:
+    first, second = (opened(new_page(has_touch=True), walk) for _ in range(2))
+    for _ in range(3):
+        for page in (first, second):
+            page.locator("button.take").tap()
+        first.wait_for_timeout(600)
+    wait_for_stops(second, walk, 6)
+    with open_store(walk.store) as store:
+        while len(stops := store.stops(WALK.key)) < 6:
+            first.wait_for_timeout(500)
+    assert sorted(stop.step or 0 for stop in stops) == [1, 2, 3, 4, 5, 6]
+    assert len({(stop.row, stop.side, stop.position_m) for stop in stops}) == 6
+    # Each sees the other's stops.
+    for page in (first, second):
+        page.locator("#where").get_by_text("Stop 6").wait_for()
+
+
+def test_presses_while_the_server_was_killed_are_all_saved(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 1)
+    walk.kill()
+    for _ in range(4):
+        page.locator("button.take").click()
+        page.wait_for_timeout(700)
+    page.get_by_text("4 presses are kept on this device").wait_for()
+    walk.start_again()
+    wait_for_stops(page, walk, 5)
+    shot(page, "restart")
+    assert page.locator("#presses .refused").count() == 0
+
+
+def test_presses_whose_pictures_are_gone_are_said_with_their_place_and_the_walk_goes_back(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.locator("#position").fill("0.60")
+    page.locator("#step").fill("0.30")
+    page.locator("#step").blur()
+    page.context.set_offline(True)
+    for _ in range(3):
+        page.locator("button.take").click()
+        page.wait_for_timeout(300)
+    assert page.locator("#position").input_value() == "1.50"
+    page.wait_for_timeout(2500)
+    # As it is when the connection comes back after the ring's time.
+    for frame in FrameRing(walk.store.with_suffix(".frames") / "replay").frames()[:-3]:
+        frame.path.unlink(missing_ok=True)
+    page.context.set_offline(False)
+    page.get_by_text("3 lost: row 1, left, 0.60 to 1.20 m").wait_for()
+    shot(page, "lost")
+    assert page.locator("#position").input_value() == "0.60"
+    assert walk.kept() == set()
+    page.locator("#presses .refused button").click()
+    assert page.locator("#presses .refused").count() == 0
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 1)
+
+
+def test_a_line_that_is_half_open_is_said(walk: Walk, new_page: Callable[..., Any]) -> None:
+    page = opened(new_page(), walk)
+    assert page.locator("#lost").is_hidden()
+    os.kill(walk.server.pid, signal.SIGSTOP)  # its connections stay open, and bring nothing
+    try:
+        page.get_by_text("Connection to the camera computer lost").wait_for()
+        page.locator("button.take").click()
+        page.get_by_text("1 press is kept on this device").wait_for()
+    finally:
+        os.kill(walk.server.pid, signal.SIGCONT)
+    page.locator("#lost").wait_for(state="hidden")
+    wait_for_stops(page, walk, 1)

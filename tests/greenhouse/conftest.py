@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.source import example_captures
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_greenhouse.backend.camera_process import CameraFolder, stream
+from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, add_captures
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
+from cucumbervision_greenhouse.store.repository import Store, open_store
+
+WALK = Round(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
+LONG = Round(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
+FRUIT_PER_STOP = 5
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+SAID = logging.getLogger("page")
+PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
+
+
+def add_one(
+    store: Store, round_key: str, capture: Capture, options: MeasureOptions, key: str = ""
+) -> Added:
+    """Measure a capture as the dashboard does what waits, and save it under a key of its own."""
+    measurer = Measurer(options)
+    key = key or new_key()
+    item = RoundCapture.to_add(store, round_key, capture, measurer, key=key, keep=True)
+    [(_, added)] = add_all(store, [item], measurer, in_turn)
+    return added
+
+
+class ThreadRecorder:
+    """The camera's process as a thread, for tests that put something in the camera's place."""
+
+    def __init__(self, folder: Path) -> None:
+        self._thread = threading.Thread(target=stream, args=[CameraFolder(folder)], daemon=True)
+        self._thread.start()
+
+    def poll(self) -> int | None:
+        return None if self._thread.is_alive() else 0
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with one round: the bundled captures, measured on their own masks."""
+    path = tmp_path_factory.mktemp("made") / "house.db"
+    with open_store(path) as store:
+        store.save_round(WALK)
+        add_captures(store, WALK.key, [example_captures()], MeasureOptions(instances="auto"))
+    return path
+
+
+@pytest.fixture(autouse=True)
+def own_main() -> Iterator[None]:
+    """Streamlit puts a page in the place of `__main__`; a later test's processes would run it."""
+    main = sys.modules["__main__"]
+    yield
+    sys.modules["__main__"] = main
+
+
+@pytest.fixture
+def fresh_caches() -> Iterator[None]:
+    """Each test opens its own store, and lets it go."""
+    st = pytest.importorskip("streamlit")
+    st.cache_resource.clear()
+    st.cache_data.clear()
+    yield
+    st.cache_resource.clear()
+    st.cache_data.clear()
+
+
+@pytest.fixture
+def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same, to be changed; the dashboard's pages open it."""
+    path = tmp_path / "house.db"
+    shutil.copyfile(made, path)
+    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
+    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(example_captures()))
+    return path
+
+
+@pytest.fixture
+def store(house: Path) -> Iterator[Store]:
+    with open_store(house) as opened:
+        yield opened
+
+
+def long_round(store: Store, template: StopRecord, stops: int) -> None:
+    """Save a round of many stops, each with five fruit of drawn lengths, in four rows."""
+    rng = np.random.default_rng(5)
+    store.save_round(LONG)
+    capture = template.captures[0]
+    for number in range(stops):
+        row, at = divmod(number, max(1, stops // 4))
+        fruit = []
+        for k in range(FRUIT_PER_STOP):
+            one = capture.fruit[k % len(capture.fruit)]
+            length_m = float(rng.normal(0.26, 0.05))
+            fruit.append(
+                replace(
+                    one,
+                    number=k + 1,
+                    methods=one.methods[-2:],
+                    length=one.length
+                    and replace(
+                        one.length, value_m=length_m, low_m=0.98 * length_m, high_m=1.02 * length_m
+                    ),
+                    thread_m=length_m,
+                    centre_y_m=float(rng.uniform(-0.4, 0.4)),
+                    offset_m=float(rng.uniform(-0.2, 0.2)),
+                )
+            )
+        store.save_stop(
+            replace(
+                template,
+                key=key_of("long", number),
+                round_key=LONG.key,
+                row=str(row + 1),
+                position_m=round(0.4 * at, 2),
+                step=number + 1,
+                taken_s=1_700_100_000.0 + 10 * number,
+                captures=(replace(capture, fruit=tuple(fruit)),),
+            )
+        )
+
+
+@pytest.fixture(scope="session")
+def make_long() -> Callable[[Store, StopRecord, int], None]:
+    """Give `long_round`."""
+    return long_round
+
+
+class Address(str):
+    """A running server's address."""
+
+    process: subprocess.Popen[bytes]
+
+
+StartServer: TypeAlias = Callable[..., Address]
+
+
+@pytest.fixture(scope="module")
+def start_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartServer]:
+    """Start the real command in a folder and return its address; ended after the module."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(folder: Path, *arguments: str, **environment: str) -> Address:
+        code = "from cucumbervision.cli.app import main; main()"
+        for _ in range(5):  # another process may take the port before the server does
+            with socket.socket() as probe:
+                probe.bind(("127.0.0.1", 0))
+                port = int(probe.getsockname()[1])
+            command = [sys.executable, "-c", code, "dashboard", "--no-browser"]
+            with (folder / "server.log").open("ab") as log:
+                server = subprocess.Popen(
+                    [*command, "--port", str(port), *arguments],
+                    stdout=log,
+                    stderr=log,
+                    cwd=folder,
+                    env={**os.environ, **environment},
+                )
+            started.append(server)
+            if _answers(f"http://127.0.0.1:{port}", server):
+                address = Address(f"http://127.0.0.1:{port}")
+                address.process = server
+                return address
+        raise AssertionError((folder / "server.log").read_text())
+
+    yield start
+    for server in started:
+        server.terminate()
+    for server in started:
+        server.wait(PATIENCE_S)
+
+
+def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until and server.poll() is None:
+        try:
+            with urllib.request.urlopen(f"{address}/_stcore/health", timeout=10):
+                return True
+        except urllib.error.HTTPError:  # it answers strangers with 403
+            return True
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.2)
+    return False
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A real Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open an empty page in a browser context of its own; what it logged is shown on failure."""
+    contexts: list[Any] = []
+
+    def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
+        page = browser.new_page(viewport={"width": width, "height": height}, **how)
+        page.set_default_timeout(1000 * PATIENCE_S)
+        page.on("console", lambda line: SAID.warning("console: %s", line.text))
+        page.on("pageerror", lambda error: SAID.warning("page error: %s", error))
+        page.on("requestfailed", lambda one: SAID.warning("%s: %s", one.url, one.failure))
+        contexts.append(page.context)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()

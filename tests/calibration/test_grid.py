@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from cucumbervision.calibration.calibrated import calibrated_capture
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.grid import fit_grid
 from cucumbervision.calibration.site_calibration import calibrate_camera
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.errors import CalibrationError
-from cucumbervision.pipeline.measurer import calibrated_capture
 
 LENS = (0.10, -0.16, 0.0, 0.0, 0.0)
 CAMERA = Intrinsics(1280, 720, 912.0, 912.0, 638.0, 357.0)

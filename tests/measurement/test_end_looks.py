@@ -8,6 +8,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.instances.end_crops import EndCrop, EndLook
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.end_looks import DOUBTFUL, end_flag, with_end_looks
@@ -24,7 +25,6 @@ from cucumbervision.measurement.intervals import (
 )
 from cucumbervision.measurement.result import FruitMeasurement, MethodName, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.end_look import EndCrop, EndLook
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -34,7 +34,8 @@ def serve(
     """
     import os
 
-    from cucumbervision.service.server import TOKEN_VARIABLE, ServiceSettings, request_limits
+    from cucumbervision.access import TOKEN_VARIABLE
+    from cucumbervision.service.server import ServiceSettings, request_limits
     from cucumbervision.service.server import serve as run
 
     token = os.environ.get(TOKEN_VARIABLE, "")

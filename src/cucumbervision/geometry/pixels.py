@@ -1,4 +1,4 @@
-"""Pixel operations: medians of valid readings, a mask's outline, the depth across it."""
+"""Pixel operations: medians of readings, a mask's outline, the depth across it, colours at points."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+_GREY = 114  # outside a picture, as the padding of network inputs
 
 
 def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) -> NDArray[Any]:
@@ -120,3 +123,51 @@ def depth_across(
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z = depth_m[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(np.float64)
     return valid_median(z, inside & (z > 0), axis=1)
+
+
+def sample_color(
+    color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64], step_px: float
+) -> NDArray[np.uint8]:
+    """Return the colours at some points, averaged over their spacing where that is wide.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    points_px : ndarray of float64, shape (h, w, 2)
+        u, v of each pixel of the result; grey outside the picture.
+    step_px : float
+        Spacing of the points: above one pixel, the picture is shrunk to it first.
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+
+    Examples
+    --------
+    >>> picture = np.zeros((2, 4, 3), np.uint8)
+    >>> picture[:, 2:] = 200
+    >>> sample_color(picture, np.array([[[0.0, 0], [1.5, 0], [3, 0], [40, 0]]]), 1.0)[0, :, 0]
+    array([  0, 100, 200, 114], dtype=uint8)
+    """
+    import cv2
+
+    height, width = color_rgb.shape[:2]
+    low = np.clip(np.floor(points_px.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(int)
+    high = np.clip(np.ceil(points_px.max(axis=(0, 1))) + 3, low + 1, (width, height)).astype(int)
+    part = color_rgb[low[1] : high[1], low[0] : high[0]]
+    before = np.array([part.shape[1], part.shape[0]])
+    after = before
+    if step_px > 1:
+        after = np.maximum(np.rint(before / step_px), 1).astype(int)
+        part = np.asarray(cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+    places = ((points_px - low + 0.5) * (after / before) - 0.5).astype(np.float32)
+    sampled = cv2.remap(
+        part,
+        places[..., 0],
+        places[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(_GREY,) * 3,
+    )
+    return np.asarray(sampled, np.uint8)

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""
 
+LEAST_END_CONFIDENCE = 0.9
+"""Least probability at which a fruit's ends count as known."""
+
 SKELETON = ((0, 1), (1, 2), (2, 3), (3, 4))
 """Pairs of landmarks that a line joins."""
 

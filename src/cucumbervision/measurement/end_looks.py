@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from cucumbervision.instances.end_crops import EndCrop, EndLook, end_crop
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.measurement.flags import DOUBTFUL_END, Flag
 from cucumbervision.measurement.result import LengthDefinition, MethodName
 from cucumbervision.measurement.selector import with_length
-from cucumbervision.perception.end_look import EndCrop, EndLook, end_crop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

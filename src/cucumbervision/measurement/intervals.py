@@ -26,8 +26,8 @@ from cucumbervision.measurement.result import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.measurement.result import Measurement
-    from cucumbervision.perception.end_look import EndLook
 
 _LEAST_DOUBT = 0.01  # of a confidence: above 0.99 detectors do not discriminate
 PERCEIVED = " perceived"
@@ -219,7 +219,7 @@ def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
 
     Examples
     --------
-    >>> from cucumbervision.perception.end_look import EndLook
+    >>> from cucumbervision.instances.end_crops import EndLook
     >>> true = EndLook(0.98, 0.01, 0.01, (-0.01, -0.005, 0.0, 0.005, 0.02), 0.9)
     >>> covered = EndLook(0.1, 0.9, 0.0, (0.0, 0.1, 0.2, 0.3, 0.5), 0.1)
     >>> features = look_features((true, covered))

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.instances.instance import Instance, MaskSource
     from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
-    from cucumbervision.perception.end_look import EndLook
 
 
 class MethodName(StrEnum):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.instances.instance import MaskSource
+from cucumbervision.instances.instance import LEAST_END_CONFIDENCE, MaskSource
 from cucumbervision.instances.masks import mask_pixels
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.depth_doubts import depth_doubts
@@ -34,7 +34,6 @@ from cucumbervision.measurement.result import (
     Selector,
     calibration_key,
 )
-from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import expit
 
 from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.geometry.pixels import sample_color
 from cucumbervision.perception.classifier import PictureClassifier
-from cucumbervision.perception.resize import sample_color
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 STRIP_PX = (64, 192)
 """Height and width of a strip."""
 
-LEAST_END_CONFIDENCE = 0.9
-"""Least probability at which a fruit's ends count as known."""
 
 _BEYOND = 0.25  # of the fruit's length, shown beyond each end for the stalk
 _HALF_WIDTH = 0.25  # of the fruit's length, shown on either side

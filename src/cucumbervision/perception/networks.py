@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.instances.end_crops import EndCrop, EndLook
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.end_look import EndCrop, EndLook
 
 
 class Detectors:

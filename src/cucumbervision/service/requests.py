@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from starlette.exceptions import HTTPException
 
+from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision.service.server import is_loopback
 
 if TYPE_CHECKING:
     from starlette.datastructures import Headers

@@ -21,9 +21,9 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
+from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError
 from cucumbervision.service.requests import RequestError, bounded, check_source
-from cucumbervision.service.server import is_loopback
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, MutableMapping

@@ -12,8 +12,8 @@ from pathlib import Path
 import streamlit as st
 from starlette.middleware import Middleware
 
+from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.service.server import TOKEN_VARIABLE
 from cucumbervision_greenhouse.backend import resources
 from cucumbervision_greenhouse.backend.access import AccessGuard, Login
 from cucumbervision_greenhouse.capture_page.routes import routes

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
+from cucumbervision.access import TOKEN_VARIABLE, check_access
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.service.server import TOKEN_VARIABLE, check_access
 from cucumbervision_greenhouse.backend.settings import (
     IMAGES_VARIABLE,
     REPLAY_VARIABLE,

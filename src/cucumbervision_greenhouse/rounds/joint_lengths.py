@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from cucumbervision.calibration.calibrated import calibrated_fruit
 from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
 from cucumbervision.measurement.flags import Flag
@@ -21,7 +22,7 @@ from cucumbervision.measurement.matching import ALONG
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.fields import NumberedFruit
-from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
+from cucumbervision.pipeline.measurer import Boundary, Failure
 from cucumbervision_greenhouse.rounds.from_store import joint_groups, read_round
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import fruit_record, instance_of, stored_capture

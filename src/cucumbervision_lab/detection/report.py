@@ -15,8 +15,8 @@ from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.files import write_csv
+from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     comparable_readings,

@@ -15,7 +15,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.perception.end_look import end_crop
+from cucumbervision.instances.end_crops import end_crop
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.training.measured_ends import (

@@ -10,15 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.perception.end_look import (
-    END_PX,
-    ERROR_SCALE,
-    PLANES,
-    QUANTILES,
-    STATES,
-    EndLook,
-    looked_at,
-)
+from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndLook
+from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
 from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.classifier import (
     CHANNELS,

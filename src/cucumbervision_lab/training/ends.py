@@ -14,7 +14,8 @@ from scipy.special import expit
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orient
+from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
+from cucumbervision.perception.ends import STRIP_PX, orient
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.classifier import (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.instances.end_crops import EndCrop
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
@@ -16,12 +17,11 @@ from cucumbervision.measurement.intervals import (
     asks_the_look,
     look_features,
 )
-from cucumbervision.perception.end_look import EndCrop
 from cucumbervision_lab.benchmark.interval_fit import RAW_EDGES, TUBE_FEATURES, fit_interval_model
 
 if TYPE_CHECKING:
+    from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.measurement.end_looks import LookAtEnds
-    from cucumbervision.perception.end_look import EndLook
     from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.measured_ends import MeasuredFruit
 

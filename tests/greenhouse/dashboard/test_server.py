@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision.service.server import TOKEN_VARIABLE
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE, serve, server_arguments
 
 

@@ -9,14 +9,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision.perception.end_look import (  # noqa: E402
-    END_PX,
-    ERROR_SCALE,
-    PLANES,
-    QUANTILES,
-    EndCrop,
-    EndLooker,
-)
+from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
+from cucumbervision.perception.end_look import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.training.end_look import (  # noqa: E402

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cucumbervision.instances.end_crops import END_PX, PLANES, EndCrop, EndLook
 from cucumbervision.instances.mask_codes import Rle
 from cucumbervision.measurement.intervals import (
     LOOKED,
@@ -12,7 +13,6 @@ from cucumbervision.measurement.intervals import (
     look_features,
     shipped_interval_models,
 )
-from cucumbervision.perception.end_look import END_PX, PLANES, EndCrop, EndLook
 from cucumbervision_lab.training.end_crops import EndCrops
 from cucumbervision_lab.training.look_intervals import (
     SMALLEST_GROUP,

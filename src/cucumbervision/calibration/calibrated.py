@@ -1,0 +1,114 @@
+"""Apply a site's calibration to a capture's depth and to a fruit's length."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.calibration.corrections import Form, corrected
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Distortion
+from cucumbervision.errors import CalibrationError
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.result import (
+    FruitMeasurement,
+    IntervalBasis,
+    Length,
+    LengthDefinition,
+    calibration_key,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision.calibration.calibration_file import SiteCalibration
+
+
+_RANGE_MARGIN = 0.10
+
+
+def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
+    """Return a capture with its depth divided by the calibrated depth scale, and its lens.
+
+    Every length scales by 1 / scale: x = z (u - cx)/fx and y scale with the depth z as z itself
+    does. A depth gate in metres, such as M2's, keeps its width. The calibrated distortion takes
+    the place of the capture's own.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame as it was read.
+    site : SiteCalibration
+        The calibration.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration was made for another camera.
+    """
+    serial = capture.provenance.get("serial")
+    different = site.camera.difference(capture.intrinsics, str(serial) if serial else None)
+    if different:
+        raise CalibrationError(
+            f"calibration '{site.name}' was made for another camera: {different}",
+            source=capture.source or capture.name,
+            remedy="calibrate this camera, or measure it without --calibration",
+        )
+    if site.depth_scale is None:
+        return capture
+    intrinsics = capture.intrinsics
+    if site.lens is not None:
+        kind, numbers = Distortion.BROWN_CONRADY, site.lens.coefficients
+        intrinsics = replace(intrinsics, distortion=kind, coefficients=numbers)
+    depth_m = capture.depth_m / np.float32(site.depth_divisor)
+    return replace(capture, depth_m=depth_m, intrinsics=intrinsics)
+
+
+def calibrated_fruit(
+    fruit: FruitMeasurement,
+    site: SiteCalibration,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
+) -> FruitMeasurement:
+    """Return a fruit with its length corrected; the single methods stay as they were read.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        As `measure_fruit` returns it.
+    site : SiteCalibration
+        The calibration.
+    definition : LengthDefinition
+        The length that is wanted: the kind of truth whose correction applies.
+
+    Returns
+    -------
+    FruitMeasurement
+        With `calibration`, `raw_length` as read, the corrected `length` and, where the calibration
+        carries one, its interval. Where it does not cover the method, mask or length, the fruit is
+        unchanged but for a flag.
+    """
+    if site.depth_scale is not None:
+        fruit = replace(fruit, calibration=site.tag)
+    raw, method = fruit.length, fruit.method
+    if raw is None or method is None or not site.corrections:
+        return fruit
+    entry = site.entry(calibration_key(method, raw.kind), definition)
+    if entry is None:
+        return fruit.flagged(Flag.NOT_COVERED)
+    if (fruit.mask_source or "") not in entry.mask_sources:
+        return fruit.flagged(Flag.OTHER_MASK)
+    value_m = float(corrected(raw.value_m, entry.scale, entry.offset_m))
+    if value_m <= 0:
+        return fruit.flagged(Flag.OUTSIDE_RANGE)
+    # An interval from before belongs to the length as it was read.
+    length = raw if entry.form is Form.NONE else Length(value_m, entry.truth_kind)
+    done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
+    low_m, high_m = entry.raw_range_m
+    if not (1 - _RANGE_MARGIN) * low_m <= raw.value_m <= (1 + _RANGE_MARGIN) * high_m:
+        return done.flagged(Flag.OUTSIDE_RANGE)
+    half = entry.interval.half_width
+    if half is None:
+        return done
+    kind = entry.truth_kind
+    limits = value_m * (1 - half), value_m * (1 + half)
+    return replace(done, length=Length(value_m, kind, *limits, kind, IntervalBasis.OWN_TRUTH))

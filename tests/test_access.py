@@ -1,10 +1,6 @@
-"""The client against the command itself, on loopback."""
-
 from __future__ import annotations
 
 import pytest
-
-pytest.importorskip("fastapi")
 
 from cucumbervision.access import check_access
 from cucumbervision.errors import AccessError

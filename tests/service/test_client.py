@@ -25,7 +25,6 @@ from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.client import Client, ServiceError
 
-
 TOKEN = "a-token-of-the-tests"
 
 

@@ -1,11 +1,10 @@
-"""Pixel operations: medians of readings, a mask's outline, the depth across it, colours at points."""
+"""Pixel operations: medians of readings, a mask's outline, the depth across it, sampled colours."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -441,15 +441,10 @@ def judgement(folder: Path) -> None:
 
 
 def settings(folder: Path) -> None:
-    """Write the dashboard's settings and its login by OpenID Connect."""
+    """Write the dashboard's settings."""
     from cucumbervision_greenhouse.backend.settings import Settings, write_settings
 
     write_settings(Settings(unit="in"), folder / "house.settings.json")
-    (folder / "secrets.toml").write_text(
-        '[auth]\nredirect_uri = "https://a/b"\ncookie_secret = "s"\nclient_id = "c"\n'
-        'client_secret = "d"\nserver_metadata_url = "https://p/x"\n'
-        '[cucumbervision]\nadmitted = ["anna@example.org"]\n'
-    )
 
 
 def _data_set(folder: Path) -> Any:

@@ -213,19 +213,11 @@ def _judgement(folder: Path, _name: str) -> None:
         use_network(folder, registry=load_registry(user=Path(user)))
 
 
-def _settings(folder: Path, name: str) -> None:
-    from cucumbervision_greenhouse.backend.access import read_openid_connect
+def _settings(folder: Path, _name: str) -> None:
     from cucumbervision_greenhouse.backend.settings import read_settings
 
-    def units() -> None:
-        found = read_settings(folder / "house.settings.json")
-        _ = found.units, found.rates, found.options
-
-    reads: dict[str, Callable[[], object]] = {
-        "house.settings.json": units,
-        "secrets.toml": lambda: read_openid_connect((folder / "secrets.toml",)),
-    }
-    _those_of(reads, name)
+    settings = read_settings(folder / "house.settings.json")
+    _ = settings.units, settings.rates, settings.options
 
 
 def _published(folder: Path, name: str) -> None:
@@ -328,7 +320,7 @@ TARGETS: tuple[Target, ...] = (
     Target("detectors", seeds.detector, _detector, 50),
     Target("own networks", seeds.own_networks, _registry, 100),
     Target("judged networks", seeds.judgement, _judgement, 100, whole=False),
-    Target("settings, login", seeds.settings, _settings, 450),
+    Target("settings", seeds.settings, _settings, 450),
     Target("profiles, registry, audit", seeds.published, _published, 100),
     Target("COCO data sets", seeds.coco_set, _data_set, 100),
     Target("YOLO data sets", seeds.yolo_set, _data_set, 100),

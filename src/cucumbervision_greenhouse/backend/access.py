@@ -1,7 +1,7 @@
 """Who may open the dashboard: anyone on this machine; from elsewhere only with a login.
 
-Either the random token of the link that the program prints, as Jupyter has it, or an OpenID Connect
-provider by Streamlit's `st.login` with a list of whom it may admit.
+The login is the random token of the link that the program prints, as Jupyter has it. Accounts of an
+identity provider log in at a proxy in front, which sends the token and says who it is.
 """
 
 from __future__ import annotations
@@ -9,11 +9,7 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
-import time
-import tomllib
-from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
@@ -28,13 +24,13 @@ from cucumbervision.service.requests import RequestError, bounded, check_source
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 
-SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 COOKIE = "cucumbervision_token"
-TICKET = "cucumbervision_viewer"
 DEVICE = "cucumbervision_device"
+VIEWER = "x-forwarded-email"
+"""Header by which a proxy names the account that it logged in."""
+
 _DEVICE_S = 400 * 86400  # browsers keep no cookie longer
 _UPLOAD = "/_stcore/upload_file"
-_OWN = ("/api/", "/capture")  # routes that are none of Streamlit's, and so without its login
 _UNUSED = (_UPLOAD, "/_stcore/metrics", "/_stcore/agent", "/_stcore/script-health-check")
 _HEADERS = {
     "x-frame-options": "SAMEORIGIN",
@@ -45,127 +41,31 @@ _HEADERS = {
 # Bytes of a body: of a part of a file, of the list of an upload's files, of all else.
 _MOST_PART, _MOST_LIST, _MOST_ASKED = 16 * 2**20, 4 * 2**20, 256 * 2**10
 _BODY_S, _SILENCE_S = 600.0, 30.0
-_MOST_VIEWERS = 10_000  # sessions that are remembered
-_OIDC_SHARED = ("redirect_uri", "cookie_secret")
-_OIDC_PROVIDER = ("client_id", "client_secret", "server_metadata_url")
 
 
 class Login(StrEnum):
     """How viewers log in."""
 
     NONE = "none"
-    OIDC = "oidc"
     TOKEN = "token"
 
 
-def decide_login(address: str, *, oidc: bool, always: bool = False) -> Login:
+def decide_login(address: str, *, always: bool = False) -> Login:
     """Return how viewers of a server log in.
 
     Parameters
     ----------
     address : str
         What the server binds to.
-    oidc : bool
-        Whether OpenID Connect is set up.
     always : bool
         Require a login on this machine too: for a server behind a proxy that others reach.
 
     Examples
     --------
-    >>> decide_login("localhost", oidc=False), decide_login("0.0.0.0", oidc=False)
+    >>> decide_login("localhost"), decide_login("0.0.0.0")
     (<Login.NONE: 'none'>, <Login.TOKEN: 'token'>)
     """
-    if is_loopback(address) and not always:
-        return Login.NONE
-    return Login.OIDC if oidc else Login.TOKEN
-
-
-@dataclass(frozen=True)
-class OpenIdConnect:
-    """Login by accounts of an OpenID Connect provider.
-
-    Parameters
-    ----------
-    providers : tuple of str
-        Names in [auth.NAME]; empty for the one provider of [auth] itself.
-    admitted : frozenset of str
-        E-mail addresses in lower case, and subject identifiers (`sub`), which have no '@'.
-    """
-
-    providers: tuple[str, ...]
-    admitted: frozenset[str]
-
-    def admits(self, claims: Mapping[str, Any]) -> bool:
-        """Return whether an ID token is younger than `SESSION_S` and names somebody admitted.
-
-        An e-mail address counts only if the provider says that it verified it. The token's age
-        counts because Streamlit's cookie would keep the login for 30 days.
-
-        Examples
-        --------
-        >>> only_anna = OpenIdConnect((), frozenset({"anna@example.org"}))
-        >>> token = {"iat": time.time(), "email": "Anna@example.org"}
-        >>> only_anna.admits(token | {"email_verified": True}), only_anna.admits(token)
-        (True, False)
-        """
-        if time.time() > float(claims.get("iat") or 0) + SESSION_S:
-            return False
-        email, subject = str(claims.get("email", "")).lower(), str(claims.get("sub", ""))
-        if "@" in email and claims.get("email_verified") is True and email in self.admitted:
-            return True
-        return "@" not in subject and subject in self.admitted
-
-
-def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect | None:
-    """Return the login by OpenID Connect that Streamlit's secrets files set up; None for none.
-
-    Parameters
-    ----------
-    files : tuple of Path, optional
-        By default `~/.streamlit/secrets.toml` and `.streamlit/secrets.toml`; later ones override
-        earlier ones, as in Streamlit.
-
-    Raises
-    ------
-    AccessError
-        If a file is not TOML, [auth] lacks a key that `st.login` needs, or [cucumbervision] has no
-        list `admitted`: anyone with an account at a public provider could log in.
-    """
-    if files is None:
-        files = tuple(at / ".streamlit" / "secrets.toml" for at in (Path.home(), Path.cwd()))
-    document: dict[str, Any] = {}
-    for path in files:
-        try:
-            document |= tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            continue
-        except (OSError, ValueError, RecursionError) as error:
-            raise AccessError(
-                f"cannot be read ({error})", source=path, remedy="correct it"
-            ) from None
-    auth, own = document.get("auth"), document.get("cucumbervision")
-    if auth is None:
-        return None
-    auth = auth if isinstance(auth, dict) else {}
-    named = {name: part for name, part in auth.items() if isinstance(part, dict)}
-    missing = [key for key in _OIDC_SHARED if not auth.get(key)]
-    missing += [k for k in _OIDC_PROVIDER if not all(p.get(k) for p in named.values() or [auth])]
-    if missing:
-        raise AccessError(
-            f"[auth] has no {' and '.join(missing)}",
-            source="secrets.toml",
-            remedy="see Streamlit's page on st.login",
-        )
-    admitted = own.get("admitted") if isinstance(own, dict) else None
-    if not isinstance(admitted, list) or not admitted:
-        raise AccessError(
-            "[auth] is set up, but nobody is admitted",
-            source="secrets.toml",
-            remedy='add [cucumbervision] with admitted = ["name@example.org"]',
-        )
-    # Addresses are compared without regard to case, subject identifiers exactly.
-    names = {str(one).lower() if "@" in str(one) else str(one) for one in admitted}
-    return OpenIdConnect(tuple(named), frozenset(names))
+    return Login.NONE if is_loopback(address) and not always else Login.TOKEN
 
 
 def device_of(cookies: Mapping[str, str]) -> str:
@@ -182,9 +82,6 @@ def device_of(cookies: Mapping[str, str]) -> str:
     return name if re.fullmatch(r"[\w-]{1,64}", name, re.ASCII) else ""
 
 
-_viewers: dict[str, tuple[Callable[[], bool], str]] = {}
-
-
 def is_encrypted(request: HTTPConnection) -> bool:
     """Tell whether a browser asks by https, also where a proxy before this server answers it.
 
@@ -198,26 +95,6 @@ def is_encrypted(request: HTTPConnection) -> bool:
     return "https" in (request.scope.get("scheme"), told)
 
 
-def note_viewer(session: str, is_admitted: Callable[[], bool] | None, name: str = "") -> None:
-    """Note who is behind a page, for what that page sends outside Streamlit's connection.
-
-    Parameters
-    ----------
-    session : str
-        Streamlit's identifier of the page's session, which nobody else knows; the page sends it
-        as the cookie `TICKET`.
-    is_admitted : callable, optional
-        Whether the viewer is still logged in, asked each time; None for one who is not.
-    name : str
-        Who that is, for the log of corrections.
-    """
-    _viewers.pop(session, None)
-    if is_admitted is not None:
-        _viewers[session] = is_admitted, name
-    while len(_viewers) > _MOST_VIEWERS:
-        del _viewers[next(iter(_viewers))]
-
-
 class AccessGuard:
     """ASGI middleware that refuses strangers before Streamlit sees their request.
 
@@ -229,8 +106,8 @@ class AccessGuard:
       machine operates nothing.
     - With a token, its cookie; the link `?token=…` sets it. The cookie is not the token itself:
       browsers send cookies to every port of a host.
-    - With OpenID Connect, Streamlit's pages ask for the login; what is sent outside their
-      connection (uploads, presses, pictures, news) needs the session of one who is logged in.
+    - A proxy that logs people in sends the token as `Authorization: Bearer` instead. Who it says
+      that they are (`VIEWER`) signs their corrections; from anybody else that header is removed.
     - A body is limited while it is read.
 
     Parameters
@@ -262,6 +139,7 @@ class AccessGuard:
             status = 400 if isinstance(error, RequestError) else 403
             await _refuse(scope, receive, send, f"{error.code}: {error}", status)
             return
+        scope = self._with_viewer(scope, request)
         query = dict(request.query_params)
         is_link = scope.get("method") == "GET" and self._is_token(query.pop("token", ""))
         if self._login is Login.TOKEN and is_link:
@@ -284,16 +162,22 @@ class AccessGuard:
     def _admits(self, request: HTTPConnection) -> bool:
         if any(unused in request.scope["path"] for unused in _UNUSED):
             return False
-        if self._login is Login.TOKEN:
-            return self._is_token(request.cookies.get(COOKIE, ""), cookie_of(self._token))
-        return self._login is Login.NONE or self._is_logged_in(request)
-
-    def _is_logged_in(self, request: HTTPConnection) -> bool:
-        if not request.scope["path"].startswith(_OWN):
+        if self._login is Login.NONE or self._is_proxy(request):
             return True
-        session = request.cookies.get(TICKET, "")
-        is_admitted, request.scope["viewer"] = _viewers.get(session, (None, ""))
-        return is_admitted is not None and is_admitted()
+        return self._is_token(request.cookies.get(COOKIE, ""), cookie_of(self._token))
+
+    def _is_proxy(self, request: HTTPConnection) -> bool:
+        scheme, _, token = request.headers.get("authorization", "").partition(" ")
+        return scheme.lower() == "bearer" and self._is_token(token.strip())
+
+    def _with_viewer(
+        self, scope: MutableMapping[str, Any], request: HTTPConnection
+    ) -> MutableMapping[str, Any]:
+        """Return a request that names its viewer only if the proxy says who that is."""
+        if self._login is Login.TOKEN and self._is_proxy(request):
+            return {**scope, "viewer": request.headers.get(VIEWER, "")}
+        headers = [(name, value) for name, value in scope["headers"] if name != VIEWER.encode()]
+        return {**scope, "headers": headers}
 
     def _is_token(self, sent: str, expected: str = "") -> bool:
         right = (expected or self._token).encode()
@@ -303,8 +187,6 @@ class AccessGuard:
     def _refusal(self) -> str:
         if self._login is Login.TOKEN:
             return "Open the link that the program printed at its start; it contains the token."
-        if self._login is Login.OIDC:
-            return "Log in first."
         return "This dashboard is open on its own machine only, at http://localhost."
 
 

@@ -23,7 +23,7 @@ from cucumbervision.errors import CucumberVisionError, StoreError
 from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision_greenhouse.agronomy.forecast import Forecast
-from cucumbervision_greenhouse.backend.access import device_of
+from cucumbervision_greenhouse.backend.access import VIEWER, device_of
 from cucumbervision_greenhouse.backend.camera_feed import PREVIEW_FPS, CameraFeed
 from cucumbervision_greenhouse.backend.fruit_pictures import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision_greenhouse.backend.jobs import Job, Worker
@@ -87,11 +87,10 @@ def store() -> Store:
 
 
 def _who() -> tuple[str, str]:
-    """Return who is logged in by OpenID Connect, else 'dashboard', and from which device."""
+    """Return whom the proxy logged in, else 'dashboard', and from which device."""
     if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
         return "dashboard", ""
-    name = str(st.user.get("email") or st.user.get("sub") or "dashboard")
-    return name, device_of(st.context.cookies)
+    return st.context.headers.get(VIEWER) or "dashboard", device_of(st.context.cookies)
 
 
 @st.cache_resource(show_spinner=False)

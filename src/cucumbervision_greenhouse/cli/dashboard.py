@@ -38,7 +38,7 @@ def dashboard(
 ) -> None:
     """Capture, review and forecast rounds in a browser. Needs the extra 'dashboard'.
 
-    Other machines need the token in the printed link, or a login by OpenID Connect.
+    Other machines need the token in the printed link, or a proxy that logs people in.
     """
     from cucumbervision_greenhouse.backend.settings import default_store
     from cucumbervision_greenhouse.dashboard.server import serve

@@ -256,16 +256,10 @@ def finished_job(key: str) -> Job | None:
     return job if job is not None and job.finished else None
 
 
-def live(ticket: str = "") -> None:
-    """Show the work that goes on, and draw the page anew whenever its round changes.
-
-    Parameters
-    ----------
-    ticket : str
-        By which the viewer is known outside Streamlit's pages, where a provider logs in.
-    """
+def live() -> None:
+    """Show the work that goes on, and draw the page anew whenever its round changes."""
     opened = st.session_state.get("round") or ""
-    data = {"round": opened, "version": resources.news(opened)["version"], "ticket": ticket}
+    data = {"round": opened, "version": resources.news(opened)["version"]}
     component("live")(key="live", data=data, on_changed_change=lambda: None)
 
 

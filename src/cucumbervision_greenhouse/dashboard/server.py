@@ -98,14 +98,14 @@ def serve(
     MissingExtraError
         If the extra 'dashboard' is not installed.
     AccessError
-        If OpenID Connect is set up incompletely, or the token of the environment is short.
+        If the token of the environment is short.
     CucumberVisionError
         If the replay does not exist.
     """
     require_extra()
-    from cucumbervision_greenhouse.backend.access import Login, decide_login, read_openid_connect
+    from cucumbervision_greenhouse.backend.access import Login, decide_login
 
-    how = decide_login(address, oidc=read_openid_connect() is not None, always=login)
+    how = decide_login(address, always=login)
     os.environ[LOGIN_VARIABLE] = how.value
     place = f"http://{_shown_host(address)}:{port}"
     if how is Login.TOKEN:

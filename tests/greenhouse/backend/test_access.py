@@ -1,35 +1,26 @@
-"""Who is admitted: by the address, by the token, and by an OpenID Connect provider's list."""
+"""Who is admitted: by the address, by the token, and by a proxy that logs people in."""
 
 from __future__ import annotations
 
 import asyncio
-import time
-from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision.errors import AccessError
 from cucumbervision_greenhouse.backend.access import (
     COOKIE,
     DEVICE,
-    SESSION_S,
-    TICKET,
+    VIEWER,
     AccessGuard,
     Login,
-    OpenIdConnect,
     cookie_of,
     decide_login,
     device_of,
-    note_viewer,
-    read_openid_connect,
 )
 
-AUTH = '[auth]\nredirect_uri = "https://a/oauth2callback"\ncookie_secret = "x"\n'
-CLIENT = 'client_id = "a"\nclient_secret = "b"\nserver_metadata_url = "https://c"\n'
-ADMITTED = '[cucumbervision]\nadmitted = ["Anna@example.org", "248289761001"]\n'
 TOKEN = "a-token-of-this-test-only"
 
 
@@ -70,15 +61,13 @@ def ask(
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "localhost", "::1"])
 def test_this_machine_needs_no_login_unless_asked_for(address: str) -> None:
-    assert decide_login(address, oidc=True) is Login.NONE
-    assert decide_login(address, oidc=True, always=True) is Login.OIDC
-    assert decide_login(address, oidc=False, always=True) is Login.TOKEN
+    assert decide_login(address) is Login.NONE
+    assert decide_login(address, always=True) is Login.TOKEN
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "::", "192.168.1.5", "greenhouse.local", ""])
 def test_other_addresses_need_one(address: str) -> None:
-    assert decide_login(address, oidc=False) is Login.TOKEN
-    assert decide_login(address, oidc=True) is Login.OIDC
+    assert decide_login(address) is Login.TOKEN
 
 
 @pytest.mark.parametrize(
@@ -150,7 +139,7 @@ def test_behind_https_the_cookie_is_sent_by_no_other_way(proto: str) -> None:
     assert ("Secure" in cookie) == proto.startswith("https")
 
 
-LOGINS = [(Login.NONE, ""), (Login.OIDC, ""), (Login.TOKEN, TOKEN)]
+LOGINS = [(Login.NONE, ""), (Login.TOKEN, TOKEN)]
 BROKEN = [
     "[",
     "[::1",
@@ -191,9 +180,7 @@ def test_a_malformed_host_or_origin_is_refused_by_name_before_any_login(
 def test_every_route_and_socket_refuses_pages_of_another_port(
     login: tuple[Login, str], path: str
 ) -> None:
-    note_viewer("anna", lambda: True)
-    cookie = f"{COOKIE}={cookie_of(TOKEN)}; {TICKET}=anna"
-    here = {"host": "localhost:8501", "cookie": cookie}
+    here = {"host": "localhost:8501", "cookie": f"{COOKIE}={cookie_of(TOKEN)}"}
     for kind in ("http", "websocket"):
         assert ask(login, path, kind=kind, **here)[0]
         assert ask(login, path, kind=kind, origin="http://LOCALHOST:8501", **here)[0]
@@ -202,7 +189,6 @@ def test_every_route_and_socket_refuses_pages_of_another_port(
     link = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
     assert ask(login, path, **here, **link, **{"sec-fetch-dest": "document"})[0]
     assert not ask(login, path, **here, **link, **{"sec-fetch-dest": "iframe"})[0]
-    note_viewer("anna", None)
 
 
 @pytest.mark.parametrize("path", ["/", "/_stcore/health", "/_stcore/upload_file/eve/1"])
@@ -220,16 +206,41 @@ def test_the_token_leads_to_no_other_site() -> None:
     assert dict(sent[0]["headers"])[b"location"] == b"/evil.example/x"
 
 
-def test_with_a_provider_the_other_routes_need_the_session_of_a_viewer() -> None:
-    admitted = [True]
-    note_viewer("anna", lambda: admitted[0], "anna@example.org")
-    for path in ("/capture", "/api/press"):
-        assert not ask((Login.OIDC, ""), path)[0]
-        assert not ask((Login.OIDC, ""), path, cookie=f"{TICKET}=eve")[0]
-        assert ask((Login.OIDC, ""), path, cookie=f"{TICKET}=anna")[0]
-    admitted[0] = False
-    assert not ask((Login.OIDC, ""), "/api/preview", kind="websocket", cookie=f"{TICKET}=anna")[0]
-    note_viewer("anna", None)
+@pytest.mark.parametrize(
+    ("login", "authorization", "viewer"),
+    [
+        ((Login.TOKEN, TOKEN), f"Bearer {TOKEN}", "anna@example.org"),
+        ((Login.TOKEN, TOKEN), f"bearer  {TOKEN}", "anna@example.org"),
+        ((Login.TOKEN, TOKEN), "", None),  # admitted by the cookie: it may not say who it is
+        ((Login.NONE, ""), "", None),
+        ((Login.NONE, ""), "Bearer ", None),
+    ],
+)
+def test_only_a_proxy_that_sends_the_token_says_who_the_viewer_is(
+    login: tuple[Login, str], authorization: str, viewer: str | None
+) -> None:
+    scopes = list[dict[str, Any]]()
+
+    async def app(scope: dict[str, Any], _receive: object, _send: object) -> None:
+        scopes.append(scope)
+
+    headers = {"host": "localhost", "cookie": f"{COOKIE}={cookie_of(TOKEN)}"}
+    headers |= {"authorization": authorization, VIEWER: "anna@example.org"}
+    for kind in ("http", "websocket"):
+        scope: dict[str, Any] = {"type": kind, "path": "/", "method": "GET", "query_string": b""}
+        scope["headers"] = [(name.encode(), value.encode()) for name, value in headers.items()]
+        asyncio.run(AccessGuard(app, *login)(scope, AsyncMock(), AsyncMock()))
+    for scope in scopes:
+        assert scope.get("viewer") == viewer
+        assert dict(scope["headers"]).get(VIEWER.encode(), b"").decode() == (viewer or "")
+    assert len(scopes) == 2
+
+
+@pytest.mark.parametrize("authorization", ["", "Bearer", "Bearer wrong", f"Basic {TOKEN}", TOKEN])
+def test_a_proxy_with_another_token_is_refused(authorization: str) -> None:
+    named = {"authorization": authorization, VIEWER: "anna@example.org"}
+    assert not ask((Login.TOKEN, TOKEN), "/", host="house", **named)[0]
+    assert not ask((Login.TOKEN, ""), "/", host="house", **named)[0]
 
 
 def test_a_page_of_another_site_sends_nothing_and_frames_nothing() -> None:
@@ -251,55 +262,3 @@ def test_routes_of_streamlit_s_that_no_page_needs_are_closed(login: tuple[Login,
             asked = ask(login, f"{base}/_stcore/{path}", host="localhost", cookie=cookie)
             assert not asked[0]
     assert ask(login, "/_stcore/health", host="localhost", cookie=cookie)[0]
-
-
-def test_openid_connect_must_be_complete_and_admit_somebody(tmp_path: Path) -> None:
-    path = tmp_path / "secrets.toml"
-
-    def read(text: str) -> OpenIdConnect | None:
-        path.write_text(text)
-        return read_openid_connect((tmp_path / "none.toml", path))
-
-    assert read_openid_connect((path,)) is None
-    assert read('other = "x"\n') is None
-    one = read(AUTH + CLIENT + ADMITTED)
-    assert one is not None
-    assert one.providers == ()
-    assert one.admitted == {"anna@example.org", "248289761001"}
-    named = read(AUTH + "[auth.house]\n" + CLIENT + ADMITTED)
-    assert named is not None
-    assert named.providers == ("house",)
-    for text, message in (
-        (AUTH + ADMITTED, "has no client_id and client_secret and server_metadata_url"),
-        ("[auth]\n" + CLIENT + ADMITTED, "has no redirect_uri and cookie_secret"),
-        (AUTH + CLIENT, "nobody is admitted"),
-        (AUTH + CLIENT + "[cucumbervision]\nadmitted = []", "nobody is admitted"),
-        ("[auth", "cannot be read"),
-    ):
-        with pytest.raises(AccessError, match=message):
-            read(text)
-
-
-@pytest.mark.parametrize(
-    ("claims", "admitted"),
-    [
-        ({"sub": "1", "email": "ANNA@example.org", "email_verified": True}, True),
-        ({"sub": "248289761001"}, True),
-        ({"sub": "1", "email": "anna@example.org", "email_verified": False}, False),
-        ({"sub": "1", "email": "anna@example.org"}, False),
-        ({"sub": "anna@example.org"}, False),
-        ({"sub": "1", "email": "248289761001", "email_verified": True}, False),
-        ({"sub": "1", "email": "eve@example.org", "email_verified": True}, False),
-        ({}, False),
-    ],
-)
-def test_admitted_are_verified_addresses_and_subjects(
-    claims: dict[str, Any], admitted: bool, tmp_path: Path
-) -> None:
-    path = tmp_path / "secrets.toml"
-    path.write_text(AUTH + CLIENT + ADMITTED)
-    oidc = read_openid_connect((path,))
-    assert oidc is not None
-    assert oidc.admits({**claims, "iat": time.time()}) is admitted
-    assert not oidc.admits({**claims, "iat": time.time() - SESSION_S - 1})
-    assert not oidc.admits(claims)

@@ -65,7 +65,6 @@ function listen() {
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
   if (data.go) { location.replace(data.go); return; }
-  if (data.ticket) document.cookie = `cucumbervision_viewer=${data.ticket}; Path=/; SameSite=Strict${location.protocol === "https:" ? "; Secure" : ""}`;
   Object.assign(own, { root, trigger: setTriggerValue, version: data.version });
   if (own.round !== data.round) {
     own.round = data.round;

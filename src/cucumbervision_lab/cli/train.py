@@ -299,11 +299,23 @@ def look(
         list[Path], typer.Argument(help="Drawn sets with depth (`synth`).", metavar="SET...")
     ],
     out: Folder,
-    init: First,
+    init: Annotated[
+        str,
+        typer.Option("--init", help="Weights of YOLO26n-seg (.pt), or an earlier look's (.pt)."),
+    ],
     name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-look",
     epochs: Epochs = 8,
     seed: Seed = 0,
     threads: Threads = 0,
+    leaves: Annotated[
+        Path | None,
+        typer.Option(
+            "--leaves",
+            help="Leaves cut out of photos (PNG with transparency), laid over, beside and behind "
+            "ends to train on.",
+            metavar="DIR",
+        ),
+    ] = None,
     credit: Credit = None,
 ) -> None:
     """Train the network that looks at each end of a fruit, and write it with its card.
@@ -320,6 +332,7 @@ def look(
     from cucumbervision_lab.benchmark.interval_fit import write_interval_models
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.synthesis.covers import read_pieces
     from cucumbervision_lab.training.end_crops import EndCrops, collect_set
     from cucumbervision_lab.training.end_look import LookOptions, train_look, write_look_card
     from cucumbervision_lab.training.look_intervals import (
@@ -330,11 +343,13 @@ def look(
     )
 
     out.mkdir(parents=True, exist_ok=True)
+    pieces = () if leaves is None else read_pieces(leaves)
     parts = []
     for number, folder in enumerate(sets):
         opened = open_dataset(folder)
         with ticking("measuring ends", len(opened.pictures)) as tick:
-            parts.append(collect_set(opened, out / f"ends-{number}.jsonl", seed, tick))
+            keep = out / f"ends-{number}.jsonl"
+            parts.append(collect_set(opened, keep, seed, tick, pieces))
     with ticking("training", epochs) as tick:
         options = LookOptions(
             epochs,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.instances.end_crops import end_crop
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.pictures import capture_of
+from cucumbervision_lab.synthesis.covers import FruitPicture, cover_end
 from cucumbervision_lab.training.measured_ends import (
     camera_of,
     is_held_out,
@@ -28,11 +29,15 @@ from cucumbervision_lab.training.measured_ends import (
 
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-    from cucumbervision_lab.training.measured_ends import MeasuredFruit
+    from cucumbervision_lab.synthesis.paste import Cutout
+    from cucumbervision_lab.training.measured_ends import EndTruth, MeasuredFruit
 
 MISSING = 0.05
 """Share of a fruit's length from which an end counts as covered, or as running on."""
 
+_TRUE_END = 0.03  # of the length: an end that lies no farther off is covered from there
+_END_OFF = 0.2  # radii by which a covered end errs (standard deviation)
+_LEAST_RADIUS_PX, _AROUND_RADII = 4.0, 7.0  # of fruit whose ends are covered; the part around them
 _MOVED_SD = 0.7  # radii that a further copy of each end of training is moved along the axis
 
 
@@ -82,11 +87,18 @@ class EndCrops:
         """Return the crops of several sets as one; fruit are numbered on."""
         first = np.cumsum([0, *(int(part.fruit.max(initial=-1)) + 1 for part in parts)])
         fruit = [part.fruit + k for part, k in zip(parts, first, strict=False)]
-        columns = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in cls.__dataclass_fields__
-        }
-        return cls(**(columns | {"fruit": np.concatenate(fruit)}))
+        numbered = zip(parts, fruit, strict=True)
+        return cls.stacked([replace(part, fruit=numbers) for part, numbers in numbered])
+
+    @classmethod
+    def stacked(cls, parts: Sequence[EndCrops]) -> EndCrops:
+        """Return several crops of the same fruit as one."""
+        return cls(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in cls.__dataclass_fields__
+            )
+        )
 
     def only(self, chosen: NDArray[Any]) -> EndCrops:
         """Return some of the crops."""
@@ -150,6 +162,10 @@ def collect_end_crops(
         raise TrainingError(
             "no measured fruit", source=data.folder, remedy="give a drawn set with depth"
         )
+    return _of_rows(rows)
+
+
+def _of_rows(rows: Sequence[tuple[Any, ...]]) -> EndCrops:
     planes, shapes, missing, stem, numbers, moved, held = zip(*rows, strict=True)
     count = len(rows)
     return EndCrops(
@@ -164,12 +180,106 @@ def collect_end_crops(
     )
 
 
+def collect_covered_ends(
+    fruit: Sequence[MeasuredFruit],
+    data: DataSet,
+    pieces: Sequence[Cutout],
+    seed: int = 0,
+) -> EndCrops | None:
+    """Cut out true ends of training over, beside or behind which real leaves or stems were laid.
+
+    Parameters
+    ----------
+    fruit : sequence of MeasuredFruit
+        Of `labelled_fruit`, those of a picture one after the other.
+    data : DataSet
+        Their set.
+    pieces : sequence of Cutout
+        Leaves (`read_pieces`).
+    seed : int
+        Random seed.
+
+    Returns
+    -------
+    EndCrops or None
+        None without an end to lay anything over.
+
+    Raises
+    ------
+    CaptureError
+        If a picture cannot be read.
+    """
+    pictures = {picture.file: picture for picture in data.pictures}
+    rng, rows = np.random.default_rng(seed), []
+    learnt = [
+        (number, measured)
+        for number, measured in enumerate(fruit)
+        if not (measured.cut or is_held_out(measured.scene))
+    ]
+    for file, group in groupby(learnt, lambda entry: entry[1].picture):
+        color = read_color(data.path(pictures[file]))
+        capture = capture_of(pictures[file], data, color) or _without_depth(pictures[file], color)
+        for number, measured in group:
+            axis = np.array(measured.axis_m)
+            for line, end in ((axis, measured.ends[0]), (axis[::-1], measured.ends[1])):
+                if abs(end.missing_m) <= _TRUE_END * measured.true_m[0]:
+                    row = _covered_row(number, measured, line, end, capture, pieces, rng)
+                    rows += [] if row is None else [row]
+    return _of_rows(rows) if rows else None
+
+
+def _covered_row(
+    number: int,
+    fruit: MeasuredFruit,
+    line_m: NDArray[np.float64],
+    end: EndTruth,
+    capture: Capture,
+    pieces: Sequence[Cutout],
+    rng: np.random.Generator,
+) -> tuple[Any, ...] | None:
+    mask, radius_m = fruit.mask.decode(), fruit.diameter_m / 2
+    radius_px = radius_m * capture.intrinsics.fx_px / float(line_m[0, 2])
+    if radius_px < _LEAST_RADIUS_PX:
+        return None
+    axis_px = capture.intrinsics.project(line_m)
+    margin = _AROUND_RADII * radius_px
+    x1, y1 = np.maximum(axis_px.min(axis=0) - margin, 0).astype(int)
+    x2, y2 = (axis_px.max(axis=0) + margin + 1).astype(int)
+    part = np.s_[y1:y2, x1:x2]
+    has_depth = bool(valid_depth(capture.depth_m).any())
+    covered = cover_end(
+        FruitPicture(capture.color[part], capture.depth_m[part], mask[part]),
+        axis_px - (x1, y1),
+        radius_px,
+        pieces,
+        rng,
+        surface_m=float(line_m[min(4, len(line_m) - 1), 2]) - radius_m if has_depth else 0.0,
+        radius_m=radius_m,
+    )
+    if covered is None:
+        return None
+    picture, share = covered
+    color, depth_m, visible = capture.color.copy(), capture.depth_m.copy(), np.zeros_like(mask)
+    color[part], depth_m[part], visible[part] = picture.color, picture.depth_m, picture.mask
+    by_m = float(rng.normal(0, _END_OFF)) * radius_m
+    axis_m = moved_axis(points_along(line_m, np.linspace(share, 1, len(line_m))), by_m)
+    crop = end_crop(color, depth_m, visible, capture.intrinsics, axis_m, fruit.diameter_m)
+    lost_m = share * float(arc_positions(line_m)[-1])
+    missing = (end.missing_m + lost_m - by_m) / fruit.true_m[0]
+    stem = np.nan if end.is_stem is None else float(end.is_stem)
+    return crop.planes, crop.shape, missing, stem, number, False, False
+
+
 def _without_depth(picture: LabelledPicture, color: NDArray[np.uint8]) -> Capture:
     return Capture(color, np.zeros(color.shape[:2], np.float32), camera_of(picture), picture.file)
 
 
 def collect_set(
-    data: DataSet, keep: Path, seed: int = 0, progress: Callable[[int], None] | None = None
+    data: DataSet,
+    keep: Path,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+    pieces: Sequence[Cutout] = (),
 ) -> tuple[list[MeasuredFruit], EndCrops]:
     """Measure the fruit of a drawn set, and cut out their ends.
 
@@ -186,6 +296,8 @@ def collect_set(
         Random seed of the labels' errors and of the moves.
     progress : callable, optional
         Called with 1 after each picture that was measured.
+    pieces : sequence of Cutout
+        Leaves to lay over, beside and behind ends to train on.
 
     Returns
     -------
@@ -207,8 +319,10 @@ def collect_set(
         if picture.depth_file is None or not is_held_out(picture.scene or picture.file)
     ]
     fruit = [measured for picture in by_label for measured in labelled_fruit(picture, rng)]
+    covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else None
     fruit += read_measured([keep])
-    return fruit, collect_end_crops(fruit, data, seed)
+    crops = collect_end_crops(fruit, data, seed)
+    return fruit, crops if covered is None else EndCrops.stacked([crops, covered])
 
 
 def _crops_of(

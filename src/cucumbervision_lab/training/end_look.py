@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,10 @@ OUTPUTS = len(STATES) + len(QUANTILES) + 1
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
-_NO_DEPTH, _HOLES = 0.2, 0.3  # shares of the crops of a batch that lose their depth, or parts of it
+_NO_DEPTH, _HOLES = (
+    0.35,
+    0.3,
+)  # shares of the crops of a batch that lose their depth, or parts of it
 _LIMITS = (
     "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
     "plant before a depth camera.",
@@ -161,7 +165,7 @@ def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
     crops : EndCrops
         Of `collect_end_crops`.
     init : Path
-        Checkpoint (.pt) of YOLO26n to begin with.
+        Checkpoint (.pt) to begin with: of YOLO26n, or an earlier one of this network.
     options : LookOptions
         Options.
 
@@ -176,7 +180,7 @@ def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
     if options.threads:
         torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
-    network = make_network(init)
+    network = begun_network(init)
     learnt = np.flatnonzero(~crops.held_out)
     steps = options.epochs * (len(learnt) // options.batch + 1)
     optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
@@ -205,6 +209,19 @@ def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
         if options.progress is not None:
             options.progress(epoch + 1, float(np.mean(losses)))
     return network.eval()
+
+
+def begun_network(init: Path | str) -> Any:
+    """Return the network with an earlier one's weights, or with the first layers of YOLO26n."""
+    import torch
+
+    try:
+        state = torch.load(init, weights_only=True)
+    except (pickle.UnpicklingError, OSError):  # YOLO's hold classes; load_yolo names what is wrong
+        return make_network(init)
+    network = make_network("yolo26n-seg.yaml")
+    network.load_state_dict(state)
+    return network
 
 
 def _resumed(parts: dict[str, Any], keep: Path | None) -> int:

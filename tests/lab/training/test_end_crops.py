@@ -12,7 +12,14 @@ from cucumbervision.perception.end_look import STATES
 from cucumbervision_lab.datasets.labels import DataSet
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate
-from cucumbervision_lab.training.end_crops import MISSING, EndCrops, collect_end_crops, moved_axis
+from cucumbervision_lab.synthesis.paste import Cutout
+from cucumbervision_lab.training.end_crops import (
+    MISSING,
+    EndCrops,
+    collect_covered_ends,
+    collect_end_crops,
+    moved_axis,
+)
 from cucumbervision_lab.training.measured_ends import is_held_out, labelled_fruit
 
 if TYPE_CHECKING:
@@ -86,3 +93,24 @@ def test_sets_are_joined_with_fruit_numbered_on() -> None:
     joined = EndCrops.joined([crops(6), crops(4)])
     assert joined.fruit.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert len(joined.planes) == 10
+
+
+def test_covered_ends_miss_what_a_leaf_hides(drawn: DataSet) -> None:
+    leaf = Cutout(np.full((60, 80, 3), (40, 160, 50), np.uint8), np.ones((60, 80), bool), None)
+    rng = np.random.default_rng(0)
+    fruit = [one for picture in drawn.pictures for one in labelled_fruit(picture, rng)]
+    ends = [end.missing_m / one.true_m[0] for one in fruit for end in one.ends]
+    found = collect_covered_ends(fruit, drawn, [leaf], seed=1)
+    assert found is not None
+    assert not found.held_out.any()
+    assert not any(is_held_out(fruit[number].scene) for number in found.fruit)
+    # Some ends are covered by far more than any true end of these fruit misses; others stay true.
+    assert (found.missing > max(0.05, 2 * max(x for x in ends if abs(x) <= 0.03))).any()
+    assert (np.abs(found.missing) < 0.1).any()
+
+
+def test_nothing_is_covered_in_scenes_held_out(drawn: DataSet) -> None:
+    rng = np.random.default_rng(0)
+    fruit = [one for picture in drawn.pictures for one in labelled_fruit(picture, rng)]
+    held = [one for one in fruit if is_held_out(one.scene)]
+    assert collect_covered_ends(held, drawn, [], seed=1) is None

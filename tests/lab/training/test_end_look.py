@@ -18,6 +18,7 @@ from cucumbervision_lab.training.end_look import (  # noqa: E402
     _loss,
     area_under_curve,
     augmented,
+    begun_network,
     export_look,
     fit_look,
     judge_look,
@@ -157,3 +158,11 @@ def test_augmenting_keeps_planes_in_their_range_and_the_end_in_its_place() -> No
 def test_area_under_curve_counts_ties_half() -> None:
     assert area_under_curve(np.array([0.5, 0.5]), np.array([True, False])) == 0.5
     assert np.isnan(area_under_curve(np.array([0.5]), np.array([True])))
+
+
+def test_training_begins_with_an_earlier_network(tmp_path: Path) -> None:
+    earlier = make_network(CHECKPOINT)
+    torch.save(earlier.state_dict(), tmp_path / "earlier.pt")
+    begun = begun_network(tmp_path / "earlier.pt").state_dict()
+    assert begun.keys() == earlier.state_dict().keys()
+    assert all(torch.equal(begun[name], part) for name, part in earlier.state_dict().items())

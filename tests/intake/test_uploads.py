@@ -55,6 +55,15 @@ def test_a_zip_of_native_captures_is_measured_as_it_was_sent(
     assert open_source(source.path).total == 2
 
 
+@pytest.mark.parametrize("ending", ["bag", "db3", "BAG"])
+def test_a_recording_is_refused_with_what_to_do(tmp_path: Path, ending: str) -> None:
+    got = accept_uploads([(f"walk.{ending}", io.BytesIO(b"#ROSBAG V2.0"))], tmp_path / "in")
+    assert not got.sources
+    assert "round add" in faults(got)[f"walk.{ending}"]
+    inside = send(tmp_path, walk__zip=zip_of((f"row/walk.{ending}", b"#ROSBAG V2.0")))
+    assert "is a recording" in faults(inside)[f"walk.zip: row/walk.{ending}"]
+
+
 def test_what_comes_from_one_sender_stays_in_one_folder(
     tmp_path: Path, native_zip: bytes, files_in: Callable[[Path], list[str]]
 ) -> None:

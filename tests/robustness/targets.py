@@ -295,12 +295,7 @@ def _uploads(folder: Path, name: str) -> None:
 
 
 def _recording(folder: Path, _name: str) -> None:
-    from cucumbervision.intake.archives import RecordingLimits
-    from cucumbervision.intake.recordings import open_guarded
-
-    # The player is ended by the clock, which here must come before the fuzzer's own end.
-    limits = RecordingLimits(still_s=8.0)
-    _each(ref.load for ref in open_guarded(folder / "walk.db3", limits=limits))
+    _captures(folder / "walk.db3")
 
 
 TARGETS: tuple[Target, ...] = (

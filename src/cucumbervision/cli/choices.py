@@ -186,13 +186,6 @@ def measure_options(
 
 
 def loop_options(
-    guard: Annotated[
-        bool,
-        typer.Option(
-            "--guard",
-            help="Read recordings from untrusted sources in a separate process with limits.",
-        ),
-    ] = False,
     workers: Annotated[
         int,
         typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU."),
@@ -206,11 +199,9 @@ def loop_options(
     ] = "",
 ) -> LoopOptions:
     """Return the loop options of a command."""
-    from cucumbervision.capture.readers import open_source
-    from cucumbervision.intake.recordings import open_guarded
     from cucumbervision.pipeline.batch import LoopOptions, choose_engine
 
-    return LoopOptions(open_guarded if guard else open_source, choose_engine(workers, ray))
+    return LoopOptions(engine=choose_engine(workers, ray))
 
 
 def takes(

@@ -8,7 +8,7 @@ import struct
 import unicodedata
 import zipfile
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import IO, TYPE_CHECKING, BinaryIO
 
@@ -327,32 +327,6 @@ _GB = 1000 * _MB
 
 
 @dataclass(frozen=True)
-class RecordingLimits:
-    """Limits of the process that plays a recording.
-
-    Parameters
-    ----------
-    wall_s, cpu_s : float
-        Wall time and CPU time, seconds.
-    still_s : float
-        Maximum time without output, seconds; the SDK may loop in a damaged file.
-    memory_bytes : int
-        Address space.
-    output_bytes : int
-        Total output, also the limit of a single file.
-    captures : int
-        Maximum number of captures per recording.
-    """
-
-    wall_s: float = 300.0
-    cpu_s: float = 300.0
-    still_s: float = 60.0
-    memory_bytes: int = 6 * _GB
-    output_bytes: int = 4 * _GB
-    captures: int = 2000
-
-
-@dataclass(frozen=True)
 class Limits:
     """Limits of an upload.
 
@@ -374,8 +348,6 @@ class Limits:
         Allowed nesting of zips: 1 allows a zip in a zip, 0 none.
     text_bytes : int
         Maximum size of a JSON, YAML, XML or text file.
-    recording : RecordingLimits
-        Limits for `.bag` and `.db3`.
     """
 
     files: int = 500
@@ -387,4 +359,3 @@ class Limits:
     ratio_from_bytes: int = 4 * _MB
     zip_depth: int = 1
     text_bytes: int = 2 * _MB
-    recording: RecordingLimits = field(default_factory=RecordingLimits)

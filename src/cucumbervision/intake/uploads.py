@@ -11,19 +11,22 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
-from cucumbervision.capture.readers import RECORDING_SUFFIXES, find_captures, list_folder
+from cucumbervision.capture.readers import (
+    RECORDING_SUFFIXES,
+    find_captures,
+    list_folder,
+    open_source,
+)
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError, wrap_os_errors
 from cucumbervision.intake.archives import (
     Budget,
     Limits,
-    RecordingLimits,
     clean_name,
     is_zip,
     unpack,
     write_chunk,
 )
-from cucumbervision.intake.recordings import open_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -51,13 +54,10 @@ class AcceptedSource:
         The folder or file.
     title : str
         Name of the zip or file, or 'upload' for single files.
-    limits : RecordingLimits
-        Limits for playing a recording.
     """
 
     path: Path
     title: str
-    limits: RecordingLimits = field(default_factory=RecordingLimits)
 
     def open(self, options: ReadOptions | None = None) -> CaptureSource:
         """Return the captures; names and errors use the sender's file names.
@@ -73,7 +73,7 @@ class AcceptedSource:
             See `open_source`.
         """
         try:
-            source = open_guarded(self.path, options, self.limits)
+            source = open_source(self.path, options)
         except CucumberVisionError as error:
             raise self._named(error) from None
         return replace(source, refs=lambda: self._refs(source))
@@ -238,13 +238,11 @@ class _Intake:
         used = {name.parent for name in everything - unread}
         for name in sorted(unread):
             suffix, shown_name = name.suffix.lower(), folder_source.shown(path / name)
-            if suffix in RECORDING_SUFFIXES:
-                recording = AcceptedSource(path / name, shown_name, self.limits.recording)
-                self.out.sources.append(recording)
-            elif suffix in _TEXTS | {".csv"} or (title != LOOSE and not _needs_partner(name, used)):
-                self.out.ignored.append(shown_name)
-            else:
+            is_beside = title != LOOSE and not _needs_partner(name, used)
+            if suffix in RECORDING_SUFFIXES or not (suffix in _TEXTS | {".csv"} or is_beside):
                 self.out.refused.append(_left_alone(shown_name, suffix))
+            else:
+                self.out.ignored.append(shown_name)
         if title != LOOSE and before == len(self.out.sources) + len(self.out.refused):
             fault = f"holds no captures that can be recognised, but {kinds}"
             raise UploadError(fault, source=title, remedy=_REMEDY)
@@ -330,9 +328,15 @@ def _left_alone(file_title: str, suffix: str) -> CaptureError:
             remedy="send both, named alike but for the words color and depth, and an "
             "intrinsics.json",
         )
+    if suffix in RECORDING_SUFFIXES:
+        return UploadError(
+            "is a recording, which is only read on the computer where it lies",
+            source=file_title,
+            remedy="copy it to the computer that measures: `cucumbervision round add FILE` there "
+            "adds its captures to the newest round",
+        )
     return UploadError(
         "is not a file type we can read",
         source=file_title,
-        remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
-        "them",
+        remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, JSON, or a zip of them",
     )

@@ -357,7 +357,7 @@ class LoopOptions:
     Parameters
     ----------
     opener : callable
-        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+        Opens each input.
     engine : Engine
         Where the work is done.
     stop : callable

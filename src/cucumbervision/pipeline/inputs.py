@@ -83,7 +83,7 @@ def list_captures(
     reading : ReadOptions
         Reading options.
     opener : callable
-        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+        Opens each input.
 
     Yields
     ------

@@ -141,7 +141,7 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
 
     @routes.post("/measure", response_model=MeasureReply, **secured)
     def measure(request: Request, files: Files) -> MeasureReply:
-        """Measure every fruit of every capture: zipped capture folders, pairs, .npz, recordings."""
+        """Measure every fruit of every capture: zipped capture folders, pairs, .npz."""
         reply = work.measure(_streams(files), _has_left(request))
         metrics.found.labels("captures").inc(len(reply.captures))
         metrics.found.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))

@@ -27,8 +27,6 @@ class Progress:
         Those that were measured since nothing waited.
     checking : int
         Uploaded files that are checked, or wait for it: how many captures they hold is not known.
-    is_open : bool
-        Whether a recording is read, which may hold more captures than are counted.
     aside : int
         Captures that failed three times: they are kept, and not tried again.
     elsewhere : int
@@ -42,7 +40,6 @@ class Progress:
     waiting: int = 0
     measured: int = 0
     checking: int = 0
-    is_open: bool = False
     aside: int = 0
     elsewhere: int = 0
     fault: str = ""
@@ -60,8 +57,6 @@ class Progress:
         'Measuring: 12 of 43 captures'
         >>> Progress(waiting=1, elsewhere=3).words
         'Measuring: 0 of 1 capture; 3 of other rounds wait too'
-        >>> Progress(measured=2, is_open=True, checking=1).words
-        'Measuring: 2 captures so far; checking 1 file'
         >>> Progress(title="Loading the networks").words, Progress(elsewhere=2).words
         ('Loading the networks …', 'Measuring 2 captures of other rounds')
         >>> Progress(waiting=2, fault="lost.json: is not there").words
@@ -71,9 +66,7 @@ class Progress:
         if self.waiting and self.fault:
             waits = counted(self.waiting, "capture waits", "captures wait")
             return f"{waits} to be measured: {self.fault}"
-        if self.is_open:
-            captures = f"Measuring: {counted(self.measured, 'capture', 'captures')} so far"
-        elif self.waiting:
+        if self.waiting:
             captures = f"Measuring: {self.measured} of {counted(total, 'capture', 'captures')}"
         files = f"checking {counted(self.checking, 'file', 'files')}" if self.checking else ""
         if captures or files:
@@ -100,7 +93,7 @@ class Progress:
         if self.waiting:
             saved = counted(self.waiting, "capture is", "captures are")
             return f"{saved} saved, and none is measured yet. Their results appear here."
-        if self.checking or self.is_open:
+        if self.checking:
             return "Uploaded files are being read. Their results appear here."
         if self.aside:
             kept = "it is" if self.aside == 1 else "they are"
@@ -112,8 +105,8 @@ class Progress:
     def told(self) -> dict[str, Any]:
         """The same for a browser: the words, and how far a bar has come; no total: not known."""
         steps = self.measured, self.waiting + self.measured
-        if not self.waiting or self.is_open:
-            steps = (0, 0) if self.is_open or self.checking else (self.done, self.total)
+        if not self.waiting:
+            steps = (0, 0) if self.checking else (self.done, self.total)
         return {"words": self.words, "done": steps[0], "total": steps[1], "waiting": self.waiting}
 
 
@@ -154,7 +147,6 @@ def progress_of(
         waiting=sum(queued) + sum(_left(one) for one in counted_ones),
         measured=list(stops.values()).count(round_key) + sum(one.measured for one in own),
         checking=sum(len(one.sending.files) for one in own if one.captures is None),
-        is_open=any(one.is_open for one in own),
         aside=sum(one.round_key == round_key for one in aside),
         elsewhere=len(queued) - sum(queued) + sum(_left(one) for one in uploads if one not in own),
         fault=fault,

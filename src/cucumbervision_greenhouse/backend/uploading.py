@@ -125,7 +125,6 @@ def measure_upload(
             *(_failed(str(one.source), one.message) for one in accepted.refused),
             *(one for one in opened if isinstance(one, UploadOutcome)),
             captures=sum(source.total or 0 for _, source in there),
-            is_open=any(source.total is None for _, source in there),
         )
         for item, added in add_all(store, items(there), measures, in_turn):
             if isinstance(item, RoundCapture):

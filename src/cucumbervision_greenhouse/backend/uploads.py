@@ -21,7 +21,7 @@ MOST_TRIES = 3  # an upload that ends the program each time must not do so for e
 _ABOUT = "upload.json"
 _MOST_FILES = 1000
 _KEPT = 20  # uploads whose outcomes are still told
-_UNCOUNTED = {"captures": None, "measured": 0, "is_open": False}
+_UNCOUNTED = {"captures": None, "measured": 0}
 _RESERVE_BYTES = 500_000_000  # that captures, which are kept at once, need of the disk
 
 
@@ -121,8 +121,6 @@ class Upload(_Frozen):
         How many it holds, as far as is known; None while its files are checked.
     measured : int
         How many of them are done with.
-    is_open : bool
-        Whether a recording is being read, which may hold more.
     """
 
     sending: Sending
@@ -132,7 +130,6 @@ class Upload(_Frozen):
     outcomes: tuple[UploadOutcome, ...] = ()
     captures: int | None = None
     measured: int = 0
-    is_open: bool = False
 
 
 class Uploads:

@@ -39,12 +39,9 @@ def test_what_waits_is_counted_by_round_whatever_it_came_in() -> None:
     assert (found.told["done"], found.told["total"]) == (16, 49)
 
 
-def test_files_are_no_captures_and_the_captures_of_a_recording_are_not_known_before() -> None:
+def test_files_that_are_checked_are_no_captures() -> None:
     checked = progress_of(OWN, [], [], [upload(OWN, files=3)])
     assert (checked.words, checked.told["total"]) == ("Checking 3 files", 0)
-    played = progress_of(OWN, [], [], [upload(OWN, captures=0, measured=7, is_open=True)])
-    assert played.words == "Measuring: 7 captures so far"
-    assert (played.told["done"], played.told["total"]) == (0, 0)
 
 
 def test_work_on_another_round_is_not_this_one_s() -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _SHOWN = 5  # uploads whose outcomes are shown
 
 _ENDINGS = [
-    *("zip", "bag", "db3", "json", "csv", "raw"),
+    *("zip", "json", "csv", "raw"),
     *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),
 ]
 
@@ -32,10 +32,7 @@ _ENDINGS = [
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    st.write(
-        "Zips of captures, RealSense recordings (.bag, .db3), or colour and depth pictures with "
-        "matching names. Many at once."
-    )
+    st.write("Zips of captures, or colour and depth pictures with matching names. Many at once.")
     sender = st.container()
     place = _place(one)
     camera = st.selectbox(

@@ -69,7 +69,7 @@ def measured(number: int) -> list[dict[str, Any]]:
         if fit is not None:
             row = {"kind": kind, "share": share, "true": taken.truth.centreline_m}
             row |= {"seen": fit.traits.lengths.centreline_m, "flagged": not all(fit.ends_seen)}
-            whole = fit.whole
+            whole = fit.hidden_length
             row["median"] = np.nan if whole is None else whole.median_m
             row["low"] = np.nan if whole is None else whole.low_m
             row["high"] = np.nan if whole is None else whole.high_m

@@ -83,12 +83,12 @@ def test_a_covered_end_gets_an_interval_and_seen_ends_none() -> None:
     depth, mask = view.depth_m.astype(np.float32), view.mask(0)
     whole = measure_m6(depth, mask, CAMERA).fit
     assert whole is not None
-    assert whole.whole is None
+    assert whole.hidden_length is None
     # The fruit spans 424 +- 133 columns; a leaf covers all from 490 to 599.
     depth[:, 490:600] = 0.45
     mask[:, 490:600] = False
     fit = measure_m6(depth, mask, CAMERA).fit
     assert fit is not None
-    assert fit.whole is not None
-    assert fit.whole.seen_m == fit.traits.lengths.centreline_m < 0.20
-    assert fit.whole.low_m < 0.24 < fit.whole.high_m
+    assert fit.hidden_length is not None
+    assert fit.hidden_length.seen_m == fit.traits.lengths.centreline_m < 0.20
+    assert fit.hidden_length.low_m < 0.24 < fit.hidden_length.high_m

@@ -82,7 +82,7 @@ def test_stopped_after_the_first_and_started_again_is_the_same_as_never_stopped(
     run()
     whole = run.tables()
     shutil.rmtree(run.out)
-    stopped = run(OPTIONS, BatchOptions(stop=lambda: bool(run.measured)))
+    stopped = run(OPTIONS, BatchOptions(is_cancelled=lambda: bool(run.measured)))
     assert run.measured == [NAMES[0]]
     assert (stopped.interrupted, stopped.exit_code, stopped.captures) == (True, 130, 1)
     lines = (run.out / "measurements.csv").read_text(encoding="utf-8-sig").splitlines()
@@ -97,7 +97,7 @@ def test_stopped_after_the_first_and_started_again_is_the_same_as_never_stopped(
 def test_a_run_stopped_at_once_keeps_what_earlier_runs_measured(run: Watched) -> None:
     run()
     whole = run.tables()
-    again = run(OPTIONS, BatchOptions(stop=lambda: True))
+    again = run(OPTIONS, BatchOptions(is_cancelled=lambda: True))
     assert (run.measured, again.interrupted) == ([], False)
     assert run.tables() == whole
 
@@ -198,7 +198,7 @@ def test_two_runs_into_one_folder_are_refused(run: Watched) -> None:
             measure_inputs([run.house], run.out, OPTIONS)
         return False
 
-    assert run(OPTIONS, BatchOptions(stop=inside)).exit_code == 0
+    assert run(OPTIONS, BatchOptions(is_cancelled=inside)).exit_code == 0
 
 
 def test_json_is_written_as_one_value_a_line(run: Watched) -> None:

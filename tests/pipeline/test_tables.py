@@ -43,7 +43,7 @@ def test_workbook_holds_rows_units_and_summary(tmp_path: Path) -> None:
 def test_a_sheet_of_excel_ends_with_a_word(tmp_path: Path) -> None:
     path = tmp_path / "a.xlsx"
     rows = (row(capture=name, fruit=1) for name in "abc")
-    write_workbook(path, rows, excel_limit(3, most=2), most=2)
+    write_workbook(path, rows, excel_limit(3, most_rows=2), most_rows=2)
     book = openpyxl.load_workbook(path)
     assert [cell.value for cell in book["Fruit"]["A"]] == ["capture", "a", "b"]
     assert "the last 1 fruit are in measurements.csv" in book["Summary"]["B1"].value

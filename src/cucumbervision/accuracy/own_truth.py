@@ -192,7 +192,12 @@ def _score(
         error = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
         low_percent, high_percent = error.low, error.high
     return MethodScore(
-        method, kind, score(lengths, truth), low_percent, high_percent, len(set(fruit))
+        method=method,
+        kind=kind,
+        metrics=score(lengths, truth),
+        low_percent=low_percent,
+        high_percent=high_percent,
+        fruit=len(set(fruit)),
     )
 
 

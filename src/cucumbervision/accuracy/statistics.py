@@ -169,13 +169,13 @@ def estimate(
     """
     data = np.asarray(values, float)
     if not data.size:
-        return Estimate(np.nan, np.nan, np.nan, 0, 0)
+        return Estimate(value=np.nan, low=np.nan, high=np.nan, count=0, groups=0)
     names = range(len(data)) if groups is None else groups
     index = {name: k for k, name in enumerate(dict.fromkeys(names))}
     member = np.array([index[name] for name in names])
     value = float(data.mean() if quantile is None else np.quantile(data, quantile))
     if len(index) < _FEWEST_GROUPS:
-        return Estimate(value, np.nan, np.nan, len(data), len(index))
+        return Estimate(value=value, low=np.nan, high=np.nan, count=len(data), groups=len(index))
     weights = resample_weights(len(index), resamples)
     if quantile is None:
         sums = weights @ np.bincount(member, data, len(index))
@@ -185,7 +185,13 @@ def estimate(
         data, member = data[order], member[order]
         drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
     low_value, high_value = np.percentile(drawn, [2.5, 97.5])
-    return Estimate(value, float(low_value), float(high_value), len(data), len(index))
+    return Estimate(
+        value=value,
+        low=float(low_value),
+        high=float(high_value),
+        count=len(data),
+        groups=len(index),
+    )
 
 
 def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
@@ -206,7 +212,13 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
     low_share, high_share = binomial_interval(
         int(hit_rate.value) * hit_rate.groups, hit_rate.groups
     )
-    return Estimate(hit_rate.value, low_share, high_share, hit_rate.count, hit_rate.groups)
+    return Estimate(
+        value=hit_rate.value,
+        low=low_share,
+        high=high_share,
+        count=hit_rate.count,
+        groups=hit_rate.groups,
+    )
 
 
 def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:

@@ -254,7 +254,13 @@ def read_truth(path: Path) -> Truth:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     lengths = _merged(read, path)
     _require_whole_specimens(lengths, path)
-    return Truth(path, lengths, "specimen" in table.columns, digest, tuple(unused))
+    return Truth(
+        path=path,
+        lengths=lengths,
+        specimens_named="specimen" in table.columns,
+        sha256=digest,
+        unused=tuple(unused),
+    )
 
 
 def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
@@ -309,7 +315,14 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
         f"{fruit_name} line {line.number}" if fruit is None else fruit_name
     )
     definition = LengthDefinition(kind)
-    return TrueLength(line.number, cells["capture"], fruit, definition, lengths, specimen)
+    return TrueLength(
+        line=line.number,
+        capture=cells["capture"],
+        fruit=fruit,
+        kind=definition,
+        lengths_m=lengths,
+        specimen=specimen,
+    )
 
 
 def _fruit(line: Line, path: Path) -> int | None:

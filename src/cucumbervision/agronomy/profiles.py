@@ -345,7 +345,9 @@ def _entry(path: Path, *, shipped: bool) -> ProfileEntry:
     try:
         return ProfileEntry(path.stem, path, shipped, _read(path))
     except ProfileError as error:
-        return ProfileEntry(path.stem, path, shipped, None, str(error))
+        return ProfileEntry(
+            name=path.stem, path=path, shipped=shipped, profile=None, fault=str(error)
+        )
 
 
 def _read(path: Path) -> CropProfile:

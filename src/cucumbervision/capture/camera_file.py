@@ -265,14 +265,16 @@ def read_camera_file(path: Path) -> CameraFile:
     model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
     with as_errors_of(path):
         return CameraFile(
-            model.intrinsics,
-            path,
-            model.depth.intrinsics if model.depth else None,
-            _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
-            model.depth_unit_m,
-            model.depth_along,
-            model.aligned_to,
-            sized,
+            intrinsics=model.intrinsics,
+            path=path,
+            depth=model.depth.intrinsics if model.depth else None,
+            depth_to_color=_extrinsics(model.depth_to_color, path)
+            if model.depth_to_color
+            else None,
+            depth_unit_m=model.depth_unit_m,
+            depth_along=model.depth_along,
+            aligned_to=model.aligned_to,
+            is_sized=sized,
         )
 
 

@@ -318,7 +318,13 @@ def fuse_burst(
     moved = moved_px(colors[best], colors)
     moved[best] = 0.0
     still = [d for d, by in zip(depths_m, moved, strict=True) if by <= still_px(colors[best])]
-    return FusedBurst(colors[best], median_depth(still), best, len(still), max(moved))
+    return FusedBurst(
+        color=colors[best],
+        depth_m=median_depth(still),
+        burst_frame=best,
+        burst_size=len(still),
+        moved_px=max(moved),
+    )
 
 
 def sharpness(color: NDArray[np.uint8]) -> float:

@@ -227,7 +227,11 @@ class CaptureSource:
         refs, taken = [], set[str]()
         for text, frame, load, at, files in parts:
             name = unique_name(safe_name(text), taken)
-            refs.append(CaptureRef(name, frame, partial(load, name), str(at), files))
+            refs.append(
+                CaptureRef(
+                    name=name, frame=frame, load=partial(load, name), at=str(at), parts=files
+                )
+            )
         return cls(path, kind, lambda: iter(refs), len(refs))
 
 

@@ -173,7 +173,14 @@ def measure_options(
         input_sizes=parse_input_sizes(input_size),
         runtime=runtime,
         full_precision=not fast,
-        reading=ReadOptions(intrinsics, depth, depth_unit, burst, depth_along, aligned_to),
+        reading=ReadOptions(
+            intrinsics=intrinsics,
+            depth=depth,
+            depth_unit_m=depth_unit,
+            burst=burst,
+            depth_along=depth_along,
+            aligned_to=aligned_to,
+        ),
         calibration=calibration,
         camera_up=camera_up,
     )

@@ -125,9 +125,9 @@ def measure_and_show(
     """
     errors = plain_console(stderr=True, quiet=quiet)
     total = count_captures(inputs, options.reading, batch.opener) if errors.is_terminal else None
-    with progress_bar(errors) as bar, stopping_gently() as stop:
+    with progress_bar(errors) as bar, stopping_gently() as is_cancelled:
         task = bar.add_task("measuring", total=total)
-        batch = replace(batch, stop=stop)
+        batch = replace(batch, is_cancelled=is_cancelled)
         result = measure_inputs(inputs, out, options, lambda _: bar.advance(task), batch)
     for note in result.notes:  # complete in measurements.json
         short = shorten(note, _LONGEST_NOTE, placeholder=" …")

@@ -225,7 +225,14 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> LabelledInstance
         polygons = (polygon_points(rest),)
     class_name = names[number].strip() if number < len(names) else str(number)
     return LabelledInstance(
-        where, class_name, confidence, box, polygons, None, keypoints, normalised=True
+        where=where,
+        class_name=class_name,
+        confidence=confidence,
+        box=box,
+        polygons=polygons,
+        rle=None,
+        keypoints=keypoints,
+        normalised=True,
     )
 
 

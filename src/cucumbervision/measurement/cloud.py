@@ -81,10 +81,10 @@ def box_points(
     >>> box_points(depth, np.array([9.5, 9.5, 19.5, 13.5]), camera).shape
     (10, 3)
     """
-    left, top, right, bottom = box_pixels(box, depth_m.shape)
-    region = depth_m[top:bottom:stride, left:right:stride]
+    x1, y1, x2, y2 = box_pixels(box, depth_m.shape)
+    region = depth_m[y1:y2:stride, x1:x2:stride]
     v, u = np.nonzero(valid_depth(region))
-    return _deproject(u * stride + left, v * stride + top, region[v, u], intrinsics)
+    return _deproject(u * stride + x1, v * stride + y1, region[v, u], intrinsics)
 
 
 def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
@@ -104,8 +104,8 @@ def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int
     """
     height, width = shape
     edges = np.concatenate([np.ceil(box[:2]), np.floor(box[2:]) + 1])
-    left, top, right, bottom = np.clip(edges, 0, [width, height] * 2).astype(int).tolist()
-    return left, top, right, bottom
+    x1, y1, x2, y2 = np.clip(edges, 0, [width, height] * 2).astype(int).tolist()
+    return x1, y1, x2, y2
 
 
 def _deproject(

@@ -106,8 +106,8 @@ class _Body:
         distance_m: float,
         focal_px: float,
     ) -> _Body:
-        left, top, right, bottom = box_of_mask(mask)
-        part = mask_window(mask, int(min(right - left, bottom - top)) + 7)
+        x1, y1, x2, y2 = box_of_mask(mask)
+        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
         depth_m, mask = depth_m[part], mask[part]
         inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1]
         radius_px = float(inside_px.max())
@@ -207,8 +207,10 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     # Edges of both parts read as something between: a pixel of each is left out.
     gap = cv2.erode(gap.astype(np.uint8), np.ones((3, 1), np.uint8))
     height, width = parts.shape
-    back = cv2.warpAffine(gap, turned, (width, height), flags=nearest | cv2.WARP_INVERSE_MAP)
-    return np.asarray(back, bool)
+    gap_in_picture = cv2.warpAffine(
+        gap, turned, (width, height), flags=nearest | cv2.WARP_INVERSE_MAP
+    )
+    return np.asarray(gap_in_picture, bool)
 
 
 def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
@@ -268,13 +270,13 @@ def _is_beside(body: _Body) -> bool:
     # Six pixels a radius are enough to find where they lie together.
     scale = min(1.0, _RADIUS_PX / body.radius_px)
     size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
-    values, known, shape = (
+    values, is_read, shape = (
         np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
         for part in (behind, body.read, body.mask)
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
     ring = np.clip(outer - inner, 0.0, 1.0)
-    scores = _mean_under(values, known, shape) - _mean_under(values, known, ring)
+    scores = _mean_under(values, is_read, shape) - _mean_under(values, is_read, ring)
     best = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     moved = np.abs(best - _SHIFTS)
     better = float(scores[tuple(best)] - scores[_SHIFTS, _SHIFTS])
@@ -288,14 +290,14 @@ def _is_beside(body: _Body) -> bool:
 
 
 def _mean_under(
-    values: NDArray[Any], known: NDArray[Any], weights: NDArray[Any]
+    values: NDArray[Any], is_read: NDArray[Any], weights: NDArray[Any]
 ) -> NDArray[np.float32]:
     """Return the mean of what is known under weights, for each shift up to `_SHIFTS` pixels."""
     import cv2
 
     sums, counts = (
         np.asarray(cv2.matchTemplate(np.pad(part, _SHIFTS), weights, cv2.TM_CCORR))
-        for part in (values, known)
+        for part in (values, is_read)
     )
-    least = _LEAST_KNOWN * float(weights.sum())
-    return np.asarray(sums / np.maximum(counts, max(least, 1e-3)), np.float32)
+    least_weight = _LEAST_KNOWN * float(weights.sum())
+    return np.asarray(sums / np.maximum(counts, max(least_weight, 1e-3)), np.float32)

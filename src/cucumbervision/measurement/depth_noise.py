@@ -100,15 +100,17 @@ def noise_waves(
     """
     if not len(pixels):
         return np.zeros((0, 0))
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    first_px, last_px = pixels.min(axis=0), pixels.max(axis=0)
     step = _KNOT_STEP * _WAVE_SIGMA_PX / _DEPTH_FOCAL_RATIO
-    wide, tall = high - low + 2 * step
-    wider = max(1.0, float(np.sqrt(wide * tall / _MOST_WAVES)) / step)
+    width, tall = last_px - first_px + 2 * step
+    wider = max(1.0, float(np.sqrt(width * tall / _MOST_WAVES)) / step)
     step *= wider
     sigma = step / _KNOT_STEP
     across, down = (
-        np.exp(-0.5 * ((at[:, None] - np.arange(a - step / 2, b + step, step)) / sigma) ** 2)
-        for at, a, b in zip(pixels.T, low, high, strict=True)
+        np.exp(
+            -0.5 * ((coordinates[:, None] - np.arange(a - step / 2, b + step, step)) / sigma) ** 2
+        )
+        for coordinates, a, b in zip(pixels.T, first_px, last_px, strict=True)
     )
     shape = (down[:, :, None] * across[:, None, :]).reshape(len(pixels), -1)
     shape = shape[:, shape.max(axis=0) > np.exp(-0.5 * (step / sigma) ** 2)]

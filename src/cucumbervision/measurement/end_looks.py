@@ -61,16 +61,18 @@ def with_end_looks(
     models : IntervalModels, optional
         The package's own if not given.
     """
-    tubes = {k: tube for k, one in enumerate(fruit) if (tube := _tube(one)) is not None}
+    tubes = {k: tube for k, measured in enumerate(fruit) if (tube := _tube(measured)) is not None}
     if not tubes:
         return list(fruit)
     crops = [crop for k, tube in tubes.items() for crop in _crops(capture, fruit[k], tube)]
     looks = look(crops)
     pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
-    again = partial(with_length, definition=definition, scale_known=scale_known, models=models)
+    measure_again = partial(
+        with_length, definition=definition, scale_known=scale_known, models=models
+    )
     return [
-        again(_looked_at(capture, one, tubes[k], pairs[k])) if k in tubes else one
-        for k, one in enumerate(fruit)
+        measure_again(_looked_at(capture, measured, tubes[k], pairs[k])) if k in tubes else measured
+        for k, measured in enumerate(fruit)
     ]
 
 
@@ -105,18 +107,18 @@ def _looked_at(
 ) -> FruitMeasurement:
     if tube.fit is None:
         return fruit
-    seen = replace(tube, fit=replace(tube.fit, looks=looks))
-    selected = seen if fruit.selected is tube else fruit.selected
-    measurements = {**fruit.measurements, MethodName.M6: seen}
+    looked_at = replace(tube, fit=replace(tube.fit, looks=looks))
+    selected = looked_at if fruit.selected is tube else fruit.selected
+    measurements = {**fruit.measurements, MethodName.M6: looked_at}
     flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
     fruit = replace(fruit, measurements=measurements, selected=selected, flags=flags)
-    if fruit.at_least or selected is not seen:
+    if fruit.at_least or selected is not looked_at:
         return fruit
     ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])
     doubtful = [
         end_flag(ends_px[k] - ends_px[1 - k])
-        for k, one in enumerate(looks)
-        if one.covered >= DOUBTFUL
+        for k, look in enumerate(looks)
+        if look.covered >= DOUBTFUL
     ]
     return fruit.flagged(*doubtful)
 

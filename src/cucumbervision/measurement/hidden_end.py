@@ -124,8 +124,8 @@ def with_hidden_end(
     if reach_m is None:
         return measured
     seen_m = fit.traits.lengths.centreline_m
-    whole = hidden_length(seen_m, fit.traits.diameter_max_m, reach_m)
-    return replace(measured, fit=replace(fit, whole=whole))
+    hidden = hidden_length(seen_m, fit.traits.diameter_max_m, reach_m)
+    return replace(measured, fit=replace(fit, hidden_length=hidden))
 
 
 def beyond_ends(
@@ -162,38 +162,42 @@ def beyond_ends(
     >>> [(end.covered, round(end.behind, 1)) for end in ends]
     [(False, 1.0), (True, 0.1)]
     """
-    at = intrinsics.project(centres_m)
+    centres_px = intrinsics.project(centres_m)
     radii_px = np.maximum(radii_m, 0.0) * intrinsics.fx_px / centres_m[:, 2]
     body_px = float(np.median(radii_px))
-    far_px, inner, found = max(body_px, _RING_PX[1]), max(1, len(at) // 16), []
+    far_px, inner, ends = max(body_px, _RING_PX[1]), max(1, len(centres_px) // 16), []
     for tip, before in ((0, inner), (-1, -1 - inner)):
         reach = float(radii_px[tip]) + far_px
         rows, columns = (
             np.arange(max(int(c - reach), 0), max(min(int(c + reach) + 2, size), 0))
-            for c, size in zip(at[tip, ::-1], depth_m.shape, strict=True)
+            for c, size in zip(centres_px[tip, ::-1], depth_m.shape, strict=True)
         )
         if not (len(rows) and len(columns)):
-            found.append(BeyondEnd())
+            ends.append(BeyondEnd())
             continue
         window = np.ix_(rows, columns)
-        z, own = depth_m[window], mask[window]
-        off = np.stack(np.meshgrid(columns - at[tip, 0], rows - at[tip, 1]), axis=-1)
-        away, ahead = np.linalg.norm(off, axis=-1), _unit(at[tip] - at[before])
-        surface = z[own & valid_depth(z) & (away < radii_px[tip] + body_px)]
+        z, fruit_mask = depth_m[window], mask[window]
+        off = np.stack(
+            np.meshgrid(columns - centres_px[tip, 0], rows - centres_px[tip, 1]), axis=-1
+        )
+        away, ahead = np.linalg.norm(off, axis=-1), _unit(centres_px[tip] - centres_px[before])
+        surface = z[fruit_mask & valid_depth(z) & (away < radii_px[tip] + body_px)]
         gap = away - radii_px[tip]
-        beyond = ~own & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < far_px)
-        close = beyond & (gap < _RING_PX[1])
+        is_ahead = (
+            ~fruit_mask & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < far_px)
+        )
+        close = is_ahead & (gap < _RING_PX[1])
         if len(surface) < _LEAST_READINGS or not close.any():
-            found.append(BeyondEnd())
+            ends.append(BeyondEnd())
             continue
         at_m = float(np.median(surface))
         noise_m = float(depth_noise(np.array(at_m), intrinsics.fx_px))
         off_m, read = z - at_m, valid_depth(z)
         clear_m = _IN_FRONT_M + _IN_FRONT_SD * noise_m
-        nearer, behind = close & read & (off_m < -clear_m), beyond & read & (off_m > clear_m)
+        nearer, behind = close & read & (off_m < -clear_m), is_ahead & read & (off_m > clear_m)
         covered = bool(nearer.sum() > _COVERED_SHARE * close.sum())
-        found.append(BeyondEnd(covered, float(behind.sum() / beyond.sum())))
-    return found[0], found[1]
+        ends.append(BeyondEnd(covered, float(behind.sum() / is_ahead.sum())))
+    return ends[0], ends[1]
 
 
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -281,9 +285,11 @@ def hidden_length(
     )
     off = relation.beyond(1.0, diameter_m)  # of one metre
     by_girth = np.exp(-0.5 * (np.log(lengths) / relation.spread + off) ** 2)
-    beyond = ndtr(np.log(lengths / seen_m) / _SEEN_SD)
+    longer = ndtr(np.log(lengths / seen_m) / _SEEN_SD)
     before = ndtr((seen_m + reach_m - lengths) / _REACH_SD_M)
-    weight = (by_girth + 1e-6) * beyond * before
+    weight = (by_girth + 1e-6) * longer * before
     total = np.cumsum(weight * np.gradient(lengths))
-    at = np.interp(np.array([0.5 - _LEVEL / 2, 0.5, 0.5 + _LEVEL / 2]) * total[-1], total, lengths)
-    return HiddenLength(seen_m, float(at[1]), float(at[0]), float(at[2]))
+    quantiles = np.interp(
+        np.array([0.5 - _LEVEL / 2, 0.5, 0.5 + _LEVEL / 2]) * total[-1], total, lengths
+    )
+    return HiddenLength(seen_m, float(quantiles[1]), float(quantiles[0]), float(quantiles[2]))

@@ -127,12 +127,12 @@ class IntervalModel:
         [0.196, 0.204]
         """
         sigma, band = self.sigma(values), self.band(values)
-        more = _normal_quantile(self.level) * more_sd
-        low = float(np.hypot(band.low_quantile * sigma, more))
-        high = float(np.hypot(band.high_quantile * sigma, more))
+        added_sd = _normal_quantile(self.level) * more_sd
+        low_sd = float(np.hypot(band.low_quantile * sigma, added_sd))
+        high_sd = float(np.hypot(band.high_quantile * sigma, added_sd))
         # error = log(measured / true) lies in [bias - missing - low, bias - missing + high].
         longer = values.get(self.missing, 0.0) - band.bias
-        return length_m * float(np.exp(longer - high)), length_m * float(np.exp(longer + low))
+        return length_m * float(np.exp(longer - high_sd)), length_m * float(np.exp(longer + low_sd))
 
 
 def feature_groups(
@@ -226,9 +226,9 @@ def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
     >>> features["covered"], round(features["log_missing"], 2), round(features["log_above"], 2)
     (0.9, 0.22, -0.67)
     """
-    low, median, high = (sum(look.missing[k] for look in looks) for k in (0, 2, -1))
+    low_share, median, high_share = (sum(look.missing[k] for look in looks) for k in (0, 2, -1))
     # The true length is the measured one divided by the share of it that was measured.
-    steps = -np.log(np.clip(1.0 - np.array([low, median, high]), _LEAST_MEASURED, None))
+    steps = -np.log(np.clip(1.0 - np.array([low_share, median, high_share]), _LEAST_MEASURED, None))
     return {
         "looked": 1.0,
         "covered": max(look.covered for look in looks),
@@ -283,16 +283,16 @@ def mask_features(
     ['perceived', 'certainty', 'goes_on']
     """
     # Given keypoints are the truth's own, as no network's are: they shall tell nothing here.
-    given = source is MaskSource.DATASET
-    goes_on = not given and not LOWER_BOUND.isdisjoint(flags)
+    is_labelled = source is MaskSource.DATASET
+    goes_on = not is_labelled and not LOWER_BOUND.isdisjoint(flags)
     return {
-        "perceived": float(not given),
-        "certainty": 0.0 if given else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
+        "perceived": float(not is_labelled),
+        "certainty": 0.0 if is_labelled else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
         "cut": float(Flag.CUT_BY_FRAME in flags),
         "goes_on": float(goes_on),
         # Of a fruit that goes on out of sight the keypoints' ends are guesses.
-        "ends_disagree": float(not (given or goes_on) and Flag.ENDS_DISAGREE in flags),
+        "ends_disagree": float(not (is_labelled or goes_on) and Flag.ENDS_DISAGREE in flags),
     }
 
 
@@ -408,20 +408,20 @@ def with_interval(
     if mask["cut"]:
         return length, True
     if measurement.fit is not None:
-        about, features = LengthDefinition(length.kind), tube_features(measurement)
+        interval_kind, features = LengthDefinition(length.kind), tube_features(measurement)
     else:
-        about = LengthDefinition.CENTRELINE
+        interval_kind = LengthDefinition.CENTRELINE
         features = raw_features(length.value_m, distance_m, fill)
     key = calibration_key(measurement.source, length.kind)
     more_sd = REAL_SD if scale_known else float(np.hypot(REAL_SD, SCALE_SD))
-    found = (models or shipped_interval_models()).interval(
+    bounds = (models or shipped_interval_models()).interval(
         key, length.value_m, {**features, **mask}, more_sd
     )
-    if found is None:
+    if bounds is None:
         return length, True
     # A method that reads short is expected beyond what it read: the length bounds the interval too.
-    low, high = min(found[0], length.value_m), max(found[1], length.value_m)
-    if high > WIDEST * low:
+    low_m, high_m = min(bounds[0], length.value_m), max(bounds[1], length.value_m)
+    if high_m > WIDEST * low_m:
         return length, False
     basis = IntervalBasis.SIMULATED
-    return replace(length, low_m=low, high_m=high, interval_of=about, basis=basis), True
+    return replace(length, low_m=low_m, high_m=high_m, interval_of=interval_kind, basis=basis), True

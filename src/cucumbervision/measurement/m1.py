@@ -96,8 +96,8 @@ def reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | 
     """
     third = (box[2:] - box[:2]) / 3
     middle = np.concatenate([box[:2] + third, box[2:] - third])
-    left, top, right, bottom = box_pixels(middle, depth_m.shape)
-    region = depth_m[top:bottom, left:right]
+    x1, y1, x2, y2 = box_pixels(middle, depth_m.shape)
+    region = depth_m[y1:y2, x1:x2]
     readings = region[valid_depth(region)]
     return float(np.median(readings)) if len(readings) else None
 
@@ -118,11 +118,13 @@ def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
     """
     # The longer side: 0 where the box is wide, 1 where it is high.
     side = int(box[3] - box[1] > box[2] - box[0])
-    other = 1 - side
+    across_axis = 1 - side
     along = np.linspace(box[side], box[side + 2], _SAMPLES)
-    across = box[other] + np.array(_LINES)[:, None] * (box[other + 2] - box[other])
+    across = box[across_axis] + np.array(_LINES)[:, None] * (
+        box[across_axis + 2] - box[across_axis]
+    )
     grids = np.broadcast_arrays(along[None, :], across)
-    return grids[side], grids[other]
+    return grids[side], grids[across_axis]
 
 
 def window_depths(

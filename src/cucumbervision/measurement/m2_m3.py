@@ -70,15 +70,15 @@ def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
     """
     if len(cloud.points_m) < 2:
         return Measurement(method, reason=Reason.TOO_FEW_POINTS)
-    low, high = float(cloud.along_m.min()), float(cloud.along_m.max())
-    path = cloud.centroid_m + np.array([[low], [high]]) * cloud.axis
-    return Measurement(method, high - low, LengthKind.SURFACE_CHORD, path_m=path)
+    first_m, last_m = float(cloud.along_m.min()), float(cloud.along_m.max())
+    path = cloud.centroid_m + np.array([[first_m], [last_m]]) * cloud.axis
+    return Measurement(method, last_m - first_m, LengthKind.SURFACE_CHORD, path_m=path)
 
 
 _MIN_POINTS = 50
 
 
-def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
+def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit by the spread of its mask's points along their principal axis.
 
     Parameters
@@ -111,4 +111,4 @@ def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     """
     if len(mask_points_m) < _MIN_POINTS:
         return Measurement(MethodName.M3, reason=Reason.TOO_FEW_POINTS)
-    return _principal_chord(near or align_near(mask_points_m, GATE_M), MethodName.M3)
+    return _principal_chord(cloud or align_near(mask_points_m, GATE_M), MethodName.M3)

@@ -69,14 +69,14 @@ def measure_m4(
         return Measurement(MethodName.M4, reason=Reason.NO_KEYPOINTS)
     u, v, visibility = np.asarray(keypoints, dtype=np.float64).T
     z = window_depths(depth_m, u, v, WINDOW_PX, mask)
-    kept = (visibility >= MIN_VISIBILITY) & np.isfinite(z)
-    if kept.any():
+    is_used = (visibility >= MIN_VISIBILITY) & np.isfinite(z)
+    if is_used.any():
         with np.errstate(invalid="ignore"):
-            kept &= np.abs(z - np.median(z[kept])) <= _DEPTH_SPREAD_M
-    if not kept[0] or not kept[-1]:
+            is_used &= np.abs(z - np.median(z[is_used])) <= _DEPTH_SPREAD_M
+    if not is_used[0] or not is_used[-1]:
         return Measurement(MethodName.M4, reason=Reason.ENDPOINT_MISSING)
     x, y = intrinsics.rays(u, v)
-    points = np.stack([x * z, y * z, z], axis=1)[kept]
+    points = np.stack([x * z, y * z, z], axis=1)[is_used]
     path = points if len(points) >= _POLYLINE_FROM else points[[0, -1]]
     return Measurement(
         MethodName.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path

@@ -22,7 +22,7 @@ _MIN_BINS = 2
 _RANGE_M = (0.05, 0.80)
 
 
-def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
+def measure_m5(mask_points_m: NDArray[Any], aligned: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit along a cubic spline through the centroids of its cross-sections.
 
     The gate |z - median z| <= 3.5 cm; at least 100 points; first principal axis; 25 equal bins,
@@ -56,16 +56,16 @@ def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     >>> round(measure_m5(arc).length_m, 3)  # an arc of 0.2 m radius over 1 rad
     0.2
     """
-    cloud = near or align_near(mask_points_m, GATE_M)
+    cloud = aligned or align_near(mask_points_m, GATE_M)
     points, along = cloud.points_m, cloud.along_m
     if len(points) < MIN_POINTS:
         return Measurement(MethodName.M5, reason=Reason.TOO_FEW_POINTS)
     spine = bin_centroids(points, along, _BINS, _MIN_BIN_POINTS)
     if len(spine) < _MIN_BINS:
         return Measurement(MethodName.M5, reason=Reason.TOO_FEW_BINS)
-    low = points[np.argpartition(along, _TIP_POINTS - 1)[:_TIP_POINTS]].mean(axis=0)
-    high = points[np.argpartition(along, -_TIP_POINTS)[-_TIP_POINTS:]].mean(axis=0)
-    length, path = natural_spline(np.vstack([low, spine, high]))
+    first_tip = points[np.argpartition(along, _TIP_POINTS - 1)[:_TIP_POINTS]].mean(axis=0)
+    last_tip = points[np.argpartition(along, -_TIP_POINTS)[-_TIP_POINTS:]].mean(axis=0)
+    length, path = natural_spline(np.vstack([first_tip, spine, last_tip]))
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(MethodName.M5, reason=Reason.OUT_OF_RANGE)
     return Measurement(MethodName.M5, length, LengthKind.SURFACE_ARC, path_m=path)

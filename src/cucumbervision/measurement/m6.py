@@ -105,11 +105,11 @@ class TubeView:
         if not len(bare):
             return points
         # A plane in space is linear in the inverse depth over the picture.
-        near = points[near_depths(points)]
-        terms = np.column_stack([near[:, :2] / near[:, 2:], np.ones(len(near))])
-        plane = np.linalg.lstsq(terms, 1 / near[:, 2], rcond=None)[0]
+        readings = points[near_depths(points)]
+        terms = np.column_stack([readings[:, :2] / readings[:, 2:], np.ones(len(readings))])
+        plane = np.linalg.lstsq(terms, 1 / readings[:, 2], rcond=None)[0]
         inverse = (bare / bare[:, 2:])[:, [0, 1]] @ plane[:2] + plane[2]
-        middle = 1 / float(np.median(near[:, 2]))
+        middle = 1 / float(np.median(readings[:, 2]))
         filled = bare / bare[:, 2:] / np.clip(inverse, 0.5 * middle, 2.0 * middle)[:, None]
         return np.vstack([points, filled])
 
@@ -140,30 +140,30 @@ def view_tube(
     z = np.where(valid_depth(z), z, np.float32(0))
     lens = _Lens(intrinsics, window[1].start, window[0].start)
     points, pixels, points_share = _points(z, part, lens)
-    far = points[:, 2]
-    noise = depth_noise(far, intrinsics.fx_px)
+    depths_m = points[:, 2]
+    noise = depth_noise(depths_m, intrinsics.fx_px)
     noise = np.hypot(noise, edge_error(_from_rim(part)[pixels[:, 1], pixels[:, 0]]))
-    waves = noise_waves(pixels, far, intrinsics.fx_px)
+    waves = noise_waves(pixels, depths_m, intrinsics.fx_px)
     rays, rays_share = _rays(z, part, lens)
     step = max(1, int(np.sqrt(part.size / _GRID_POINTS)))
     v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
     evidence = Evidence(
-        points,
-        np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
-        rays,
-        _OUTLINE_SD_PX / intrinsics.fx_px,
-        1 / intrinsics.fx_px,
-        points_share,
-        rays_share,
-        waves,
+        points_m=points,
+        points_sd_m=np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
+        rays=rays,
+        rays_sd_rad=_OUTLINE_SD_PX / intrinsics.fx_px,
+        pixel_rad=1 / intrinsics.fx_px,
+        points_share=points_share,
+        rays_share=rays_share,
+        waves_m=waves,
     )
     return TubeView(
-        evidence,
-        lens.rays(u, v),
-        part[v, u],
-        z[v, u].astype(np.float64),
-        float((z[part] > 0).mean()),
-        intrinsics.fx_px,
+        evidence=evidence,
+        grid_rays=lens.rays(u, v),
+        grid_mask=part[v, u],
+        grid_depth_m=z[v, u].astype(np.float64),
+        fill=float((z[part] > 0).mean()),
+        focal_px=intrinsics.fx_px,
     )
 
 
@@ -172,13 +172,13 @@ class _Lens:
     """The camera as seen from a window's corner."""
 
     intrinsics: Intrinsics
-    left: int
-    top: int
+    left_px: int
+    top_px: int
 
     def rays(self, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
-        x, y = self.intrinsics.rays(u + self.left, v + self.top)
-        long = np.sqrt(x * x + y * y + 1)
-        return np.stack([x / long, y / long, 1 / long], axis=1)
+        x, y = self.intrinsics.rays(u + self.left_px, v + self.top_px)
+        lengths = np.sqrt(x * x + y * y + 1)
+        return np.stack([x / lengths, y / lengths, 1 / lengths], axis=1)
 
 
 def _from_rim(part: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -193,9 +193,9 @@ def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if count <= 2:
         return part
     areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
-    kept = areas >= min(_MIN_PIECE * areas[1:].sum(), areas[1:].max())
-    kept[0] = False
-    return np.asarray(kept[np.asarray(labels)])
+    is_piece = areas >= min(_MIN_PIECE * areas[1:].sum(), areas[1:].max())
+    is_piece[0] = False
+    return np.asarray(is_piece[np.asarray(labels)])
 
 
 def _points(
@@ -210,8 +210,8 @@ def _points(
     area = int(np.count_nonzero(core))
     step = max(1, int(np.sqrt(area / _DEPTH_POINTS)))
     v, u = np.nonzero(core[::step, ::step])
-    some = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
-    u, v = u[some] * step, v[some] * step
+    sample = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
+    u, v = u[sample] * step, v[sample] * step
     rays = lens.rays(u, v)
     points = rays * (z[v, u] / rays[:, 2])[:, None]
     return points, np.stack([u, v], axis=1), min(1.0, area / _POINT_AREA_PX / max(len(points), 1))
@@ -224,10 +224,10 @@ def _rays(
     inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
     noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
     # Comparisons with NaN are False: without a reading on both sides nothing is known to cover.
-    kept = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
-    long_px = len(kept) / _CRACKS_A_PIXEL
-    some = np.linspace(0, len(kept) - 1, min(len(kept), _OUTLINE_POINTS)).astype(np.intp)
-    rays = lens.rays(kept[some, 0], kept[some, 1])
+    outline = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
+    long_px = len(outline) / _CRACKS_A_PIXEL
+    sample = np.linspace(0, len(outline) - 1, min(len(outline), _OUTLINE_POINTS)).astype(np.intp)
+    rays = lens.rays(outline[sample, 0], outline[sample, 1])
     return rays, min(1.0, long_px / _OUTLINE_RUN_PX / max(len(rays), 1))
 
 
@@ -297,11 +297,11 @@ def measure_m6(
     view = view_tube(depth_m, mask, intrinsics)
     if view is None:
         return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
-    found = fit_view(view)
-    if isinstance(found, Reason):
-        return Measurement(MethodName.M6, reason=found)
-    beyond = beyond_ends(depth_m, mask, intrinsics, *found.shape.balls())
-    return with_hidden_end(judged_fit(view, found, beyond), depth_m, intrinsics)
+    fitting = fit_view(view)
+    if isinstance(fitting, Reason):
+        return Measurement(MethodName.M6, reason=fitting)
+    ends = beyond_ends(depth_m, mask, intrinsics, *fitting.shape.balls())
+    return with_hidden_end(judged_fit(view, fitting, ends), depth_m, intrinsics)
 
 
 def fits_well(measured: Measurement) -> bool:
@@ -354,27 +354,27 @@ def _best_fit(view: TubeView) -> TubeFitting:
     level = near_depths(surface)
     fits = [fit_shape(evidence, guess_shape(surface, level))]
     # What lies off the plane is background, or the far part of a hook.
-    more = [guess_shape(surface)] if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT else []
+    guesses = [guess_shape(surface)] if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT else []
     first = fits[0]
     overlap = _coverage(view, first.shape)[2]
-    seen = view.grid_mask & (view.grid_depth_m > 0)
-    unsure = np.count_nonzero(seen) >= _LEAST_SEEN and (
+    is_read = view.grid_mask & (view.grid_depth_m > 0)
+    unsure = np.count_nonzero(is_read) >= _LEAST_SEEN and (
         overlap < _GOOD_OVERLAP
         or first.centreline_sd_m > _UNSURE_M
         or _end_on(first.shape.balls()[0])
         or view.sparse
     )
     if unsure:
-        more.append(_flat_guess(view))
+        guesses.append(_flat_guess(view))
         if view.sparse:
-            more.append(_flat_guess(view, by_girth=True))
+            guesses.append(_flat_guess(view, by_girth=True))
     if unsure or overlap < _FULL_OVERLAP:
         picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
         bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
         if bent is not None and (unsure or bent.length_m > first.shape.length_m):
-            more.append(bent)
+            guesses.append(bent)
     # A guess that runs into the background is longer than any fruit, and no step brings it back.
-    fits += [fit_shape(evidence, guess) for guess in more if guess.length_m <= _RANGE_M[1]]
+    fits += [fit_shape(evidence, guess) for guess in guesses if guess.length_m <= _RANGE_M[1]]
     return _better(view, fits) if len(fits) > 1 else first
 
 
@@ -386,9 +386,9 @@ def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     least_overlap = max(overlap) - (_SPARSE_BETTER if view.sparse else _CLEARLY_BETTER)
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
     covering = [f for f in covering if not _runs_away(f)] or covering
-    least = min(fit.misfit for fit in covering)
-    alike = _SPARSE_ALIKE * least if view.sparse else _FITS_ALIKE
-    of_these = [f for f in covering if f.misfit <= least + alike]
+    least_misfit = min(fit.misfit for fit in covering)
+    alike = _SPARSE_ALIKE * least_misfit if view.sparse else _FITS_ALIKE
+    of_these = [f for f in covering if f.misfit <= least_misfit + alike]
     return min(of_these, key=_unevenness if view.sparse else _depth_share)
 
 
@@ -416,12 +416,12 @@ def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
     # The outline's own middle line, with the depth of a plane that most readings lie along.
     rays = view.grid_rays[view.grid_mask]
     picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
-    known = depth > 0
-    return guess_from_picture(picture, known, 1.0 / depth[known], by_girth=by_girth)
+    is_read = depth > 0
+    return guess_from_picture(picture, is_read, 1.0 / depth[is_read], by_girth=by_girth)
 
 
 def judged_fit(
-    view: TubeView, fitting: TubeFitting, beyond: tuple[BeyondEnd, BeyondEnd]
+    view: TubeView, fitting: TubeFitting, ends: tuple[BeyondEnd, BeyondEnd]
 ) -> Measurement:
     """Return what a fitted tube measures, or why it is none.
 
@@ -439,7 +439,7 @@ def judged_fit(
     length = traits.lengths.centreline_m
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(MethodName.M6, reason=Reason.OUT_OF_RANGE)
-    fit = _fit(view, fitting, traits, beyond)
+    fit = _fit(view, fitting, traits, ends)
     if fit.explained < _MIN_EXPLAINED:
         return Measurement(MethodName.M6, reason=Reason.NOT_A_TUBE)
     return Measurement(MethodName.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
@@ -449,14 +449,14 @@ def _fit(
     view: TubeView,
     fitting: TubeFitting,
     traits: TubeTraits,
-    beyond: tuple[BeyondEnd, BeyondEnd],
+    ends: tuple[BeyondEnd, BeyondEnd],
 ) -> TubeFit:
     explained, hidden, overlap = _coverage(view, fitting.shape)
     rays = fitting.rays
-    far = np.linalg.norm(rays.centres_m, axis=1)
-    outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
+    distances_m = np.linalg.norm(rays.centres_m, axis=1)
+    outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / distances_m)) * view.focal_px
     depth_m = 1.4826 * float(np.median(np.abs(fitting.points.gap_m)))
-    first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, beyond, strict=True))
+    first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, ends, strict=True))
     flags = []
     if not (first and last):
         flags.append(Flag.END_HIDDEN)
@@ -464,7 +464,7 @@ def _fit(
         flags.append(Flag.END_ON)
     if hidden > PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)
-    rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
+    rough = outline_px * float(np.median(distances_m)) / view.focal_px / traits.diameter_max_m
     on_it = _on_surface(view, fitting)
     fits_mask = explained >= _GOOD_EXPLAINED and overlap >= _LEAST_OVERLAP
     if not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:
@@ -473,18 +473,18 @@ def _fit(
     if sd > _UNCERTAIN * traits.lengths.centreline_m:
         flags.append(Flag.UNCERTAIN)
     return TubeFit(
-        traits,
-        sd,
-        sd * traits.lengths.thread_m / traits.lengths.centreline_m,
-        hidden,
-        explained,
-        view.fill,
-        outline_px,
-        depth_m,
-        (first, last),
-        fitting.ends_covariance,
-        (beyond[0].behind, beyond[1].behind),
-        tuple(flags),
+        traits=traits,
+        centreline_sd_m=sd,
+        thread_sd_m=sd * traits.lengths.thread_m / traits.lengths.centreline_m,
+        hidden_share=hidden,
+        explained=explained,
+        fill=view.fill,
+        outline_rms_px=outline_px,
+        depth_rms_m=depth_m,
+        ends_seen=(first, last),
+        ends_covariance=fitting.ends_covariance,
+        ends_open=(ends[0].behind, ends[1].behind),
+        flags=tuple(flags),
     )
 
 
@@ -493,14 +493,18 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     # last figure is the overlap of tube and mask where nothing nearer hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)
     inside = met.gap_m < 0
-    own = view.grid_mask
-    both = int((inside & own).sum())
+    fruit_mask = view.grid_mask
+    common = int((inside & fruit_mask).sum())
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
-    covered = int((inside & ~own & nearer).sum())
+    covered = int((inside & ~fruit_mask & nearer).sum())
     # Where most depth is missing, a ray without a reading may well be covered.
-    unread = int((inside & ~own & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
-    either = int((inside | own).sum()) - covered - unread
-    return both / max(int(own.sum()), 1), covered / max(int(inside.sum()), 1), both / max(either, 1)
+    unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
+    either = int((inside | fruit_mask).sum()) - covered - unread
+    return (
+        common / max(int(fruit_mask.sum()), 1),
+        covered / max(int(inside.sum()), 1),
+        common / max(either, 1),
+    )
 
 
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:

@@ -93,10 +93,10 @@ def position_ratio(
     density = log_density(gap_m, variance_m2).sum(axis=-1)
     # A hidden end that no flag names moves the middle up or down, by centimetres.
     up, variance = gap_m[..., UP], variance_m2[..., UP]
-    wide = variance + _UNSEEN_END_M**2
-    moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))
-    known = log_density(up, variance)
-    density += np.logaddexp(known, np.log(_UNSEEN_END) + moved) - known
+    end_variance = variance + _UNSEEN_END_M**2
+    moved = -0.5 * (np.square(up) / end_variance + np.log(2 * np.pi * end_variance))
+    end_density = log_density(up, variance)
+    density += np.logaddexp(end_density, np.log(_UNSEEN_END) + moved) - end_density
     return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)
 
 

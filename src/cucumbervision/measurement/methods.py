@@ -114,11 +114,11 @@ def run_methods(
     M5 ok () None
     M6 ok () None
     """
-    wanted = set(methods)
-    unknown = wanted - set(AVAILABLE)
+    chosen = set(methods)
+    unknown = chosen - set(AVAILABLE)
     if unknown:
         raise KeyError(f"no such method: {', '.join(sorted(unknown))}")
-    return {method: _RUN[method](region) for method in AVAILABLE if method in wanted}
+    return {method: _RUN[method](region) for method in AVAILABLE if method in chosen}
 
 
 def _m1(region: Region) -> Measurement:
@@ -155,12 +155,15 @@ def _m6(region: Region) -> Measurement:
     return measure_m6(region.depth_m, region.mask, region.intrinsics)
 
 
-def _or_else(failed: Measurement, method: MethodName, other: Measurement) -> Measurement:
-    path = (f"{failed.method}:{failed.reason}", *other.fallback)
-    if other.length_m is None:
-        return replace(failed, fallback=(*path, f"{method}:{other.reason}"))
+def _or_else(failed: Measurement, method: MethodName, substitute: Measurement) -> Measurement:
+    path = (f"{failed.method}:{failed.reason}", *substitute.fallback)
+    if substitute.length_m is None:
+        return replace(failed, fallback=(*path, f"{method}:{substitute.reason}"))
     return replace(
-        other, method=failed.method, fallback=path, measured_by=other.measured_by or method
+        substitute,
+        method=failed.method,
+        fallback=path,
+        measured_by=substitute.measured_by or method,
     )
 
 

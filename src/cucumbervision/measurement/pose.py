@@ -312,10 +312,10 @@ def fruit_pose(
     direction = (axis[0] - inner) / max(float(np.linalg.norm(axis[0] - inner)), 1e-9)
     covered = [
         part
-        for part, is_hidden, seen in zip(
+        for part, is_hidden, is_seen in zip(
             (Part.STEM, Part.BLOSSOM), hidden[::-1], fit.ends_seen, strict=True
         )
-        if is_hidden or not seen
+        if is_hidden or not is_seen
     ]
     covered += [Part.BODY] if Flag.PART_HIDDEN in fit.flags else []
     cut = covariance = None
@@ -326,17 +326,17 @@ def fruit_pose(
         )
         covered += [Part.CUT] if _is_behind(cut, capture) else []
     return FruitPose(
-        str(capture.provenance.get("frame_id") or CAMERA_FRAME),
-        axis[0],
-        axis[-1],
-        stem_confidence,
-        even[_POINTS // 2],
-        even,
-        np.interp(shares * run[-1], fit.traits.along_m, fit.traits.diameter_m) / 2,
-        direction,
-        cut,
-        covariance,
-        tuple(covered),
+        frame=str(capture.provenance.get("frame_id") or CAMERA_FRAME),
+        stem_m=axis[0],
+        blossom_m=axis[-1],
+        stem_confidence=stem_confidence,
+        centre_m=even[_POINTS // 2],
+        axis_m=even,
+        radius_m=np.interp(shares * run[-1], fit.traits.along_m, fit.traits.diameter_m) / 2,
+        direction=direction,
+        cut_m=cut,
+        cut_covariance_m2=covariance,
+        covered=tuple(covered),
     )
 
 
@@ -368,5 +368,5 @@ def _is_behind(point_m: NDArray[np.float64], capture: Capture) -> bool:
     u, v = np.rint(capture.intrinsics.project(point_m[None])[0]).astype(int).tolist()
     if not (0 <= u < capture.width and 0 <= v < capture.height):
         return False
-    near = capture.depth_m[v, u]
-    return bool(valid_depth(near) and near < point_m[2] - _NEARER_M)
+    depth_m = capture.depth_m[v, u]
+    return bool(valid_depth(depth_m) and depth_m < point_m[2] - _NEARER_M)

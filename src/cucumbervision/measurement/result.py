@@ -207,7 +207,7 @@ class TubeFit:
     flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
-    whole : HiddenLength, optional
+    hidden_length : HiddenLength, optional
         The whole fruit's centreline, where one end is hidden by something in the picture;
         `traits` are those of what is seen.
     looks : tuple of EndLook, optional
@@ -226,7 +226,7 @@ class TubeFit:
     ends_covariance: NDArray[np.float64]
     ends_open: tuple[float, float]
     flags: tuple[Flag, ...] = ()
-    whole: HiddenLength | None = None
+    hidden_length: HiddenLength | None = None
     looks: tuple[EndLook, EndLook] | None = None
 
 
@@ -337,10 +337,10 @@ class FruitMeasurement:
     lengths: Mapping[str, Length] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        said = f"not measured: {self.reason}"
+        words = f"not measured: {self.reason}"
         if self.length is not None:
-            said = f"{100 * self.length.value_m:.1f} cm {self.length.kind} by {self.method}"
-        return f"<FruitMeasurement: {said}>"
+            words = f"{100 * self.length.value_m:.1f} cm {self.length.kind} by {self.method}"
+        return f"<FruitMeasurement: {words}>"
 
     @property
     def method(self) -> MethodName | None:
@@ -380,5 +380,8 @@ def calibration_key(method: MethodName, kind: LengthDefinition | LengthKind) -> 
     >>> calibration_key(MethodName.M6, LengthDefinition.CENTRELINE)
     'M6'
     """
-    other = method is MethodName.M6 and kind in (LengthDefinition.THREAD, LengthDefinition.CHORD)
-    return f"{method} {kind}" if other else str(method)
+    is_further = method is MethodName.M6 and kind in (
+        LengthDefinition.THREAD,
+        LengthDefinition.CHORD,
+    )
+    return f"{method} {kind}" if is_further else str(method)

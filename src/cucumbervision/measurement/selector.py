@@ -115,8 +115,8 @@ def hidden_ends(
 def _hidden(keypoints: NDArray[np.float64], reaches: list[float]) -> tuple[bool, bool]:
     unseen = keypoints[[0, -1], 2] < _IN_SIGHT
     # A mask without pixels, or keypoints at one place, reach nowhere.
-    beyond = [reach < -_BEYOND for reach in reaches] or [False, False]
-    first, last = (bool(u) or b for u, b in zip(unseen, beyond, strict=True))
+    is_short = [reach < -_BEYOND for reach in reaches] or [False, False]
+    first, last = (bool(u) or b for u, b in zip(unseen, is_short, strict=True))
     return first, last
 
 
@@ -133,9 +133,13 @@ def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[
     reaches = []
     for tip, inner, part in ((0, 1, 0), (-1, -2, len(middles) - 1)):
         ahead = (line[tip] - line[inner]) / np.linalg.norm(line[tip] - line[inner])
-        own = pixels[nearest == part]
+        part_pixels = pixels[nearest == part]
         # No pixel at all near this part: the mask ends before it.
-        reach = float(((own - line[tip]) @ ahead).max()) if len(own) else -float(steps[part])
+        reach = (
+            float(((part_pixels - line[tip]) @ ahead).max())
+            if len(part_pixels)
+            else -float(steps[part])
+        )
         reaches.append(reach / float(steps.sum()))
     return reaches
 
@@ -286,15 +290,24 @@ def measure_fruit(
     (0.2, [])
     """
     mask, source, flags = _mask_to_measure(instance, selector)
-    region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
+    region = Region(
+        depth_m=capture.depth_m,
+        intrinsics=capture.intrinsics,
+        box=instance.box,
+        mask=mask,
+        keypoints=instance.keypoints,
+    )
     methods = set(methods)
-    found = run_methods(region, methods - {tube.method} if tube else methods)
+    measured = run_methods(region, methods - {tube.method} if tube else methods)
     if tube is not None and tube.method in methods:
-        found[tube.method] = tube
+        measured[tube.method] = tube
     if ends is not None:
-        instance = with_tubes_ends(instance, found.get(MethodName.M6), capture, ends)
-    turned = {method: stem_first(one, instance, capture) for method, one in found.items()}
-    measurements = {method: one for method, (one, _) in turned.items()}
+        instance = with_tubes_ends(instance, measured.get(MethodName.M6), capture, ends)
+    turned = {
+        method: stem_first(measurement, instance, capture)
+        for method, measurement in measured.items()
+    }
+    measurements = {method: measurement for method, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
     sure = instance.end_confidence
@@ -315,14 +328,14 @@ def measure_fruit(
             scale_known=scale_known,
         )
     fruit = FruitMeasurement(
-        instance,
-        measurements,
-        chosen,
-        choice,
-        fallback,
-        tuple(flags),
-        mask,
-        source,
+        instance=instance,
+        measurements=measurements,
+        selected=chosen,
+        reason=choice,
+        fallback=fallback,
+        flags=tuple(flags),
+        mask=mask,
+        mask_source=source,
         distance_m=distance_m,
         fill=fill,
         pose=pose,
@@ -366,7 +379,7 @@ def with_length(
     length = None if chosen is None else _length(chosen, definition)
     if chosen is None or length is None or fruit.distance_m is None or fruit.fill is None:
         return replace(fruit, length=length)
-    known = partial(
+    measure_interval = partial(
         with_interval,
         distance_m=fruit.distance_m,
         fill=fruit.fill,
@@ -375,18 +388,22 @@ def with_length(
         models=models,
     )
     lengths = {
-        calibration_key(one.method, each.kind): known(each, one)[0]
-        for one in fruit.measurements.values()
-        for each in _lengths(one)
+        calibration_key(measurement.method, kind_length.kind): measure_interval(
+            kind_length, measurement
+        )[0]
+        for measurement in fruit.measurements.values()
+        for kind_length in _lengths(measurement)
     }
-    length, narrow = known(length, chosen)
+    length, narrow = measure_interval(length, chosen)
     fruit = replace(fruit, length=length, lengths=lengths)
     return fruit if narrow else fruit.flagged(Flag.INTERVAL_TOO_WIDE)
 
 
 def _lengths(measurement: Measurement) -> list[Length]:
     if measurement.tube is not None:
-        return [Length(measurement.tube.of(one), one) for one in LengthDefinition]
+        return [
+            Length(measurement.tube.of(definition), definition) for definition in LengthDefinition
+        ]
     raw = _length(measurement, LengthDefinition.CENTRELINE)
     return [] if raw is None else [raw]
 
@@ -405,9 +422,9 @@ def _mask_to_measure(
     flags = [Flag(f"sam-{instance.mask_failure}")] if instance.mask_failure else []
     if instance.mask is not None:
         return instance.mask, instance.mask_source, flags
-    own = instance.detector_mask
-    if selector is Selector.BEST and own is not None and own.any():
-        return own, MaskSource.DETECTOR, [*flags, Flag.DETECTOR_MASK]
+    detector_mask = instance.detector_mask
+    if selector is Selector.BEST and detector_mask is not None and detector_mask.any():
+        return detector_mask, MaskSource.DETECTOR, [*flags, Flag.DETECTOR_MASK]
     return None, None, flags
 
 
@@ -431,8 +448,8 @@ def _depth_of(
 ) -> tuple[float | None, float | None]:
     """Return the median depth of the mask (or box), metres, and the share of valid readings."""
     if mask is None:
-        left, top, right, bottom = box_pixels(box, capture.depth_m.shape)
-        readings = capture.depth_m[top:bottom, left:right]
+        x1, y1, x2, y2 = box_pixels(box, capture.depth_m.shape)
+        readings = capture.depth_m[y1:y2, x1:x2]
     else:
         readings = capture.depth_m[mask]
     valid = readings[valid_depth(readings)]

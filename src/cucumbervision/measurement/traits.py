@@ -151,11 +151,11 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
     )
     deep = abs(float(ends[1, 2] - ends[0, 2])) / max(chord, 1e-9)
     return TubeTraits(
-        lengths,
-        inner_arc_height(centres_m, radii, ends, outward),
-        along,
-        diameter,
-        float(np.trapezoid(np.pi / 4 * diameter**2, along)),
-        float(np.rad2deg(np.arcsin(np.clip(deep, -1.0, 1.0)))),
-        axis,
+        lengths=lengths,
+        inner_arc_m=inner_arc_height(centres_m, radii, ends, outward),
+        along_m=along,
+        diameter_m=diameter,
+        volume_m3=float(np.trapezoid(np.pi / 4 * diameter**2, along)),
+        tilt_deg=float(np.rad2deg(np.arcsin(np.clip(deep, -1.0, 1.0)))),
+        axis_m=axis,
     )

@@ -144,16 +144,20 @@ def measure_views(
     >>> round(found.fruit.traits.lengths.centreline_m, 3), sorted(found.poses)
     (0.2, [0, 1])
     """
-    found = [one for k, view in enumerate(views) if (one := _alone(k, view)) is not None]
-    if not found:
+    fitted_views = [
+        fitted for k, view in enumerate(views) if (fitted := _alone(k, view)) is not None
+    ]
+    if not fitted_views:
         return None
-    found.sort(key=lambda one: (not all(one.fitting.ends_seen), _relative_sd(one.fitting)))
-    kept = found[:1]
-    for more in found[1:]:
-        if all(_apart(more, other) for other in kept):
-            kept.append(more)
-    first = kept[0]
-    joint = _joint(kept) if len(kept) > 1 else None
+    fitted_views.sort(
+        key=lambda fitted: (not all(fitted.fitting.ends_seen), _relative_sd(fitted.fitting))
+    )
+    chosen = fitted_views[:1]
+    for candidate in fitted_views[1:]:
+        if all(_apart(candidate, member) for member in chosen):
+            chosen.append(candidate)
+    first = chosen[0]
+    joint = _joint(chosen) if len(chosen) > 1 else None
     if joint is None:
         alone = measure_fruit(
             *(first.view.capture, first.view.instance, (MethodName.M6,)),
@@ -163,44 +167,44 @@ def measure_views(
         )
         return JointFruit(alone, first.number, {first.number: np.eye(4)})
     fruit = with_length(joint[0], definition, scale_known=scale_known, models=models)
-    numbers = [one.number for one in kept]
+    numbers = [fitted.number for fitted in chosen]
     return JointFruit(fruit, first.number, dict(zip(numbers, joint[1], strict=True)))
 
 
 def _joint(
-    kept: Sequence[_Alone],
+    chosen: Sequence[_Alone],
 ) -> tuple[FruitMeasurement, tuple[NDArray[np.float64], ...]] | None:
     """Return the fruit with one tube for all views, and the cameras' poses; None if none fits."""
-    first = kept[0]
-    seen = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
-    seen += [_relative(first, other) for other in kept[1:]]
+    first = chosen[0]
+    cameras = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
+    cameras += [_relative(first, fitted_view) for fitted_view in chosen[1:]]
     try:
-        fitted = fit_views(seen, first.fitting.shape)
+        fitted = fit_views(cameras, first.fitting.shape)
     except np.linalg.LinAlgError:
         return None
-    beyond = _beyond_ends(kept, fitted.poses, fitted.body.shape)
+    ends = _beyond_ends(chosen, fitted.poses, fitted.body.shape)
     one_tube, sure = stem_first(
-        judged_fit(first.tube, fitted.body, beyond), first.view.instance, first.view.capture
+        judged_fit(first.tube, fitted.body, ends), first.view.instance, first.view.capture
     )
     # What is known of the fruit beside its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
-    return _together(alone, one_tube, sure, kept, fitted.poses), fitted.poses
+    return _together(alone, one_tube, sure, chosen, fitted.poses), fitted.poses
 
 
 def _beyond_ends(
-    kept: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], shape: TubeShape
+    chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], shape: TubeShape
 ) -> tuple[BeyondEnd, BeyondEnd]:
     # What is seen behind an end by any view is not hidden by what covers it in another.
     centres, radii = shape.balls()
     by_view = [
         beyond_ends(
-            one.view.capture.depth_m,
-            one.mask,
-            one.view.capture.intrinsics,
+            fitted.view.capture.depth_m,
+            fitted.mask,
+            fitted.view.capture.intrinsics,
             centres @ pose[:3, :3].T + pose[:3, 3],
             radii,
         )
-        for one, pose in zip(kept, poses, strict=True)
+        for fitted, pose in zip(chosen, poses, strict=True)
     ]
     first, last = (max(end.behind for end in ends) for ends in zip(*by_view, strict=True))
     return BeyondEnd(behind=first), BeyondEnd(behind=last)
@@ -210,22 +214,22 @@ def _together(
     alone: FruitMeasurement,
     one_tube: Measurement,
     stem_confidence: float,
-    kept: Sequence[_Alone],
+    chosen: Sequence[_Alone],
     poses: Sequence[NDArray[np.float64]],
 ) -> FruitMeasurement:
     """Return the fruit with the tube of all views, flagged with what holds for all of them."""
     fit = one_tube.fit
     flags: list[Flag] = []
     if fit is not None:
-        hidden = _hidden_share(kept, poses, fit.traits.axis_m)
+        hidden = _hidden_share(chosen, poses, fit.traits.axis_m)
         flags += (flag for flag in fit.flags if flag is not Flag.PART_HIDDEN)
         flags += [Flag.PART_HIDDEN] if hidden > PART_HIDDEN else []
         one_tube = replace(one_tube, fit=replace(fit, hidden_share=hidden, flags=tuple(flags)))
-    ends = [hidden_ends(one.mask, one.view.instance.keypoints) for one in kept]
+    ends = [hidden_ends(fitted.mask, fitted.view.instance.keypoints) for fitted in chosen]
     blossom, stem = (all(of_end) for of_end in zip(*ends, strict=True))
     if blossom or stem:
         flags.append(Flag.END_HIDDEN)
-    if all(_is_cut(one.view) for one in kept):
+    if all(_is_cut(fitted.view) for fitted in chosen):
         flags.append(Flag.CUT_BY_FRAME)
     flags += [flag for flag in alone.flags if flag not in _BY_VIEW]
     return replace(
@@ -234,7 +238,7 @@ def _together(
         selected=None if one_tube.length_m is None else one_tube,
         reason=Choice.SEVERAL_VIEWS,
         flags=tuple(dict.fromkeys(flags)),
-        pose=fruit_pose(one_tube, stem_confidence, (blossom, stem), kept[0].view.capture),
+        pose=fruit_pose(one_tube, stem_confidence, (blossom, stem), chosen[0].view.capture),
     )
 
 
@@ -244,17 +248,17 @@ def _is_cut(view: FruitView) -> bool:
 
 
 def _hidden_share(
-    kept: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
+    chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
 ) -> float:
     # Of the axis: what lies in no view's mask.
-    shown = np.zeros(len(axis_m), bool)
-    for one, pose in zip(kept, poses, strict=True):
+    is_shown = np.zeros(len(axis_m), bool)
+    for fitted, pose in zip(chosen, poses, strict=True):
         points = axis_m @ pose[:3, :3].T + pose[:3, 3]
-        u, v = one.view.capture.intrinsics.project(points).round().astype(int).T
-        height, width = one.mask.shape
+        u, v = fitted.view.capture.intrinsics.project(points).round().astype(int).T
+        height, width = fitted.mask.shape
         inside = (points[:, 2] > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        shown[inside] |= one.mask[v[inside], u[inside]]
-    return float(1.0 - shown.mean())
+        is_shown[inside] |= fitted.mask[v[inside], u[inside]]
+    return float(1.0 - is_shown.mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +278,7 @@ def _alone(number: int, view: FruitView) -> _Alone | None:
     fitting = None if tube is None else fit_view(tube)
     if mask is None or tube is None or fitting is None or isinstance(fitting, Reason):
         return None
-    return _Alone(number, view, mask, tube, fitting)
+    return _Alone(number=number, view=view, mask=mask, tube=tube, fitting=fitting)
 
 
 def _relative_sd(fitting: TubeFitting) -> float:
@@ -287,15 +291,15 @@ def _middle(fitting: TubeFitting) -> NDArray[np.float64]:
     return np.asarray(fitting.shape.balls(3)[0][1], dtype=np.float64)
 
 
-def _apart(one: _Alone, other: _Alone) -> bool:
-    away = float(np.linalg.norm(one.view.pose[:3, 3] - other.view.pose[:3, 3]))
-    return away > _SAME_PLACE * float(np.linalg.norm(_middle(one.fitting)))
+def _apart(first: _Alone, second: _Alone) -> bool:
+    away = float(np.linalg.norm(first.view.pose[:3, 3] - second.view.pose[:3, 3]))
+    return away > _SAME_PLACE * float(np.linalg.norm(_middle(first.fitting)))
 
 
-def _relative(first: _Alone, other: _Alone) -> SeenFrom:
+def _relative(first: _Alone, second: _Alone) -> SeenFrom:
     # Where the other camera sees the first one's body, laid onto its own: a stop's place is known
     # to centimetres only. Of part of a fruit the middle says nothing along the axis.
-    view, fitting = other.view, other.fitting
+    view, fitting = second.view, second.fitting
     turn = view.pose[:3, :3].T @ first.view.pose[:3, :3]
     shift = view.pose[:3, :3].T @ (first.view.pose[:3, 3] - view.pose[:3, 3])
     off = _middle(fitting) - (turn @ _middle(first.fitting) + shift)
@@ -304,4 +308,10 @@ def _relative(first: _Alone, other: _Alone) -> SeenFrom:
         run = np.diff(fitting.shape.balls(2)[0], axis=0)[0]
         run /= np.linalg.norm(run)
         off, sd = off - (off @ run) * run, view.shift_sd_m
-    return SeenFrom(other.tube.evidence, turn, shift + off, sd, view.turn_sd_rad)
+    return SeenFrom(
+        evidence=second.tube.evidence,
+        turn=turn,
+        shift_m=shift + off,
+        shift_sd_m=sd,
+        turn_sd_rad=view.turn_sd_rad,
+    )

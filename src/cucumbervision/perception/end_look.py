@@ -100,5 +100,9 @@ def looked_at(row: NDArray[np.float64]) -> EndLook:
     true, covered, running_on = (states / states.sum()).tolist()
     shares = np.sort(ERROR_SCALE * np.sinh(row[3:8]))
     return EndLook(
-        true, covered, running_on, tuple(shares.tolist()), float(1 / (1 + np.exp(-row[8])))
+        true=true,
+        covered=covered,
+        running_on=running_on,
+        missing=tuple(shares.tolist()),
+        stem=float(1 / (1 + np.exp(-row[8]))),
     )

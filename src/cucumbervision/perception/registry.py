@@ -315,12 +315,12 @@ def _checkpoint(path: Path) -> Model:
         raise ModelError("no such file", source=path, remedy="name a checkpoint of SAM 2")
     file = ModelFile("checkpoint", path.name, file_sha256(path), path.stat().st_size)
     return Model(
-        str(path),
-        "prompted-mask",
-        "",
-        "SAM 2 (Ravi et al. 2024)",
-        "the user",
-        (file,),
+        name=str(path),
+        task="prompted-mask",
+        licence="",
+        title="SAM 2 (Ravi et al. 2024)",
+        origin="the user",
+        files=(file,),
         embedded=True,
         segmenter="cucumbervision.perception.sam2:Sam2",
     )

@@ -84,11 +84,11 @@ def with_unit_doubts(fruit: Sequence[FruitMeasurement]) -> tuple[FruitMeasuremen
     All were read from one depth picture: with its unit wrong, fruit whose sizes can be are wrong,
     too.
     """
-    known = [one.length is not None or one.reason in _REFUSED for one in fruit]
-    large = sum(Flag.DEPTH_UNIT in one.flags for one in fruit)
-    if not large or 2 * large < sum(known):
+    is_sized = [measured.length is not None or measured.reason in _REFUSED for measured in fruit]
+    large = sum(Flag.DEPTH_UNIT in measured.flags for measured in fruit)
+    if not large or 2 * large < sum(is_sized):
         return tuple(fruit)
     return tuple(
-        one.flagged(Flag.DEPTH_UNIT) if sized else one
-        for one, sized in zip(fruit, known, strict=True)
+        measured.flagged(Flag.DEPTH_UNIT) if sized else measured
+        for measured, sized in zip(fruit, is_sized, strict=True)
     )

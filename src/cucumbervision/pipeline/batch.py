@@ -116,17 +116,17 @@ class Worker(ABC, Generic[T]):
         except Exception as error:
             return SearchedCapture(read, CaptureResult.failed(read.capture, error))
 
-    def measure(self, seen: Outcome[T] | SearchedCapture) -> Outcome[T]:
+    def measure(self, searched: Outcome[T] | SearchedCapture) -> Outcome[T]:
         """Measure the detected fruit, and convert the result."""
-        if isinstance(seen, Outcome):
-            return seen
-        result = seen.detected
+        if isinstance(searched, Outcome):
+            return searched
+        result = searched.detected
         if isinstance(result, DetectedCapture):
             try:
                 result = self.measurer.measure_detected(result)
             except Exception as error:
-                result = CaptureResult.failed(seen.read.capture, error)
-        return self.make(result, seen.read.content)
+                result = CaptureResult.failed(searched.read.capture, error)
+        return self.make(result, searched.read.content)
 
     @abstractmethod
     def make(self, result: CaptureResult, content: str) -> Outcome[T]:
@@ -148,48 +148,48 @@ Engine: TypeAlias = Callable[
 
 
 def in_turn(
-    items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+    items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
     """Process one item after the other, and request the next only when the previous one is done."""
     for item in items:
-        yield Outcome() if _is_dropped(item, stop) else worker(item)
+        yield Outcome() if _is_dropped(item, is_cancelled) else worker(item)
 
 
 def in_process(
-    items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+    items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
     """Do items one after the other in this process.
 
     While networks look at one capture, the next is read and the one before is measured.
     """
     waiting: deque[tuple[Item, Future[Any]]] = deque()
-    found: deque[Future[Outcome[Any]]] = deque()
+    measuring: deque[Future[Outcome[Any]]] = deque()
     begun = False
 
     def look() -> Iterator[Outcome[Any]]:
         nonlocal begun
         item, reading = waiting.popleft()
-        read = Outcome() if _is_dropped(item, stop) else reading.result()
-        found.append(measurers.submit(worker.measure, worker.detect(read)))
+        read = Outcome() if _is_dropped(item, is_cancelled) else reading.result()
+        measuring.append(measurers.submit(worker.measure, worker.detect(read)))
         # The first outcome is yielded immediately, for a caller that waits for it.
-        while found and (len(found) > 1 or not begun):
+        while measuring and (len(measuring) > 1 or not begun):
             begun = True
-            yield found.popleft().result()
+            yield measuring.popleft().result()
 
     with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as measurers:
         for item in items:
-            dropped = _is_dropped(item, stop)
+            dropped = _is_dropped(item, is_cancelled)
             waiting.append((item, _done() if dropped else readers.submit(worker.read, item)))
             if len(waiting) > 1:
                 yield from look()
         while waiting:
             yield from look()
-        while found:
-            yield found.popleft().result()
+        while measuring:
+            yield measuring.popleft().result()
 
 
-def _is_dropped(item: Item, stop: Callable[[], bool]) -> bool:
-    return isinstance(item, Listed) and stop()
+def _is_dropped(item: Item, is_cancelled: Callable[[], bool]) -> bool:
+    return isinstance(item, Listed) and is_cancelled()
 
 
 def _done(outcome: Outcome[Any] | None = None) -> Future[Outcome[Any]]:
@@ -216,7 +216,7 @@ class Processes:
     workers: int
 
     def __call__(
-        self, items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+        self, items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
     ) -> Iterator[Outcome[Any]]:
         """Do the items: at most two a worker are begun or wait for their turn.
 
@@ -228,13 +228,13 @@ class Processes:
 
         def first() -> Outcome[Any]:
             item, future = waiting.popleft()
-            if _is_dropped(item, stop) and future.cancel():
+            if _is_dropped(item, is_cancelled) and future.cancel():
                 return Outcome()
             return pool.result(item, future)
 
         try:
             for item in items:
-                if _is_dropped(item, stop):
+                if _is_dropped(item, is_cancelled):
                     waiting.append((item, _done()))
                 else:
                     ready = portable(item)
@@ -360,20 +360,20 @@ class LoopOptions:
         Opens each input.
     engine : Engine
         Where the work is done.
-    stop : callable
+    is_cancelled : callable
         Asked before each capture whether to end after those that are being measured.
     """
 
     opener: Opener = open_source
     engine: Engine = in_process
-    stop: Callable[[], bool] = never
+    is_cancelled: Callable[[], bool] = never
 
 
 def measure_all(
     items: Iterable[ItemT],
     worker: Worker[T],
     engine: Engine = in_process,
-    stop: Callable[[], bool] = never,
+    is_cancelled: Callable[[], bool] = never,
 ) -> Iterator[tuple[ItemT, Outcome[T]]]:
     """Measure captures, and yield each item with its outcome, in order.
 
@@ -385,7 +385,7 @@ def measure_all(
         Reads and measures each, and makes of it what is wanted.
     engine : Engine
         Where the work is done: `in_turn`, `in_process`, `Processes` or a `RayEngine`.
-    stop : callable
+    is_cancelled : callable
         Once it returns True, running captures are finished and no more are begun.
 
     Raises
@@ -402,12 +402,12 @@ def measure_all(
     >>> [(one.name, len(outcome.value.fruit)) for one, outcome in measure_all(listed, worker)]
     [('simulated-bench', 3), ('simulated-row-a', 3), ('simulated-row-b', 2)]
     """
-    given: deque[ItemT] = deque()
+    begun_items: deque[ItemT] = deque()
 
     def noted() -> Iterator[ItemT]:
         for item in items:
-            given.append(item)
+            begun_items.append(item)
             yield item
 
-    for outcome in engine(noted(), worker, stop):
-        yield given.popleft(), outcome
+    for outcome in engine(noted(), worker, is_cancelled):
+        yield begun_items.popleft(), outcome

@@ -44,10 +44,10 @@ class CropPack:
 
         Instances and keypoints that were chosen by the user stay.
         """
-        own = options.instances in ("auto", "models") and self.segment is not None
+        has_segmenter = options.instances in ("auto", "models") and self.segment is not None
         return replace(
             options.for_crop(self.profile),
-            instances=str(self.segment) if own else options.instances,
+            instances=str(self.segment) if has_segmenter else options.instances,
             pose=options.pose or self.pose,
         )
 
@@ -71,18 +71,18 @@ def read_pack(folder: Path) -> CropPack:
 
 
 def _network(folder: Path, task: str) -> Path | None:
-    found = sorted(folder.glob(f"*-{task}.onnx"))
-    if len(found) > 1:
+    paths = sorted(folder.glob(f"*-{task}.onnx"))
+    if len(paths) > 1:
         raise ModelError(
-            f"holds {len(found)} networks *-{task}.onnx", source=folder, remedy="keep one"
+            f"holds {len(paths)} networks *-{task}.onnx", source=folder, remedy="keep one"
         )
-    for path in found:
+    for path in paths:
         card = path.with_suffix(".json")
-        said = read_json(card, ModelError) if card.is_file() else {}
-        if isinstance(said, dict) and said.get("sha256") not in (None, file_sha256(path)):
+        content = read_json(card, ModelError) if card.is_file() else {}
+        if isinstance(content, dict) and content.get("sha256") not in (None, file_sha256(path)):
             raise ModelHashError(
                 f"is not the network that {card.name} describes",
                 source=path,
                 remedy="export both again with `cucumbervision train export`",
             )
-    return found[0] if found else None
+    return paths[0] if paths else None

@@ -76,32 +76,37 @@ def find_pictures(
     (['a.png', 'b.JPG'], 1)
     """
     apart = leave_out.resolve() if leave_out is not None else None
-    seen: set[Path] = set()
+    resolved_paths: set[Path] = set()
     names: set[str] = set()
     items: list[Item] = []
     skipped = 0
-    for given in map(Path, inputs):
-        is_folder, before = given.is_dir(), len(seen) - skipped
-        if not is_folder and not given.exists():
-            error = CaptureError("does not exist", source=given, remedy="check the path")
-            items.append(Failure.of(error, str(given)))
+    for entry in map(Path, inputs):
+        is_folder, before = entry.is_dir(), len(resolved_paths) - skipped
+        if not is_folder and not entry.exists():
+            error = CaptureError("does not exist", source=entry, remedy="check the path")
+            items.append(Failure.of(error, str(entry)))
             continue
-        for path, name in _below(given) if is_folder else [(given, given.name)]:
-            whole = path.resolve()
-            if whole in seen or (is_folder and apart is not None and apart in whole.parents):
+        for path, name in _below(entry) if is_folder else [(entry, entry.name)]:
+            resolved = path.resolve()
+            if resolved in resolved_paths or (
+                is_folder and apart is not None and apart in resolved.parents
+            ):
                 continue
-            seen.add(whole)
+            resolved_paths.add(resolved)
             if is_folder and path.suffix.lower() not in PHOTO_SUFFIXES:
                 skipped += 1
                 continue
-            own = next((one for one in (name, path.as_posix()) if one not in names), str(whole))
-            names.add(own)
-            ref = CaptureRef(own, 0, partial(read_picture, path, own))
-            items.append(Listed(str(path), ref, own))
-        if is_folder and len(seen) - skipped == before:
+            picture_name = next(
+                (candidate for candidate in (name, path.as_posix()) if candidate not in names),
+                str(resolved),
+            )
+            names.add(picture_name)
+            ref = CaptureRef(picture_name, 0, partial(read_picture, path, picture_name))
+            items.append(Listed(str(path), ref, picture_name))
+        if is_folder and len(resolved_paths) - skipped == before:
             remedy = "name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some"
-            error = CaptureError("there are no pictures", source=given, remedy=remedy)
-            items.append(Failure.of(error, str(given)))
+            error = CaptureError("there are no pictures", source=entry, remedy=remedy)
+            items.append(Failure.of(error, str(entry)))
     return items, skipped
 
 
@@ -142,25 +147,27 @@ class PictureWorker(Worker[DetectedPicture]):
         self._out = out
         self._taken: set[str] = set()
 
-    def measure(self, seen: Outcome[DetectedPicture] | SearchedCapture) -> Outcome[DetectedPicture]:
+    def measure(
+        self, searched: Outcome[DetectedPicture] | SearchedCapture
+    ) -> Outcome[DetectedPicture]:
         """Return what was found; nothing is measured."""
-        if isinstance(seen, Outcome):
-            return seen
-        if isinstance(seen.detected, CaptureResult):
-            return self.make(seen.detected, "")
-        capture, found = seen.detected.capture, seen.detected.found
+        if isinstance(searched, Outcome):
+            return searched
+        if isinstance(searched.detected, CaptureResult):
+            return self.make(searched.detected, "")
+        capture, detections = searched.detected.capture, searched.detected.detections
         entries = [
-            coco_fields(one, keypoints=found.posed) | {"class": one.class_name}
-            for one in found.instances
+            coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
+            for instance in detections.instances
         ]
         size = capture.width, capture.height
         failures: list[Failure] = []
         if self._out is not None:
             with Boundary(failures, capture.source, capture.name):
                 stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
-                drawn = draw_detections(capture.color, found.instances)
+                drawn = draw_detections(capture.color, detections.instances)
                 write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
-        picture = DetectedPicture(capture.name, *size, entries, found.labels)
+        picture = DetectedPicture(capture.name, *size, entries, detections.labels)
         return Outcome(picture, tuple(failures))
 
     def make(self, result: CaptureResult, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
@@ -260,18 +267,20 @@ def detect_inputs(
 
 
 def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> None:
-    named = [one.classes for one in result.pictures]
-    found = [{entry["class"] for entry in one.entries} for one in result.pictures]
-    labels = list(dict.fromkeys(name for names in (*named, *map(sorted, found)) for name in names))
+    named = [picture.classes for picture in result.pictures]
+    class_names = [{entry["class"] for entry in picture.entries} for picture in result.pictures]
+    labels = list(
+        dict.fromkeys(name for names in (*named, *map(sorted, class_names)) for name in names)
+    )
     images, lines = [], []
-    for number, one in enumerate(result.pictures, start=1):
-        size = {"width": one.width, "height": one.height}
-        images.append({"id": number, "file_name": one.name, **size})
-        for entry in one.entries:
-            rest = {key: value for key, value in entry.items() if key != "class"}
+    for number, picture in enumerate(result.pictures, start=1):
+        size = {"width": picture.width, "height": picture.height}
+        images.append({"id": number, "file_name": picture.name, **size})
+        for entry in picture.entries:
+            fields = {key: value for key, value in entry.items() if key != "class"}
             category = labels.index(entry["class"]) + 1
-            head = {"image_id": number, "file_name": one.name, "category_id": category}
-            lines.append(json.dumps(head | rest, ensure_ascii=False))
+            head = {"image_id": number, "file_name": picture.name, "category_id": category}
+            lines.append(json.dumps(head | fields, ensure_ascii=False))
     info = {
         "description": "Pictures given to cucumbervision detect; results.json has their fruit",
         **software(),
@@ -309,28 +318,28 @@ def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
+def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:
     """Return one fruit's box, score, mask and keypoints as COCO's results have them.
 
     COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
     `keypoints` every entry has keypoints, because a pose network ran.
     """
-    x1, y1, x2, y2 = (float(edge) for edge in one.box)
+    x1, y1, x2, y2 = (float(edge) for edge in instance.box)
     box = [x1 + 0.5, y1 + 0.5, x2 - x1, y2 - y1]
     entry: dict[str, Any] = {
         "bbox": [round(value, 3) for value in box],
-        "score": round(one.confidence, 5),
+        "score": round(instance.confidence, 5),
     }
-    if one.input_size_px is not None:
-        entry["input_size"] = one.input_size_px
-    mask = one.detector_mask if one.mask is None else one.mask
+    if instance.input_size_px is not None:
+        entry["input_size"] = instance.input_size_px
+    mask = instance.detector_mask if instance.mask is None else instance.mask
     if mask is not None:
         entry["segmentation"] = {"size": list(mask.shape), "counts": encode_rle(mask)}
-        entry["mask_source"] = str(one.mask_source or "detector")
+        entry["mask_source"] = str(instance.mask_source or "detector")
     if keypoints:
         points = np.zeros((len(KEYPOINT_NAMES), 3))
-        if one.keypoints is not None:
-            points = one.keypoints + np.array([0.5, 0.5, 0.0])
+        if instance.keypoints is not None:
+            points = instance.keypoints + np.array([0.5, 0.5, 0.0])
         entry["keypoints"] = [round(value, 3) for value in points.ravel().tolist()]
         entry["num_keypoints"] = int(np.count_nonzero(points[:, 2]))
     return entry

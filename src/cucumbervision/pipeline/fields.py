@@ -200,29 +200,31 @@ def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
     path : Path
         CSV with the columns name, unit, type, digits, says and path; without a path it is the name.
     """
-    found = []
+    fields = []
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
         digits = int(line["digits"]) if line["digits"] else None
-        about = line["name"], line["unit"], cast("CellType", line["type"]), line["says"]
-        found.append((line, Field(*about, line["path"] or line["name"], digits)))
-    return found
+        description = line["name"], line["unit"], cast("CellType", line["type"]), line["says"]
+        fields.append((line, Field(*description, line["path"] or line["name"], digits)))
+    return fields
 
 
-FIELDS = tuple(one for _, one in read_fields(Path(__file__).with_name("fields.csv")))
+FIELDS = tuple(
+    fruit_field for _, fruit_field in read_fields(Path(__file__).with_name("fields.csv"))
+)
 """The columns of `measurements.csv`, in order."""
 
 
-def fruit_row(seen: NumberedFruit) -> dict[str, Cell]:
+def fruit_row(fruit: NumberedFruit) -> dict[str, Cell]:
     """Return a fruit's row: a cell for every name of `FIELDS`, in the tables' units."""
-    return {one.name: one.of(seen) for one in FIELDS}
+    return {fruit_field.name: fruit_field.of(fruit) for fruit_field in FIELDS}
 
 
-def si_values(seen: NumberedFruit) -> dict[str, Cell]:
+def si_values(fruit: NumberedFruit) -> dict[str, Cell]:
     """Return what is known of a fruit in SI units, by `Column.si_name`."""
-    return {one.si_name: one.stored(seen) for one in FIELDS}
+    return {fruit_field.si_name: fruit_field.stored(fruit) for fruit_field in FIELDS}
 
 
-def row_model(name: str, fields: Iterable[Field], **more: Any) -> type[BaseModel]:
+def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[BaseModel]:
     """Return the pydantic model of a JSON object with these fields, any of which may be missing.
 
     Parameters
@@ -241,10 +243,13 @@ def row_model(name: str, fields: Iterable[Field], **more: Any) -> type[BaseModel
     (['capture', 'frame', 'fruit'], 'number of the fruit in the capture, from 1')
     """
     cells: dict[str, Any] = {
-        one.name: (_PYTHON[one.type] | None, Described(None, description=one.says))
-        for one in fields
+        row_field.name: (
+            _PYTHON[row_field.type] | None,
+            Described(None, description=row_field.says),
+        )
+        for row_field in fields
     }
-    return create_model(name, **cells, **more)
+    return create_model(name, **cells, **extra_fields)
 
 
 def utc(seconds: float) -> str:

@@ -38,7 +38,7 @@ _PERCEIVED = (MaskSource.SAM, MaskSource.SEGMENTER, MaskSource.DETECTOR)  # may 
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Detections:
     """The fruit of one capture.
 
     Parameters
@@ -70,17 +70,17 @@ class Found:
     tubes: tuple[Measurement | None, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
 
-    def of_classes(self, classes: Collection[str]) -> Found:
+    def of_classes(self, classes: Collection[str]) -> Detections:
         """Return the same with the instances of some classes alone; with all if there are none."""
         if not classes:
             return self
-        chosen = [k for k, one in enumerate(self.instances) if _class_of(one) in classes]
-        others = [one for one in self.instances if _class_of(one) not in classes]
+        chosen = [k for k, instance in enumerate(self.instances) if _class_of(instance) in classes]
+        excluded = [instance for instance in self.instances if _class_of(instance) not in classes]
         return replace(
             self,
             instances=tuple(self.instances[k] for k in chosen),
             clipped=frozenset(n for n, k in enumerate(chosen) if k in self.clipped),
-            left_out=Counter(one.class_name for one in others),
+            left_out=Counter(instance.class_name for instance in excluded),
         )
 
 
@@ -88,7 +88,7 @@ def _class_of(instance: Instance) -> str:
     return instance.class_name.strip().casefold()
 
 
-Find: TypeAlias = Callable[["Capture"], Found]
+Find: TypeAlias = Callable[["Capture"], Detections]
 
 Detector: TypeAlias = Callable[["Capture"], "Sequence[Instance]"]
 """Anything that finds the fruit of a capture."""
@@ -116,9 +116,9 @@ class Finder:
         drawn = Stage.DRAWN in stages
         tasks |= {"look"} if drawn or Stage.DETECTED in stages else set()
         return tuple(
-            one
-            for one in self.networks.models
-            if one["task"] in tasks or (drawn and one["task"] not in _FINDING | {"look"})
+            network
+            for network in self.networks.models
+            if network["task"] in tasks or (drawn and network["task"] not in _FINDING | {"look"})
         )
 
 
@@ -171,78 +171,91 @@ def make_finder(
     name = options.segmenter
     if name not in (None, "none"):
         networks.verify(networks.registry.segmenter(name).name)
-    boxes = _box_finder(options, networks) if detector is None else _found_by(detector)
+    boxes = _box_finder(options, networks) if detector is None else _finder_of(detector)
 
-    def find(capture: Capture) -> Found:
-        found = boxes(capture).of_classes(options.classes)
+    def find(capture: Capture) -> Detections:
+        detections = boxes(capture).of_classes(options.classes)
         if name != "none":
-            found = _without_box_masks(found)
+            detections = _without_box_masks(detections)
         if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
-            found = _with_fitting_masks(capture, found)
+            detections = _with_fitting_masks(capture, detections)
         # Masks that were given are used as they are unless a segmenter was asked for.
-        drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
+        drawn = [
+            k for k, i in enumerate(detections.instances) if options.segmenter or i.mask is None
+        ]
         if name == "none" or not drawn:
-            kept: tuple[Stage, ...] = (Stage.KEPT,) if found.instances else ()
-            return _placed(capture, found, found.instances, kept)
-        prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
+            file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
+            return _placed(capture, detections, detections.instances, file_stages)
+        prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         segmenter = networks.segmenter(name)
         answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
         masked = dict(zip(drawn, answers, strict=True))
-        instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
-        kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _placed(capture, found, instances, (*kept, Stage.DRAWN))
+        instances = tuple(
+            masked.get(k, instance) for k, instance in enumerate(detections.instances)
+        )
+        file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
+        return _placed(capture, detections, instances, (*file_stages, Stage.DRAWN))
 
     return Finder(find, networks)
 
 
-def _without_box_masks(found: Found) -> Found:
+def _without_box_masks(detections: Detections) -> Detections:
     """Return fruit whose mask is a filled box as boxes, which a segmenter draws."""
     instances = tuple(
-        replace(one, mask=None, mask_source=None)
-        if one.mask is not None and is_box_mask(one.mask)
-        else one
-        for one in found.instances
+        replace(instance, mask=None, mask_source=None)
+        if instance.mask is not None and is_box_mask(instance.mask)
+        else instance
+        for instance in detections.instances
     )
-    return replace(found, instances=instances)
+    return replace(detections, instances=instances)
 
 
 def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
     """Return what a segmenter drew, under its own name if it is not SAM."""
     source = MaskSource.SAM if isinstance(segmenter, Sam) else MaskSource.SEGMENTER
-    return tuple(one if one.mask is None else replace(one, mask_source=source) for one in instances)
+    return tuple(
+        instance if instance.mask is None else replace(instance, mask_source=source)
+        for instance in instances
+    )
 
 
-def _with_fitting_masks(capture: Capture, found: Found) -> Found:
+def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
     """Return fruit with the detector's mask as theirs where a tube fits it well, and that tube."""
-    kept: list[Instance] = []
+    instances: list[Instance] = []
     tubes: list[Measurement | None] = []
-    for one in found.instances:
-        mask, tube = one.detector_mask, None
-        if one.mask is None and mask is not None and mask.any():
+    for instance in detections.instances:
+        mask, tube = instance.detector_mask, None
+        if instance.mask is None and mask is not None and mask.any():
             mask = without_flower(mask, capture.color)
             measured = measure_m6(capture.depth_m, mask, capture.intrinsics)
             if fits_well(measured):
-                one, tube = replace(one, mask=mask, mask_source=MaskSource.DETECTOR), measured
-        kept.append(one)
+                instance, tube = (
+                    replace(instance, mask=mask, mask_source=MaskSource.DETECTOR),
+                    measured,
+                )
+        instances.append(instance)
         tubes.append(tube)
-    return replace(found, instances=tuple(kept), tubes=tuple(tubes))
+    return replace(detections, instances=tuple(instances), tubes=tuple(tubes))
 
 
 def _placed(
-    capture: Capture, found: Found, instances: tuple[Instance, ...], stages: tuple[Stage, ...]
-) -> Found:
+    capture: Capture,
+    detections: Detections,
+    instances: tuple[Instance, ...],
+    stages: tuple[Stage, ...],
+) -> Detections:
     """Return what was found with masks and keypoints as they are measured."""
     cleaned = tuple(
-        replace(one, mask=without_flower(one.mask, capture.color))
-        if one.mask is not None and one.mask_source in _PERCEIVED
-        else one
-        for one in instances
+        replace(instance, mask=without_flower(instance.mask, capture.color))
+        if instance.mask is not None and instance.mask_source in _PERCEIVED
+        else instance
+        for instance in instances
     )
-    pairs = zip(found.tubes, found.instances, cleaned, strict=False)
+    pairs = zip(detections.tubes, detections.instances, cleaned, strict=False)
     return replace(
-        found,
+        detections,
         instances=place_keypoints(cleaned),
-        stages=found.stages + stages,
+        stages=detections.stages + stages,
         tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
     )
 
@@ -279,8 +292,8 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
 _ROUNDING_PX = 0.51  # boxes that are counted from the picture's corner reach half a pixel beyond
 
 
-def _found_by(detector: Detector) -> Find:
-    def find(capture: Capture) -> Found:
+def _finder_of(detector: Detector) -> Find:
+    def find(capture: Capture) -> Detections:
         instances: list[Instance] = []
         clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
@@ -293,7 +306,7 @@ def _found_by(detector: Detector) -> Find:
             if np.abs(inside.box - instance.box).max() > _ROUNDING_PX:
                 clipped.add(len(instances))
             instances.append(inside)
-        return Found(tuple(instances), frozenset(clipped), tuple(refused))
+        return Detections(tuple(instances), frozenset(clipped), tuple(refused))
 
     return find
 
@@ -311,20 +324,20 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     pose = None if options.pose is None else networks.pose(options.pose)
     if choice == "auto":
         return _auto_finder(options, networks, pose)
-    given = _dataset_or_error if choice == "dataset" else _file_finder(path)
-    return _with_pose(given, pose, options.confidence)
+    find = _dataset_or_error if choice == "dataset" else _file_finder(path)
+    return _with_pose(find, pose, options.confidence)
 
 
 def _auto_finder(
     options: MeasureOptions, networks: NetworkLoader, pose: YoloDetector | None
 ) -> Find:
     """Take a data set's masks where there are some, and load the networks where there are none."""
-    given = _with_pose(_dataset, pose, options.confidence)
+    find_in_dataset = _with_pose(_dataset, pose, options.confidence)
     loaded: list[Find] = []
 
-    def find(capture: Capture) -> Found:
+    def find(capture: Capture) -> Detections:
         if capture.masks:
-            return given(capture)
+            return find_in_dataset(capture)
         if not loaded:
             loaded.append(_network_finder(options, networks, pose=pose))
         return loaded[0](capture)
@@ -343,11 +356,11 @@ def _network_finder(
     detectors = networks.detectors(file, pose, keypoints=options.keypoints)
     labels, posed = detectors.labels, detectors.gives_keypoints
 
-    def find(capture: Capture) -> Found:
+    def find(capture: Capture) -> Detections:
         depth_m = capture.depth_m if capture.depth_m.any() else None  # a plain picture has none
         focal_px = None if depth_m is None else capture.intrinsics.fx_px
-        found = detectors.find(capture.color, depth_m, focal_px)
-        return Found(found, stages=(Stage.DETECTED,), labels=labels, posed=posed)
+        instances = detectors.find(capture.color, depth_m, focal_px)
+        return Detections(instances, stages=(Stage.DETECTED,), labels=labels, posed=posed)
 
     return find
 
@@ -357,13 +370,15 @@ def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
     if pose is None:
         return find
 
-    def find_with_keypoints(capture: Capture) -> Found:
-        found = find(capture)
-        if not found.instances:
-            return found
+    def find_with_keypoints(capture: Capture) -> Detections:
+        detections = find(capture)
+        if not detections.instances:
+            return detections
         poses = pose.detect(capture.color)
-        instances = with_keypoints(found.instances, poses, sure=sure)
-        return replace(found, instances=instances, stages=(*found.stages, Stage.POSED), posed=True)
+        instances = with_keypoints(detections.instances, poses, sure=sure)
+        return replace(
+            detections, instances=instances, stages=(*detections.stages, Stage.POSED), posed=True
+        )
 
     return find_with_keypoints
 
@@ -373,11 +388,11 @@ def _file_finder(path: Path) -> Find:
 
     file = read_instances(path)
 
-    def find(capture: Capture) -> Found:
+    def find(capture: Capture) -> Detections:
         names = (capture.name, capture.source)
-        given = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
-        cut = frozenset(k for k, clipped in enumerate(given.clipped) if clipped)
-        return Found(given.instances, cut, given.refused, (Stage.LISTED,))
+        listed = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
+        cut = frozenset(k for k, clipped in enumerate(listed.clipped) if clipped)
+        return Detections(listed.instances, cut, listed.refused, (Stage.LISTED,))
 
     return find
 
@@ -417,12 +432,12 @@ def instance_notes(
     return notes
 
 
-def _shortened(names: Sequence[str], most: int = 5) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"
+def _shortened(names: Sequence[str], most_names: int = 5) -> str:
+    remainder = f" and {len(names) - most_names} more" if len(names) > most_names else ""
+    return f"{', '.join(names[:most_names])}{remainder}"
 
 
-def _dataset_or_error(capture: Capture) -> Found:
+def _dataset_or_error(capture: Capture) -> Detections:
     if not capture.masks:
         raise InstancesError(
             "the data set has no masks for this capture",
@@ -432,5 +447,5 @@ def _dataset_or_error(capture: Capture) -> Found:
     return _dataset(capture)
 
 
-def _dataset(capture: Capture) -> Found:
-    return Found(dataset_instances(capture), stages=(Stage.DATASET,))
+def _dataset(capture: Capture) -> Detections:
+    return Detections(dataset_instances(capture), stages=(Stage.DATASET,))

@@ -151,7 +151,7 @@ _BATCH, _BATCH_S = 256, 30.0
 _SEGMENTS_HELD = 8
 
 
-def place_of(at: str, name: str) -> str:
+def place_of(address: str, name: str) -> str:
     """Return the key of a capture's place: where it was read from, and its name in the tables.
 
     Examples
@@ -159,7 +159,9 @@ def place_of(at: str, name: str) -> str:
     >>> len(place_of("house/a/capture.json", "a"))
     32
     """
-    return hashlib.blake2b(json.dumps([at, name]).encode(), digest_size=_PLACE // 2).hexdigest()
+    return hashlib.blake2b(
+        json.dumps([address, name]).encode(), digest_size=_PLACE // 2
+    ).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,10 @@ class JournalRecord:
     @property
     def rows(self) -> list[dict[str, Cell]]:
         """The rows of the table of fruit."""
-        return [{one.name: fruit[one.name] for one in FIELDS} for fruit in self.capture["fruit"]]
+        return [
+            {fruit_field.name: fruit[fruit_field.name] for fruit_field in FIELDS}
+            for fruit in self.capture["fruit"]
+        ]
 
     def line(self) -> bytes:
         """Return the record as a line of the journal."""
@@ -249,8 +254,8 @@ class Journal:
         self._torn = False
         self.damaged = 0
         with wrap_os_errors("cannot be read", self._folder, "check who may read it"):
-            there = self._folder.glob("*.jsonl") if self._folder.exists() else ()
-            self._segments = sorted(there, key=lambda path: path.name)
+            segments = self._folder.glob("*.jsonl") if self._folder.exists() else ()
+            self._segments = sorted(segments, key=lambda path: path.name)
             for number in range(len(self._segments)):
                 self._look_through(number)
         last = self._segments[-1].name.split("-")[0] if self._segments else "0"
@@ -263,14 +268,14 @@ class Journal:
         return len(self._index)
 
     def _look_through(self, number: int) -> None:
-        at = 0
+        offset = 0
         with self._segments[number].open("rb") as file:
             for line in file:
                 if _is_whole(line):
-                    self._index[_key(line)] = number, at, len(line)
+                    self._index[_key(line)] = number, offset, len(line)
                 elif line.strip() and not line.startswith(b"{"):
                     self.damaged += 1
-                at += len(line)
+                offset += len(line)
 
     def _begin(self) -> None:
         with wrap_os_errors("cannot be written", self._out.path):
@@ -293,11 +298,11 @@ class Journal:
         where = self._index.get(bytes.fromhex(place))
         if where is None:
             return None
-        number, at, length = where
+        number, offset, length = where
         if self._out.is_remote:
-            return JournalRecord.from_line(self._segment(number)[at : at + length])
+            return JournalRecord.from_line(self._segment(number)[offset : offset + length])
         with self._segments[number].open("rb") as file:
-            file.seek(at)
+            file.seek(offset)
             return JournalRecord.from_line(file.read(length))
 
     def _segment(self, number: int) -> bytes:
@@ -336,13 +341,17 @@ class Journal:
         # What an earlier attempt left half written ends here, and is no record.
         line = b"\n" * self._torn + record.line()
         self._torn = True
-        rest, at = memoryview(line), self._file.tell()
-        while rest:
-            rest = rest[self._file.write(rest) or 0 :]
+        unwritten, offset = memoryview(line), self._file.tell()
+        while unwritten:
+            unwritten = unwritten[self._file.write(unwritten) or 0 :]
         os.fsync(self._file.fileno())
         self._torn = False
-        at += len(line) - len(record.line())
-        self._index[bytes.fromhex(record.place)] = len(self._segments) - 1, at, len(record.line())
+        offset += len(line) - len(record.line())
+        self._index[bytes.fromhex(record.place)] = (
+            len(self._segments) - 1,
+            offset,
+            len(record.line()),
+        )
 
     def flush(self) -> None:
         """Send what waits.
@@ -358,10 +367,10 @@ class Journal:
         name = f"{self._run}-{self._number:06d}.jsonl"
         self._out.write(f"{JOURNAL}/{name}", _HEAD + b"".join(lines))
         self._segments.append(self._folder / name)
-        at = len(_HEAD)
+        offset = len(_HEAD)
         for line in lines:
-            self._index[_key(line)] = len(self._segments) - 1, at, len(line)
-            at += len(line)
+            self._index[_key(line)] = len(self._segments) - 1, offset, len(line)
+            offset += len(line)
         self._waiting, self._since, self._number = [], time.monotonic(), self._number + 1
 
     def close(self) -> None:

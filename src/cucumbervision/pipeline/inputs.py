@@ -101,8 +101,8 @@ def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[List
     with Boundary(failures, name):
         source = opener()
         if unused := source.unused:
-            shown = shorten(", ".join(unused), _LONGEST_LIST, placeholder=" …")
-            _log.warning("%s: %d pictures belong to no capture: %s", name, len(unused), shown)
+            names = shorten(", ".join(unused), _LONGEST_LIST, placeholder=" …")
+            _log.warning("%s: %d pictures belong to no capture: %s", name, len(unused), names)
         refs = iter(source)
     while refs is not None:
         ref = None
@@ -129,13 +129,13 @@ def read_captures(
     Capture or Failure
         A capture, or why one or a whole input cannot be read.
     """
-    for one in list_captures(distinct(inputs, _log.warning), reading, opener):
-        if isinstance(one, Failure):
-            yield one
+    for listed in list_captures(distinct(inputs, _log.warning), reading, opener):
+        if isinstance(listed, Failure):
+            yield listed
             continue
         failures: list[Failure] = []
-        with Boundary(failures, one.input, one.name):
-            yield one.ref.load()
+        with Boundary(failures, listed.input, listed.name):
+            yield listed.ref.load()
         yield from failures
 
 
@@ -155,21 +155,21 @@ def each_once(
         Told in a line, when an input is through, how many of its captures were named before.
     """
     names, places = set[str](), set[str]()
-    again, current = 0, ""
-    for one in listed:
-        if one.input != current:
-            _say_again(current, again, say)
-            again, current = 0, one.input
-        if isinstance(one, Failure):
-            yield one
+    repeats, current = 0, ""
+    for entry in listed:
+        if entry.input != current:
+            _say_again(current, repeats, say)
+            repeats, current = 0, entry.input
+        if isinstance(entry, Failure):
+            yield entry
             continue
-        place = one.ref.at if "://" in one.ref.at else os.path.realpath(one.ref.at)
-        if one.ref.at and place in places:
-            again += 1
+        place = entry.ref.at if "://" in entry.ref.at else os.path.realpath(entry.ref.at)
+        if entry.ref.at and place in places:
+            repeats += 1
             continue
         places.add(place)
-        yield Listed(one.input, one.ref, unique_name(one.name, names))
-    _say_again(current, again, say)
+        yield Listed(entry.input, entry.ref, unique_name(entry.name, names))
+    _say_again(current, repeats, say)
 
 
 def _say_again(path: str, captures: int, say: Callable[[str], None]) -> None:
@@ -181,15 +181,15 @@ def _say_again(path: str, captures: int, say: Callable[[str], None]) -> None:
 def distinct(inputs: Iterable[Path], say: Callable[[str], None]) -> list[Path]:
     """Return the inputs without those that name the same place again; `say` is called for each."""
     places: set[str] = set()
-    kept: list[Path] = []
+    unique_inputs: list[Path] = []
     for path in inputs:
         place = str(path) if is_remote(path) else os.path.realpath(path)
         if place in places:
             say(f"{path} is given twice: it is measured once")
         else:
             places.add(place)
-            kept.append(path)
-    return kept
+            unique_inputs.append(path)
+    return unique_inputs
 
 
 def count_captures(

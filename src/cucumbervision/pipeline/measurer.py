@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.finders import Detector, Finder, Found
+    from cucumbervision.pipeline.finders import Detections, Detector, Finder
     from cucumbervision.pipeline.stages import Stage
 
 _WARM_UP_PX = (640, 480)
@@ -192,13 +192,13 @@ class CaptureResult:
         return cls(capture, (), (Failure.of(named, capture.source, capture.name),), named)
 
     @property
-    def seen(self) -> tuple[NumberedFruit, ...]:
+    def numbered_fruit(self) -> tuple[NumberedFruit, ...]:
         """The fruit, numbered from 1."""
-        return tuple(NumberedFruit(self.capture, n, one) for n, one in enumerate(self.fruit, 1))
+        return tuple(NumberedFruit(self.capture, n, fruit) for n, fruit in enumerate(self.fruit, 1))
 
     def rows(self) -> list[dict[str, Cell]]:
         """Return the rows of the table of fruit."""
-        return [fruit_row(one) for one in self.seen]
+        return [fruit_row(numbered) for numbered in self.numbered_fruit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ class DetectedCapture:
     """A capture, its depth scaled by the calibration if there is one, and its fruit."""
 
     capture: Capture
-    found: Found
+    detections: Detections
 
 
 class Measurer:
@@ -345,28 +345,36 @@ class Measurer:
         chosen : collection of int, optional
             Which of the fruit, from 0; the others get no measurement. All if not given.
         """
-        capture, found = detected.capture, detected.found
+        capture, detections = detected.capture, detected.detections
         measured = [
-            self._measured(capture, one, tube)
+            self._measured(capture, instance, tube)
             if chosen is None or k in chosen
-            else FruitMeasurement(one, {}, None, Choice.WAITING)
-            for k, (one, tube) in enumerate(zip_longest(found.instances, found.tubes))
+            else FruitMeasurement(instance, {}, None, Choice.WAITING)
+            for k, (instance, tube) in enumerate(
+                zip_longest(detections.instances, detections.tubes)
+            )
         ]
         fruit = self._judged(capture, measured)
-        for number in found.clipped:
+        for number in detections.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
-        refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
-        models = () if self._finder is None else self._finder.models_of(found.stages)
+        refused = [Failure.of(error, capture.source, capture.name) for error in detections.refused]
+        models = () if self._finder is None else self._finder.models_of(detections.stages)
         doubts = [Flag(doubt) for doubt in capture.doubts]
-        doubted = tuple(one.flagged(*doubts) for one in with_unit_doubts(fruit))
+        doubted = tuple(measured.flagged(*doubts) for measured in with_unit_doubts(fruit))
         return CaptureResult(
-            capture, doubted, tuple(refused), None, found.stages, models, found.left_out
+            capture=capture,
+            fruit=doubted,
+            failures=tuple(refused),
+            error=None,
+            stages=detections.stages,
+            models=models,
+            left_out=detections.left_out,
         )
 
     def measure_instance(
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
     ) -> FruitMeasurement:
-        """Measure one fruit of a capture whose depth is scaled already; `tube` as `Found.tubes`."""
+        """Measure one fruit of a capture with scaled depth; `tube` as in `Detections.tubes`."""
         return self._judged(capture, [self._measured(capture, instance, tube)])[0]
 
     def _measured(
@@ -394,16 +402,18 @@ class Measurer:
 
         They are calibrated, and those of sizes that cannot be get no length.
         """
-        options, known = self.options, self._scale_known
+        options, scale_known = self.options, self._scale_known
         look = None if self._finder is None else self._finder.networks.look_at_ends
         if options.end_look and look is not None:
-            measured = with_end_looks(capture, measured, look, options.length, scale_known=known)
+            measured = with_end_looks(
+                capture, measured, look, options.length, scale_known=scale_known
+            )
         if self.site is not None:
-            measured = [calibrated_fruit(one, self.site, options.length) for one in measured]
+            measured = [calibrated_fruit(fruit, self.site, options.length) for fruit in measured]
         doubts = [Flag(doubt) for doubt in capture.doubts]
         sizes = options.accepted_m, options.accepted_diameter_m
         return [
-            accepted_fruit(one.flagged(*doubts), *sizes, capture.intrinsics) for one in measured
+            accepted_fruit(fruit.flagged(*doubts), *sizes, capture.intrinsics) for fruit in measured
         ]
 
     @property

@@ -132,11 +132,11 @@ class MeasureOptions:
             object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
         classes: Any = self.classes
         names = classes.split(",") if isinstance(classes, str) else classes
-        wanted = tuple(name.strip().casefold() for name in names if name.strip())
-        object.__setattr__(self, "classes", wanted)
-        given: Any = self.methods  # people write names, or 'all', or one text such as 'm1,m5'
-        given = given.split(",") if isinstance(given, str) else given
-        methods = {str(name).strip().upper() for name in given}
+        class_names = tuple(name.strip().casefold() for name in names if name.strip())
+        object.__setattr__(self, "classes", class_names)
+        method_names: Any = self.methods  # users give names, or 'all', or one text such as 'm1,m5'
+        method_names = method_names.split(",") if isinstance(method_names, str) else method_names
+        methods = {str(name).strip().upper() for name in method_names}
         listed = (_choice("methods", name, MethodName) for name in sorted(methods))
         chosen = AVAILABLE if methods == {"ALL"} else tuple(listed)
         object.__setattr__(self, "methods", chosen)

@@ -50,13 +50,13 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
     """
     picture = capture.color.copy()
     size = max(capture.height / 720, 0.5)
-    for number, one in enumerate(fruit, start=1):
+    for number, measured in enumerate(fruit, start=1):
         color = COLORS[(number - 1) % len(COLORS)]
-        draw_region(picture, one, color, size)
-        if one.selected is not None and one.selected.path_m is not None:
-            draw_path(picture, one.selected, capture.intrinsics, color, size)
-    for number, one in enumerate(fruit, start=1):
-        _draw_label(picture, _label(number, one), one.instance.box, size)
+        draw_region(picture, measured, color, size)
+        if measured.selected is not None and measured.selected.path_m is not None:
+            draw_path(picture, measured.selected, capture.intrinsics, color, size)
+    for number, measured in enumerate(fruit, start=1):
+        _draw_label(picture, _label(number, measured), measured.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         draw_text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -96,10 +96,10 @@ def _tint_mask(
     window = mask_window(inside)
     if window is None:
         return
-    part, own = picture[window], inside[window]
-    part[own] = ((1 - _TINT) * part[own] + _TINT * np.array(color)).astype(np.uint8)
+    part, part_mask = picture[window], inside[window]
+    part[part_mask] = ((1 - _TINT) * part[part_mask] + _TINT * np.array(color)).astype(np.uint8)
     outline, _ = cv2.findContours(
-        own.astype(np.uint8),
+        part_mask.astype(np.uint8),
         cv2.RETR_EXTERNAL,
         cv2.CHAIN_APPROX_NONE,
         offset=(window[1].start, window[0].start),
@@ -145,9 +145,9 @@ def draw_line(
     cv2.polylines(picture, [pixels], False, _BLACK, max(2, round(4 * size)), cv2.LINE_AA)
     cv2.polylines(picture, [pixels], False, _WHITE, max(1, round(2 * size)), cv2.LINE_AA)
     for tip in (pixels[0], pixels[-1]):
-        at = (int(tip[0]), int(tip[1]))
-        cv2.circle(picture, at, max(3, round(6 * size)), _BLACK, -1, cv2.LINE_AA)
-        cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
+        centre_px = (int(tip[0]), int(tip[1]))
+        cv2.circle(picture, centre_px, max(3, round(6 * size)), _BLACK, -1, cv2.LINE_AA)
+        cv2.circle(picture, centre_px, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
 def _label(number: int, fruit: FruitMeasurement) -> str:
@@ -155,8 +155,8 @@ def _label(number: int, fruit: FruitMeasurement) -> str:
     if length is None:
         return f"{number}: not measured ({fruit.reason})"
     # What runs on out of sight is longer than what was seen of it.
-    least = "at least " if fruit.at_least else ""
-    return f"{number}: {least}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
+    bound = "at least " if fruit.at_least else ""
+    return f"{number}: {bound}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
 
 def _draw_label(
@@ -170,15 +170,17 @@ def _draw_label(
     draw_text(picture, label, (int(x), int(y)), size)
 
 
-def draw_text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
+def draw_text(
+    picture: NDArray[np.uint8], text: str, corner_px: tuple[int, int], size: float
+) -> None:
     """Write white letters on a darkened plate, their lower left corner at a pixel, in place."""
     scale, thin = 0.65 * size, max(1, round(1.6 * size))
     (width, height), below = cv2.getTextSize(text, _FONT, scale, thin)
     pad = max(3, round(5 * size))
-    top, left = max(at[1] - height - pad, 0), max(at[0] - pad, 0)
-    plate = picture[top : at[1] + below + pad, left : at[0] + width + pad]
+    top, left_px = max(corner_px[1] - height - pad, 0), max(corner_px[0] - pad, 0)
+    plate = picture[top : corner_px[1] + below + pad, left_px : corner_px[0] + width + pad]
     plate[:] = (0.35 * plate).astype(np.uint8)
-    cv2.putText(picture, text, at, _FONT, scale, _WHITE, thin, cv2.LINE_AA)
+    cv2.putText(picture, text, corner_px, _FONT, scale, _WHITE, thin, cv2.LINE_AA)
 
 
 def _draw_scale(
@@ -194,11 +196,11 @@ def _draw_scale(
 
 def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: float) -> None:
     """Draw a scale bar with its text into the lower left corner, in place."""
-    left, y = round(16 * size), picture.shape[0] - round(20 * size)
-    right = left + round(length_px)
+    left_px, y = round(16 * size), picture.shape[0] - round(20 * size)
+    right = left_px + round(length_px)
     for color, thick in ((_BLACK, round(8 * size)), (_WHITE, round(4 * size))):
-        cv2.line(picture, (left, y), (right, y), color, max(2, thick), cv2.LINE_AA)
-    draw_text(picture, text, (left, y - round(14 * size)), size)
+        cv2.line(picture, (left_px, y), (right, y), color, max(2, thick), cv2.LINE_AA)
+    draw_text(picture, text, (left_px, y - round(14 * size)), size)
 
 
 def _fruit_depths(capture: Capture, fruit: FruitMeasurement) -> NDArray[np.float32]:
@@ -237,17 +239,17 @@ def draw_detections(
     """
     picture = color_rgb.copy()
     size = max(max(picture.shape[:2]) / 1280, 0.5)
-    for number, one in enumerate(instances):
+    for number, instance in enumerate(instances):
         color = COLORS[number % len(COLORS)]
-        mask = one.detector_mask if one.mask is None else one.mask
+        mask = instance.detector_mask if instance.mask is None else instance.mask
         if mask is not None:
             _tint_mask(picture, mask, color, size)
-        x1, y1, x2, y2 = (round(float(edge)) for edge in one.box)
+        x1, y1, x2, y2 = (round(float(edge)) for edge in instance.box)
         cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(1.5 * size)), cv2.LINE_AA)
-        if one.keypoints is not None:
-            _draw_keypoints(picture, one.keypoints, color, size)
-    for one in instances:
-        _draw_label(picture, f"{one.class_name} {one.confidence:.2f}", one.box, size)
+        if instance.keypoints is not None:
+            _draw_keypoints(picture, instance.keypoints, color, size)
+    for instance in instances:
+        _draw_label(picture, f"{instance.class_name} {instance.confidence:.2f}", instance.box, size)
     return picture
 
 
@@ -260,9 +262,9 @@ def _draw_keypoints(
     points = np.rint(keypoints[:, :2]).astype(np.int32)
     cv2.polylines(picture, [points], False, _BLACK, max(2, round(3 * size)), cv2.LINE_AA)
     cv2.polylines(picture, [points], False, _WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
-    seen = keypoints[:, 2] >= MIN_VISIBILITY
+    is_visible = keypoints[:, 2] >= MIN_VISIBILITY
     last = len(points) - 1
-    for k, ((u, v), visible) in enumerate(zip(points.tolist(), seen.tolist(), strict=True)):
+    for k, ((u, v), visible) in enumerate(zip(points.tolist(), is_visible.tolist(), strict=True)):
         radius = max(3, round((7 if k in (0, last) else 4) * size))
         for reach, shade in ((radius, _BLACK), (radius - max(1, round(2 * size)), color)):
             width = -1 if visible or shade == _BLACK else max(1, round(size))

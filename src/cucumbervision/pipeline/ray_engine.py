@@ -44,7 +44,7 @@ class RayEngine:
     workers: int = 0
 
     def __call__(
-        self, items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+        self, items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
     ) -> Iterator[Outcome[Any]]:
         """Do the items; Ray Data bounds what is in memory between reading and measuring.
 
@@ -61,7 +61,7 @@ class RayEngine:
         ray = _import_ray()
         listed = list(items)
         done = 0
-        if not all(isinstance(one, Failure) for one in listed):
+        if not all(isinstance(entry, Failure) for entry in listed):
             self._connect(ray)
             try:
                 for row in self._dataset(ray, listed, worker).iter_rows():
@@ -73,7 +73,7 @@ class RayEngine:
                         raise outcome
                     done += 1
                     yield outcome
-                    if stop():
+                    if is_cancelled():
                         break
                 else:
                     for item in listed[done:]:
@@ -81,15 +81,15 @@ class RayEngine:
                     done = len(listed)
             finally:
                 ray.shutdown()
-        for one in listed[done:]:
-            yield Outcome(failures=(one,)) if isinstance(one, Failure) else Outcome()
+        for entry in listed[done:]:
+            yield Outcome(failures=(entry,)) if isinstance(entry, Failure) else Outcome()
 
     def _connect(self, ray: Any) -> None:
         try:
             # A cluster of its own needs no page and writes no lines of its own.
             local = self.address == "local"
-            own = {"include_dashboard": False, "num_cpus": None} if local else {}
-            ray.init(self.address, log_to_driver=False, logging_level="error", **own)
+            local_options = {"include_dashboard": False, "num_cpus": None} if local else {}
+            ray.init(self.address, log_to_driver=False, logging_level="error", **local_options)
         except Exception as error:  # Ray's own have no family
             raise CucumberVisionError(
                 f"no Ray cluster can be reached ({error})",
@@ -98,8 +98,8 @@ class RayEngine:
             ) from None
 
     def _dataset(self, ray: Any, listed: list[Item], worker: Worker[Any]) -> Any:
-        there = ray.cluster_resources()
-        cpus, gpus = float(there.get("CPU", 1)), float(there.get("GPU", 0))
+        resources = ray.cluster_resources()
+        cpus, gpus = float(resources.get("CPU", 1)), float(resources.get("GPU", 0))
         workers = self.workers or max(1, int(cpus))
         share = _MEASURING * cpus / workers
         context = ray.data.DataContext.get_current()
@@ -109,8 +109,8 @@ class RayEngine:
         # Ray would begin a capture that kills its worker again and again, without end.
         context.max_errored_blocks = -1
         items = [
-            {"number": number, "item": pickle.dumps(portable(one))}
-            for number, one in enumerate(listed)
+            {"number": number, "item": pickle.dumps(portable(entry))}
+            for number, entry in enumerate(listed)
         ]
         on_gpus = worker.measurer.options.runtime in ("cuda", "tensorrt")
         dataset = ray.data.from_items(items, override_num_blocks=len(items))

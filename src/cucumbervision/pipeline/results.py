@@ -50,11 +50,11 @@ class Results:
     @property
     def fruit(self) -> tuple[FruitMeasurement, ...]:
         """The fruit of all captures."""
-        return tuple(fruit for one in self.captures for fruit in one.fruit)
+        return tuple(fruit for result in self.captures for fruit in result.fruit)
 
     def rows(self) -> list[dict[str, Cell]]:
         """Return one row per fruit, with the columns of `measurements.csv`."""
-        return [row for one in self.captures for row in one.rows()]
+        return [row for result in self.captures for row in result.rows()]
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the rows as a data frame.
@@ -68,7 +68,7 @@ class Results:
             import pandas as pd
         except ModuleNotFoundError:
             raise MissingExtraError("pandas") from None
-        return pd.DataFrame(self.rows(), columns=[one.name for one in FIELDS])
+        return pd.DataFrame(self.rows(), columns=[fruit_field.name for fruit_field in FIELDS])
 
     def __iter__(self) -> Iterator[CaptureResult]:
         return iter(self.captures)
@@ -77,8 +77,8 @@ class Results:
         return len(self.captures)
 
     def __repr__(self) -> str:
-        found, failed = len(self.fruit), len(self.failures)
-        return f"<Results: {found} fruit in {len(self)} captures, {failed} failures>"
+        count, failed = len(self.fruit), len(self.failures)
+        return f"<Results: {count} fruit in {len(self)} captures, {failed} failures>"
 
 
 def measure(
@@ -154,17 +154,21 @@ def measure(
                 "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
             )
         captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
-    given = [captures] if isinstance(captures, Capture | Path | str) else captures
+    inputs = [captures] if isinstance(captures, Capture | Path | str) else captures
 
     def items() -> Iterator[Item]:
-        for one in given:
-            if isinstance(one, Capture):
-                yield Listed.of(one)
+        for source in inputs:
+            if isinstance(source, Capture):
+                yield Listed.of(source)
             else:
-                yield from list_captures([as_path(one)], measurer.options.reading)
+                yield from list_captures([as_path(source)], measurer.options.reading)
 
     done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
-    results = [one.value for one in done if one.value is not None and one.value.error is None]
+    results = [
+        outcome.value
+        for outcome in done
+        if outcome.value is not None and outcome.value.error is None
+    ]
     failures = [failure for outcome in done for failure in outcome.failures]
     chosen = measurer.options.instances
     names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]

@@ -82,7 +82,7 @@ class BatchOptions(LoopOptions):
 
     Parameters
     ----------
-    opener, engine, stop
+    opener, engine, is_cancelled
         As in `LoopOptions`.
     parquet : bool
         Write `parquet/`, too: parts of 100,000 fruit.
@@ -194,11 +194,11 @@ class Task(Listed):
 
     Parameters
     ----------
-    known : str
+    known_content : str
         Hash of the content that was measured before in the same way; empty where none was.
     """
 
-    known: str = ""
+    known_content: str = ""
 
     @property
     def place(self) -> str:
@@ -236,7 +236,9 @@ class FolderWorker(Worker[JournalRecord]):
         return Outcome() if self._is_known(item, content) else replace(read, content=content)
 
     def _is_known(self, task: Task, content: str) -> bool:
-        return bool(content) and content == task.known and self._out.has(_picture(task.name))
+        return (
+            bool(content) and content == task.known_content and self._out.has(_picture(task.name))
+        )
 
     def make(self, result: CaptureResult, content: str) -> Outcome[JournalRecord]:
         """Return the record of a measured capture, and write its picture."""
@@ -244,10 +246,19 @@ class FolderWorker(Worker[JournalRecord]):
         record = picture = None
         if result.error is None:
             with Boundary(failures, capture.source, capture.name):
-                said = capture_json(result, result.rows())
+                content_json = capture_json(result, result.rows())
                 digest = self.measurer.hashes.of(result.stages)
                 stages, models = tuple(map(str, result.stages)), list(result.models)
-                record = JournalRecord("", content, stages, digest, said, (), models, None)
+                record = JournalRecord(
+                    place="",
+                    content=content,
+                    stages=stages,
+                    digest=digest,
+                    capture=content_json,
+                    failures=(),
+                    models=models,
+                    picture=None,
+                )
         if record is not None:
             with Boundary(failures, capture.source, capture.name):
                 self.draw(result)
@@ -290,9 +301,9 @@ def content_of(parts: Iterable[Path | bytes]) -> str:
 
 def _content_of_capture(capture: Capture) -> str:
     """Hash a capture that comes from no file of its own."""
-    about = [capture.frame, capture.burst_frame, capture.burst_size, capture.timestamp_s]
+    frame_numbers = [capture.frame, capture.burst_frame, capture.burst_size, capture.timestamp_s]
     camera = [vars(capture.intrinsics), vars(capture.stop), capture.source]
-    digest = hashlib.sha256(json.dumps(json_value([about, camera])).encode())
+    digest = hashlib.sha256(json.dumps(json_value([frame_numbers, camera])).encode())
     for array in (capture.color, capture.depth_m, *capture.masks):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
@@ -308,7 +319,7 @@ class _Run:
     batch: BatchOptions
     started: datetime = field(default_factory=lambda: datetime.now(UTC))
     order: list[bytes] = field(default_factory=list)
-    seen: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
+    capture_names: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.result = RunResult(self.out.path, self._records)
@@ -325,52 +336,52 @@ class _Run:
         )
         worker = FolderWorker(self.measurer, self.out)
         tasks = map(self._task, listed)
-        for one, outcome in measure_all(tasks, worker, self.batch.engine, self.batch.stop):
-            step = self._take(one, outcome)
+        for task, outcome in measure_all(tasks, worker, self.batch.engine, self.batch.is_cancelled):
+            step = self._take(task, outcome)
             if report is not None and step is not None:
                 report(step)
         with Boundary(result.failures, str(self.out.path)):
             self.journal.flush()
         with Boundary(result.failures, options.instances):
-            result.notes += instance_notes(options.instances, self.seen)
+            result.notes += instance_notes(options.instances, self.capture_names)
         result.notes += result.summary.doubts()
-        about = provenance_of(options, result.summary.models, site, self.started)
-        about["notes"] = result.notes
+        provenance = provenance_of(options, result.summary.models, site, self.started)
+        provenance["notes"] = result.notes
         result.failures += write_reports(
             self.out,
             self._records,
             result.summary,
             result.failures,
-            about,
+            provenance,
             parquet=self.batch.parquet,
         )
         return result
 
-    def _task(self, one: Item) -> Task | Failure:
+    def _task(self, entry: Item) -> Task | Failure:
         """Return a capture with what the journal knows of it."""
-        if isinstance(one, Failure):
-            return one
-        task = Task(one.input, one.ref, one.name)
-        known = self.journal.find(task.place)
-        if known is None or not known.picture:
+        if isinstance(entry, Failure):
+            return entry
+        task = Task(entry.input, entry.ref, entry.name)
+        record = self.journal.find(task.place)
+        if record is None or not record.picture:
             return task
-        same = self.measurer.hashes.still_hold(known.stages, known.digest)
-        return replace(task, known=known.content) if same else task
+        same = self.measurer.hashes.still_hold(record.stages, record.digest)
+        return replace(task, known_content=record.content) if same else task
 
-    def _take(self, one: Task | Failure, outcome: Outcome[JournalRecord]) -> Step | None:
+    def _take(self, task: Task | Failure, outcome: Outcome[JournalRecord]) -> Step | None:
         """Journal what was measured, count it, and note what went wrong."""
-        name = one.name if isinstance(one, Task) else ""
+        name = task.name if isinstance(task, Task) else ""
         record, failures, before = outcome.value, list(outcome.failures), False
-        if isinstance(one, Task) and record is None and not failures:
-            if not one.known:
+        if isinstance(task, Task) and record is None and not failures:
+            if not task.known_content:
                 self.result.interrupted = True
                 return None
-            record, before = self.journal.find(one.place), True
+            record, before = self.journal.find(task.place), True
             failures += record.failures if record is not None else ()
             self.result.before += 1
-        elif isinstance(one, Task) and record is not None:
-            record, noted = replace(record, place=one.place), len(failures)
-            with Boundary(failures, one.input, name):
+        elif isinstance(task, Task) and record is not None:
+            record, noted = replace(record, place=task.place), len(failures)
+            with Boundary(failures, task.input, name):
                 self.journal.append(record)
             record = record if len(failures) == noted else None
         if record is not None:
@@ -378,7 +389,7 @@ class _Run:
             self.order.append(bytes.fromhex(record.place))
             capture = record.capture
             names = (str(capture["name"]), str(capture.get("source") or ""))
-            self.seen.append((names, capture.get("frame")))
+            self.capture_names.append((names, capture.get("frame")))
         self.result.failures += failures
         return Step(name, record, before, tuple(failures))
 

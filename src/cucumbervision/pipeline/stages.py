@@ -90,11 +90,11 @@ class StageHashes:
         names = [Stage(stage) for stage in stages]
         key = " ".join(names)
         if key not in self._known:
-            said = [self._always, *(self._of_stage(name) for name in names)]
-            text = json.dumps([key, said], sort_keys=True)
+            descriptions = [self._always, *(self._of_stage(name) for name in names)]
+            text = json.dumps([key, descriptions], sort_keys=True)
             self._known[key] = hashlib.sha256(text.encode()).hexdigest()
-        found: str = self._known[key]
-        return found
+        digest: str = self._known[key]
+        return digest
 
     def still_hold(self, stages: Iterable[Stage | str], digest: str) -> bool:
         """Return whether what was measured through these stages would be measured so again."""
@@ -108,7 +108,16 @@ class StageHashes:
         how = [list(options.methods), str(options.selector), str(options.length)]
         sizes = options.accepted_m, options.accepted_diameter_m
         crop = *sizes, options.cut_beyond_m, options.camera_up, list(options.classes)
-        table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
+        table = [
+            [
+                fruit_field.name,
+                fruit_field.unit,
+                fruit_field.type,
+                fruit_field.path,
+                fruit_field.digits,
+            ]
+            for fruit_field in FIELDS
+        ]
         reading = options.reading
         depth = [reading.depth_unit_m, reading.depth_along, reading.aligned_to]
         return [__version__, how, site, *depth, *crop, table]
@@ -132,10 +141,10 @@ class StageHashes:
 
     def _detectors(self) -> Any:
         options = self._options
-        own = options.instances not in ("auto", "models")
+        has_own_file = options.instances not in ("auto", "models")
         named = [self._named("segment"), self._named("crops")]
-        detector = _path_sha256(Path(options.instances)) if own else named
-        posing = None if own or not options.keypoints else self._named("pose")
+        detector = _path_sha256(Path(options.instances)) if has_own_file else named
+        posing = None if has_own_file or not options.keypoints else self._named("pose")
         posing = _path_sha256(options.pose) if options.pose else posing
         return [detector, posing, self._named("ends")]
 

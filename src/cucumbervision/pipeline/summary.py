@@ -139,17 +139,17 @@ class Summary:
         >>> Summary(refused_cm=[148.0, 180.0], fruit=2).unit_hints()[0]
         'no fruit has a possible size (median 164 cm): is one step of depth really 1 mm? ...'
         """
-        known = len(self.refused_cm) + self.measured
-        if not self.refused_cm or (self.measured and 2 * self.too_large < known):
+        sized = len(self.refused_cm) + self.measured
+        if not self.refused_cm or (self.measured and 2 * self.too_large < sized):
             return []
         middle = median(self.refused_cm)
-        some = f"{self.too_large} of {known} fruit are too large" if self.measured else ""
-        found = f"{some or 'no fruit has a possible size'} (median {middle:.3g} cm)"
+        share = f"{self.too_large} of {sized} fruit are too large" if self.measured else ""
+        fault = f"{share or 'no fruit has a possible size'} (median {middle:.3g} cm)"
         steps = [s for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
         if not steps:
-            return [f"{found}: do the intrinsics belong to this camera's colour at this size?"]
+            return [f"{fault}: do the intrinsics belong to this camera's colour at this size?"]
         asked = "--depth-unit " + " or ".join(f"{s / 1000:g}" for s in steps)
-        return [f"{found}: is one step of depth really 1 mm? {asked} would explain it"]
+        return [f"{fault}: is one step of depth really 1 mm? {asked} would explain it"]
 
     def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
         """Return lines of what and value, for the workbook's first sheet.
@@ -188,15 +188,15 @@ class Summary:
         ]
 
     def _statistics(self) -> list[tuple[str, Any]]:
-        known = self.lengths_cm
-        if not known:
+        lengths_cm = self.lengths_cm
+        if not lengths_cm:
             return []
         lines = [
-            ("Mean length [cm]", round(fmean(known), 2)),
-            ("Median length [cm]", round(median(known), 2)),
-            ("Shortest [cm]", round(min(known), 2)),
-            ("Longest [cm]", round(max(known), 2)),
+            ("Mean length [cm]", round(fmean(lengths_cm), 2)),
+            ("Median length [cm]", round(median(lengths_cm), 2)),
+            ("Shortest [cm]", round(min(lengths_cm), 2)),
+            ("Longest [cm]", round(max(lengths_cm), 2)),
         ]
-        if len(known) > 1:
-            lines.append(("Standard deviation [cm]", round(stdev(known), 2)))
+        if len(lengths_cm) > 1:
+            lines.append(("Standard deviation [cm]", round(stdev(lengths_cm), 2)))
         return lines

@@ -90,15 +90,15 @@ class Workbook:
             finally:
                 self.book.fileclosed = True  # one that broke off is not written as it is collected
 
-    def sheet(self, title: str, widths: Sequence[int] = (), high: int = 0) -> Any:
+    def sheet(self, title: str, widths: Sequence[int] = (), pages_high: int = 0) -> Any:
         """Return a new sheet, its first columns so wide and at most so many pages high."""
         sheet = self.book.add_worksheet(title)
-        for at, width in enumerate(widths):
-            sheet.set_column(at, at, width)
+        for number, width in enumerate(widths):
+            sheet.set_column(number, number, width)
         sheet.set_paper(_A4)
         sheet.set_landscape()
         sheet.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
-        sheet.fit_to_pages(1, high)
+        sheet.fit_to_pages(1, pages_high)
         sheet.set_footer("&L&F: &A&Rpage &P of &N")
         return sheet
 
@@ -128,44 +128,44 @@ class Workbook:
         sheet = self.sheet(title)
         sheet.repeat_rows(0)
         sheet.set_row(0, 32)
-        for at, column in enumerate(columns):
-            wide = min(max(12, len(column.title)), 24)
-            sheet.set_column(at, at, wide, self._numbers.get(column.unit))
-            sheet.write_string(0, at, column.title, self.head)
+        for number, column in enumerate(columns):
+            column_width = min(max(12, len(column.title)), 24)
+            sheet.set_column(number, number, column_width, self._numbers.get(column.unit))
+            sheet.write_string(0, number, column.title, self.head)
         line = 0
         for line, row in enumerate(rows, start=1):
-            for at, column in enumerate(columns):
-                self.write(sheet, line, at, row[column.name], column)
+            for number, column in enumerate(columns):
+                self.write(sheet, line, number, row[column.name], column)
         sheet.freeze_panes(1, frozen)
         sheet.autofilter(0, 0, max(line, 1), len(columns) - 1)
         sheet.print_area(0, 0, line, (printed or len(columns)) - 1)
 
     def write(
-        self, sheet: Any, line: int, at: int, cell: Cell, column: Column | None = None
+        self, sheet: Any, line: int, number: int, cell: Cell, column: Column | None = None
     ) -> None:
         """Write one cell by its type."""
         if isinstance(cell, bool):
-            sheet.write_boolean(line, at, cell)
+            sheet.write_boolean(line, number, cell)
         elif isinstance(cell, int | float):
-            sheet.write_number(line, at, cell, column and self._numbers.get(column.unit))
+            sheet.write_number(line, number, cell, column and self._numbers.get(column.unit))
         elif column is not None and column.name == "picture" and cell is not None:
             # Safe in a link: the name has only letters, digits, dots and dashes.
-            sheet.write_url(line, at, f"external:{cell}", self._link, "picture")
+            sheet.write_url(line, number, f"external:{cell}", self._link, "picture")
         elif cell not in (None, ""):
-            sheet.write_string(line, at, str(cell_value(cell)))
+            sheet.write_string(line, number, str(cell_value(cell)))
 
     def lines(self, sheet: Any, lines: Iterable[Sequence[Cell]], start: int = 0) -> None:
         """Write lines of cells below each other."""
         for line, cells in enumerate(lines, start):
-            for at, cell in enumerate(cells):
-                self.write(sheet, line, at, cell)
+            for number, cell in enumerate(cells):
+                self.write(sheet, line, number, cell)
 
 
 def write_workbook(
     path: Path,
     rows: Iterable[Mapping[str, Cell]],
     summary: Sequence[tuple[str, Any]],
-    most: int = MOST_EXCEL_ROWS,
+    most_rows: int = MOST_EXCEL_ROWS,
 ) -> None:
     """Write the rows as an Excel file: the fruit, a summary, and what each column means.
 
@@ -187,8 +187,8 @@ def write_workbook(
     """
     with Workbook(path) as book:
         book.lines(book.sheet("Summary", (34, 60)), summary)
-        book.table("Fruit", FIELDS, islice(rows, most), frozen=3)
-        meaning = ((one.name, one.unit, one.says) for one in FIELDS)
+        book.table("Fruit", FIELDS, islice(rows, most_rows), frozen=3)
+        meaning = ((fruit_field.name, fruit_field.unit, fruit_field.says) for fruit_field in FIELDS)
         book.lines(book.sheet("Columns", (24, 24, 60)), (_MEANING, *meaning))
 
 
@@ -230,11 +230,13 @@ def write_parquet(
         "yes/no": pa.bool_(),
     }
     fields = [
-        pa.field(one.name, kinds[one.type], metadata={"unit": one.unit, "says": one.says})
-        for one in columns
+        pa.field(
+            column.name, kinds[column.type], metadata={"unit": column.unit, "says": column.says}
+        )
+        for column in columns
     ]
-    about = {"cucumbervision": json.dumps(dict(provenance), ensure_ascii=False)}
-    schema = pa.schema(fields, metadata=about)
+    metadata = {"cucumbervision": json.dumps(dict(provenance), ensure_ascii=False)}
+    schema = pa.schema(fields, metadata=metadata)
     pa.parquet.write_table(pa.Table.from_pylist(rows, schema=schema), path)
 
 
@@ -261,10 +263,10 @@ def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> d
         "fruit": [
             {
                 **row,
-                "pose": one.pose and one.pose.as_json(),
-                "methods": {str(m): _method_json(x) for m, x in one.measurements.items()},
+                "pose": fruit.pose and fruit.pose.as_json(),
+                "methods": {str(m): _method_json(x) for m, x in fruit.measurements.items()},
             }
-            for row, one in zip(rows, result.fruit, strict=True)
+            for row, fruit in zip(rows, result.fruit, strict=True)
         ],
     }
 
@@ -337,7 +339,7 @@ def write_reports(
     """
     written: list[Failure] = []
     with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
-        write_csv(path, [one.name for one in FIELDS], rows_of(records()))
+        write_csv(path, [fruit_field.name for fruit_field in FIELDS], rows_of(records()))
     with (
         Boundary(written, str(out.path)),
         out.replacing("measurements.json") as path,
@@ -355,20 +357,20 @@ def write_reports(
     return written
 
 
-def excel_limit(fruit: int, most: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
+def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
     """Return a line for the workbook's summary where a sheet of Excel does not take all fruit.
 
     Examples
     --------
-    >>> excel_limit(5, most=5)
+    >>> excel_limit(5, most_rows=5)
     []
-    >>> excel_limit(7, most=5)[0][1]
+    >>> excel_limit(7, most_rows=5)[0][1]
     'Excel takes 5 rows a sheet: the last 2 fruit are in measurements.csv and .json alone'
     """
-    if fruit <= most:
+    if fruit <= most_rows:
         return []
-    rest = fruit - most
-    text = f"Excel takes {most} rows a sheet: the last {rest} fruit are in measurements.csv"
+    missing = fruit - most_rows
+    text = f"Excel takes {most_rows} rows a sheet: the last {missing} fruit are in measurements.csv"
     return [("Not all fruit are here", f"{text} and .json alone")]
 
 

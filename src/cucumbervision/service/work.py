@@ -194,7 +194,9 @@ class Work:
                 list_source(upload.title, partial(upload.open, reading))
                 for upload in uploads.sources
             )
-            for _, outcome in measure_all(listed, ResultWorker(self.measurer), stop=has_left):
+            for _, outcome in measure_all(
+                listed, ResultWorker(self.measurer), is_cancelled=has_left
+            ):
                 failures += outcome.failures
                 if outcome.value is not None and outcome.value.error is None:
                     results.append(outcome.value)
@@ -233,7 +235,9 @@ class Work:
                 _picture(Path(folder) / f"{number:04d}", clean_name(name), stream)
                 for number, (name, stream) in enumerate(files)
             )
-            for _, outcome in measure_all(listed, PictureWorker(self.measurer), stop=has_left):
+            for _, outcome in measure_all(
+                listed, PictureWorker(self.measurer), is_cancelled=has_left
+            ):
                 failures += outcome.failures
                 if outcome.value is not None:
                     pictures.append(outcome.value)

@@ -301,7 +301,7 @@ class FruitStream:
         if self._is_elsewhere(capture):
             self._tracker.forget()
         detected = self.measurer.detect(capture)
-        instances = detected.found.instances
+        instances = detected.detections.instances
         sightings = [sighting_of(detected.capture, instance) for instance in instances]
         numbers = self._tracker.assign(sightings, detected.capture.intrinsics, at_s)
         self._states = {n: self._states.get(n, _TrackState()) for n in self._tracker.numbers}

@@ -275,7 +275,13 @@ def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> Crowd:
         float(np.median(depths_m[np.isfinite(depths_m)])) if np.isfinite(depths_m).any() else 0.6
     )
     across_m, up_m = far_m * camera.width / camera.fx_px, far_m * camera.height / camera.fy_px
-    return Crowd(max(len(sightings), 1) / across_m, up_m, 0.3, 1.0, 0.3)
+    return Crowd(
+        per_m=max(len(sightings), 1) / across_m,
+        up_m=up_m,
+        depth_m=0.3,
+        length_width=1.0,
+        diameter_width=0.3,
+    )
 
 
 def _place_ratio(

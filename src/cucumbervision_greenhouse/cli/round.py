@@ -137,19 +137,19 @@ def add(
     with (
         opened_round(store, round_, images) as (opened, one),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
-        stopping_gently() as stop,
+        stopping_gently() as is_cancelled,
     ):
         task = bar.add_task(
             "measuring", total=count_captures(captures, options.reading, loop.opener)
         )
-        options, loop = with_limits(options, one), replace(loop, stop=stop)
+        options, loop = with_limits(options, one), replace(loop, is_cancelled=is_cancelled)
         step = partial(bar.advance, task)
         done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
         doubts = round_doubts(opened, opened.detections(one.key))
     if unused := sorted(given.keys() - {one.name for one in done}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
-    exit_status = _show_added(done, interrupted=stop())
+    exit_status = _show_added(done, interrupted=is_cancelled())
     for line in doubts:
         screen().print(f"Check the data of this round: {line}", soft_wrap=True, markup=False)
     raise typer.Exit(exit_status)

@@ -123,7 +123,7 @@ def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
                 "comments": f"{about['software']}, {about['licence']}, {about['source']}",
             }
         )
-        summary = book.sheet("Summary", (20, 26, 6, 66), high=1)
+        summary = book.sheet("Summary", (20, 26, 6, 66), pages_high=1)
         summary.set_portrait()
         facts = tables["summary"]
         book.lines(summary, [[tables.title], ("what", "value", "unit", "meaning")])

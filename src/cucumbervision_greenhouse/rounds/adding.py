@@ -254,7 +254,7 @@ def add_captures(
                 )
             yield from failures
 
-    for _, added in add_all(store, items(), measurer, loop.engine, loop.stop):
+    for _, added in add_all(store, items(), measurer, loop.engine, loop.is_cancelled):
         done.append(added)
         if report is not None:
             report(added)
@@ -266,7 +266,7 @@ def add_all(
     items: Iterable[RoundCapture | Failure],
     measurer: Measurer,
     engine: Engine = in_process,
-    stop: Callable[[], bool] = never,
+    is_cancelled: Callable[[], bool] = never,
 ) -> Iterator[tuple[RoundCapture | Failure, Added]]:
     """Measure captures, save each as a stop, and yield it with its outcome, in order.
 
@@ -278,7 +278,7 @@ def add_all(
         The captures; a failure among them is passed on in its turn.
     measurer : Measurer
         What measures.
-    engine, stop
+    engine, is_cancelled
         As for `measure_all`; none is yielded for those before which the loop was stopped.
 
     Raises
@@ -286,7 +286,7 @@ def add_all(
     CucumberVisionError
         As `measure_all`.
     """
-    for item, outcome in measure_all(items, _Changed(measurer), engine, stop):
+    for item, outcome in measure_all(items, _Changed(measurer), engine, is_cancelled):
         failures = list(outcome.failures) if outcome.value is None else []
         added = None
         if isinstance(item, RoundCapture) and not failures:
@@ -301,7 +301,7 @@ def add_all(
 def _added(
     store: Store, item: RoundCapture, result: CaptureResult | None, measurer: Measurer
 ) -> Added | None:
-    """Save what was measured, and return the outcome; None where nothing was yet to be.
+    """Save the result of a capture, and return the outcome; None if it was not measured.
 
     Raises
     ------

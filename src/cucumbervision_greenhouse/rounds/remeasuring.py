@@ -90,7 +90,7 @@ def measure_round_again(
                 ref = CaptureRef(one.name, one.frame or 0, load)
                 yield Listed(key, ref, one.name)
 
-    measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.stop)
+    measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.is_cancelled)
     for number, (key, group) in enumerate(groupby(measured, lambda pair: pair[0].input), 1):
         outcomes = [outcome for _, outcome in group]
         results = [one.value for one in outcomes if one.value is not None]

@@ -132,7 +132,7 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
         provenance=json_value(capture.provenance),
         doubts=tuple(map(str, capture.doubts)) or None,
-        fruit=tuple(fruit_record(one) for one in result.seen),
+        fruit=tuple(fruit_record(one) for one in result.numbered_fruit),
         **_pictures(capture, images),
     )
 

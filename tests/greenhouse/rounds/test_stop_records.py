@@ -129,7 +129,7 @@ def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> Non
 
 
 def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: CaptureResult) -> None:
-    record = fruit_record(measured.seen[0])
+    record = fruit_record(measured.numbered_fruit[0])
     tube = next(m for m in record.methods if m.method == "M6")
     assert tube.centreline_m is not None
     assert len(tube.path_m) == len(tube.diameter_m) == 48

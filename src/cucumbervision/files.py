@@ -266,9 +266,9 @@ def json_value(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): json_value(one) for key, one in value.items()}
+        return {str(key): json_value(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [json_value(one) for one in value]
+        return [json_value(entry) for entry in value]
     plain = value is None or isinstance(value, bool | int) or type(value) is str
     return value if plain else str(value)
 
@@ -300,9 +300,9 @@ def parse_model(
         faults = invalid.errors(include_url=False, include_context=False, include_input=False)
     first = faults[0]
     where = ".".join(str(part) for part in first["loc"]) or "the whole"
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    remainder = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     what = first["msg"][0].lower() + first["msg"][1:]
-    raise error(f"'{where}': {what}{more}"[:500], source=source, remedy=remedy)
+    raise error(f"'{where}': {what}{remainder}"[:500], source=source, remedy=remedy)
 
 
 @lru_cache(maxsize=64)

@@ -62,8 +62,8 @@ def as_path(place: Path | str) -> Path:
     try:
         from upath import UPath
 
-        found = UPath(place)
-        _ = found.fs  # imports the package of the protocol
+        remote = UPath(place)
+        _ = remote.fs  # imports the package of the protocol
     except ImportError as error:
         raise MissingExtraError(error.name or str(error), "remote") from None
     except ValueError as error:
@@ -72,7 +72,7 @@ def as_path(place: Path | str) -> Path:
             source=place,
             remedy="name a folder, or s3://…, gs://… or https://…",
         ) from None
-    return Path(found.path) if found.protocol in ("file", "local") else cast("Path", found)
+    return Path(remote.path) if remote.protocol in ("file", "local") else cast("Path", remote)
 
 
 def is_remote(place: object) -> bool:
@@ -109,8 +109,8 @@ def with_retries(
         # Each protocol has its own exception classes.
         except Exception as error:
             if wait_s is None:
-                said = f"the store does not answer ({type(error).__name__}: {error})"
-                raise OSError(errno.EIO, said, str(place)) from error
+                silence = f"the store does not answer ({type(error).__name__}: {error})"
+                raise OSError(errno.EIO, silence, str(place)) from error
             if wait_s >= _SAID_S:
                 fault = f"does not answer ({type(error).__name__})"
                 _log.warning("%s: %s; asked again in %g s", place, fault, wait_s)

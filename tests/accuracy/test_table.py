@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from cucumbervision.accuracy.table import Column, Table
+from cucumbervision.accuracy.table import ReportColumn, ReportTable
 
 
 def test_a_row_with_a_cell_too_few_is_refused() -> None:
     with pytest.raises(ValueError, match="1 cells in a row of 2 columns"):
-        Table("t", (Column("a"), Column("b")), ((1,),))
+        ReportTable("t", (ReportColumn("a"), ReportColumn("b")), ((1,),))
 
 
 @pytest.mark.parametrize(
@@ -29,20 +29,20 @@ def test_a_row_with_a_cell_too_few_is_refused() -> None:
     ],
 )
 def test_a_cell_as_text(cell: float | str | None, text: str) -> None:
-    assert Column("a").show(cell) == text
+    assert ReportColumn("a").show(cell) == text
 
 
 def test_numpy_numbers_become_json() -> None:
-    table = Table.of("t", ["a", "b"], [[np.int64(3), np.float32(0.5)]])
+    table = ReportTable.of("t", ["a", "b"], [[np.int64(3), np.float32(0.5)]])
     assert json.loads(json.dumps(table.as_json()))["rows"] == [{"a": 3, "b": 0.5}]
 
 
 def test_json_keeps_every_digit_and_text_does_not() -> None:
-    table = Table.of("t", ["a:.1"], [[1 / 3]])
+    table = ReportTable.of("t", ["a:.1"], [[1 / 3]])
     assert table.as_json()["rows"][0]["a"] == 1 / 3
     assert table.text_rows() == [["0.3"]]
 
 
 def test_only_numbers_and_gaps_make_a_numeric_column() -> None:
-    table = Table.of("t", ["a", "b", "c"], [[1, "x", None], [None, 2.0, 3.0]])
+    table = ReportTable.of("t", ["a", "b", "c"], [[1, "x", None], [None, 2.0, 3.0]])
     assert table.numeric == [True, False, True]

@@ -67,7 +67,7 @@ def test_the_newest_is_used_and_shipped_leads_to_the_package(folder: Path, tmp_p
     assert in_use() == second.name
     again = use_network(tmp_path / "first")
     assert in_use() == again.name == first.name
-    assert len(load_registry().own) == 2  # no second place in the list
+    assert len(load_registry().user_models) == 2  # no second place in the list
     use_shipped()
     assert in_use() == "cucumber-seg"
     assert json.loads((folder / IN_USE).read_text()) == {"models": []}

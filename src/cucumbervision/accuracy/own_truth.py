@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.accuracy.measured import REPORTED, Reading
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
-from cucumbervision.accuracy.table import Table
+from cucumbervision.accuracy.table import ReportTable
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
 from cucumbervision.files import write_csv
@@ -312,7 +312,7 @@ _SCORES = {
 }
 
 
-def scores_table(scores: Sequence[MethodScore]) -> Table:
+def scores_table(scores: Sequence[MethodScore]) -> ReportTable:
     """Return the errors of each method for each definition of length."""
     rows = [
         vars(method_score.metrics)
@@ -320,4 +320,4 @@ def scores_table(scores: Sequence[MethodScore]) -> Table:
         | {"measured_percent": 100 * method_score.metrics.measured}
         for method_score in scores
     ]
-    return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)
+    return ReportTable.of_records("Errors against hand-measured lengths", _SCORES, rows)

@@ -13,7 +13,7 @@ Cell = str | int | float | bool | None
 
 
 @dataclass(frozen=True)
-class Column:
+class ReportColumn:
     """A column's heading and number format.
 
     Parameters
@@ -31,13 +31,13 @@ class Column:
     signed: bool = False
 
     @classmethod
-    def of(cls, head: str) -> Column:
+    def of(cls, head: str) -> ReportColumn:
         """Create a column from a heading with an optional format suffix.
 
         Examples
         --------
-        >>> Column.of("bias (%):+.1"), Column.of("fruit").decimals
-        (Column(head='bias (%)', decimals=1, signed=True), 2)
+        >>> ReportColumn.of("bias (%):+.1"), ReportColumn.of("fruit").decimals
+        (ReportColumn(head='bias (%)', decimals=1, signed=True), 2)
         """
         text, _, form = head.partition(":")
         return cls(text, int(form[-1]), form[0] == "+") if form else cls(head)
@@ -47,7 +47,7 @@ class Column:
 
         Examples
         --------
-        >>> column = Column("bias (%)", 1, signed=True)
+        >>> column = ReportColumn("bias (%)", 1, signed=True)
         >>> column.show(1.26), column.show(float("nan")), column.show(True), column.show(7)
         ('+1.3', '–', 'yes', '7')
         """
@@ -61,14 +61,14 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """A table of a report.
 
     Parameters
     ----------
     title : str
         Title.
-    columns : tuple of Column
+    columns : tuple of ReportColumn
         Columns.
     rows : tuple of tuple
         Rows, each with a cell for every column.
@@ -82,7 +82,7 @@ class Table:
     """
 
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[ReportColumn, ...]
     rows: tuple[tuple[Cell, ...], ...]
     comment: str = ""
 
@@ -100,17 +100,17 @@ class Table:
         heads: Iterable[str],
         rows: Iterable[Sequence[Any]],
         comment: str = "",
-    ) -> Table:
-        """Create a table from headings in the format of `Column.of`.
+    ) -> ReportTable:
+        """Create a table from headings in the format of `ReportColumn.of`.
 
         Examples
         --------
-        >>> table = Table.of("Burst", ["frames", "MAPE (%):.1"], [[1, 0.9], [5, 0.75]])
+        >>> table = ReportTable.of("Burst", ["frames", "MAPE (%):.1"], [[1, 0.9], [5, 0.75]])
         >>> table.text_rows()
         [['1', '0.9'], ['5', '0.8']]
         """
         cells = tuple(tuple(map(_python, row)) for row in rows)
-        return cls(title, tuple(map(Column.of, heads)), cells, comment)
+        return cls(title, tuple(map(ReportColumn.of, heads)), cells, comment)
 
     @classmethod
     def of_records(
@@ -119,13 +119,13 @@ class Table:
         columns: Mapping[str, str],
         records: Iterable[Mapping[str, Any]],
         comment: str = "",
-    ) -> Table:
+    ) -> ReportTable:
         """Create a table from records; `columns` maps names to headings.
 
         Examples
         --------
         >>> rows = [{"method": "M1", "bias": 1.25, "count": 3}]
-        >>> Table.of_records("a", {"method": "method", "bias": "bias (%):+.1"}, rows).text_rows()
+        >>> ReportTable.of_records("a", {"method": "method", "bias": "bias (%):+.1"}, rows).text_rows()
         [['M1', '+1.2']]
         """
         rows = ([record[name] for name in columns] for record in records)
@@ -151,7 +151,7 @@ class Table:
 
         Examples
         --------
-        >>> Table.of("a", ["b"], [[float("nan")]]).as_json()["rows"]
+        >>> ReportTable.of("a", ["b"], [[float("nan")]]).as_json()["rows"]
         [{'b': None}]
         """
         heads = [column.head for column in self.columns]

@@ -77,21 +77,21 @@ def captures_of(
     CameraError
         If the camera cannot be opened or reconnected.
     """
-    left = retries
+    retries_left = retries
     while True:
         try:
             with open_camera() as camera:
                 while True:
                     try:
                         capture: Capture | CaptureError = camera.capture_burst()
-                        left = retries
+                        retries_left = retries
                     except CaptureError as error:
                         capture = error
                     yield capture
         except CameraError:
-            if not left:
+            if not retries_left:
                 raise
-            left -= 1
+            retries_left -= 1
             sleep(pause_s)
 
 
@@ -169,9 +169,9 @@ class FolderCamera:
                 capture = None if ref.name in self._taken else self._load(ref)
                 if capture is None:
                     continue
-                given: dict[str, Any] = {"stop": stop} if stop is not None else {}
-                own = unique_name(name or capture.name, self._names)
-                return replace(capture, name=own, **given)
+                changes: dict[str, Any] = {"stop": stop} if stop is not None else {}
+                capture_name = unique_name(name or capture.name, self._names)
+                return replace(capture, name=capture_name, **changes)
             if self._clock() > until_s:
                 raise CameraError(
                     f"no capture has appeared for {self._timeout_s:g} s",

@@ -112,7 +112,10 @@ class CameraModel(StrictModel):
     def intrinsics(self) -> Intrinsics:
         """The block as `Intrinsics`."""
         return Intrinsics(
-            **{one.name: getattr(self, one.name.removesuffix("_px")) for one in fields(Intrinsics)}
+            **{
+                parameter.name: getattr(self, parameter.name.removesuffix("_px"))
+                for parameter in fields(Intrinsics)
+            }
         )
 
     @classmethod
@@ -139,7 +142,7 @@ class _FileModel(CameraModel):
     aligned_to: Stream | None = None
 
 
-def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
+def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Path | None:
     """Return the intrinsics file of a picture: in its folder, or the nearest above that has one.
 
     A file whose name says whose it is (`cam1_intrinsics.json` beside `cam1_color_1.png` and
@@ -150,7 +153,7 @@ def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
     ----------
     folder : Folder
         The available files.
-    at : str
+    folder_path : str
         Name of the subfolder.
     picture : str
         Name of the picture's file in it.
@@ -168,15 +171,18 @@ def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
     >>> camera_file_near(walk, "rgb")
     PosixPath('walk/camera.json')
     """
-    pictures = [_stem_words(name) for name in folder.files.get(at, ()) if _is_picture(name)]
+    pictures = [
+        _stem_words(name) for name in folder.files.get(folder_path, ()) if _is_picture(name)
+    ]
     words = _stem_words(picture)
     while True:
-        names = [name for name in folder.files.get(at, ()) if _CAMERA_NAME.fullmatch(name)]
+        names = [name for name in folder.files.get(folder_path, ()) if _CAMERA_NAME.fullmatch(name)]
         owners = {name: _owner_words(name) for name in names}
         of_others = {
             name
             for name, owner in owners.items()
-            if not _begins(words, owner) and any(_begins(other, owner) for other in pictures)
+            if not _begins(words, owner)
+            and any(_begins(picture_words, owner) for picture_words in pictures)
         }
         longest = max((len(o) for n, o in owners.items() if _begins(words, o)), default=0)
         candidates = sorted(
@@ -184,9 +190,9 @@ def camera_file_near(folder: Folder, at: str, picture: str = "") -> Path | None:
             for name, owner in owners.items()
             if name not in of_others and (not longest or owner == words[:longest])
         )
-        if candidates or not at:
-            return _only(folder.path / at, candidates, picture)
-        at = at.rpartition("/")[0]
+        if candidates or not folder_path:
+            return _only(folder.path / folder_path, candidates, picture)
+        folder_path = folder_path.rpartition("/")[0]
 
 
 def _only(folder: Path, names: list[str], picture: str) -> Path | None:

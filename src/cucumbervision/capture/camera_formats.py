@@ -133,7 +133,7 @@ def _read(path: Path) -> Any:
             from xml.etree import ElementTree
 
             root = ElementTree.fromstring(text)
-            return {one.tag: {part.tag: part.text for part in one} or one.text for one in root}
+            return {node.tag: {part.tag: part.text for part in node} or node.text for node in root}
         if suffix in (".yaml", ".yml"):
             import yaml
 
@@ -193,8 +193,8 @@ def _of_kalibr(block: dict[str, Any], path: Path) -> dict[str, Any]:
 
 def _of_other_names(data: dict[str, Any], path: Path) -> dict[str, Any]:
     ours = {_NAMES.get(key, key): value for key, value in data.items()}
-    wanted = ("fx", "fy", "cx", "cy", "width", "height")
-    camera = {key: ours[key] for key in wanted if key in ours}
+    keys = ("fx", "fy", "cx", "cy", "width", "height")
+    camera = {key: ours[key] for key in keys if key in ours}
     lens = [float(ours.get(key) or 0.0) for key in _LENS_KEYS]
     if any(lens):
         camera |= {"distortion": "brown_conrady", "coefficients": lens}

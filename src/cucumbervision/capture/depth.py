@@ -149,10 +149,10 @@ def require_readings(depth_m: NDArray[np.float32], *, source: object = None) -> 
     """
     if valid_depth(depth_m).any():
         return
-    found = depth_m[depth_m > 0]
+    readings = depth_m[depth_m > 0]
     what = (
-        f"readings run from {found.min():.4g} to {found.max():.4g} m"
-        if found.size
+        f"readings run from {readings.min():.4g} to {readings.max():.4g} m"
+        if readings.size
         else "every pixel is 0"
     )
     raise DepthError(
@@ -180,8 +180,8 @@ def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:
     inside = _share_inside(raw, unit_m)
     if inside > _FEW:
         return
-    shares = {other: _share_inside(raw, other) for other in _UNIT_NAMES}
-    fitting = [other for other, share in shares.items() if share > _MOST]
+    shares = {candidate_m: _share_inside(raw, candidate_m) for candidate_m in _UNIT_NAMES}
+    fitting = [candidate_m for candidate_m, share in shares.items() if share > _MOST]
     if fitting:
         declared = _UNIT_NAMES.get(unit_m, f"steps of {unit_m:g} m")
         raise DepthError(
@@ -189,14 +189,15 @@ def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:
             f"then lie outside {DEPTH_MIN_M} to {DEPTH_MAX_M:.0f} m; in {_UNIT_NAMES[fitting[0]]} "
             f"{100 * shares[fitting[0]]:.0f} % lie inside",
             source=source,
-            remedy="declare the depth unit " + " or ".join(f"{other:g} m" for other in fitting),
+            remedy="declare the depth unit "
+            + " or ".join(f"{candidate_m:g} m" for candidate_m in fitting),
         )
 
 
 def _share_inside(raw: NDArray[Any], unit_m: float) -> float:
     # Relative to all positive finite readings.
-    near, far = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
+    first_step, last_step = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
     if raw.dtype.kind in "ui":  # comparing integers with integers is several times faster
-        near, far = math.ceil(near), math.floor(far)
+        first_step, last_step = math.ceil(first_step), math.floor(last_step)
     readings = int(np.count_nonzero((raw > 0) & np.isfinite(raw)))
-    return int(np.count_nonzero((raw >= near) & (raw <= far))) / max(readings, 1)
+    return int(np.count_nonzero((raw >= first_step) & (raw <= last_step))) / max(readings, 1)

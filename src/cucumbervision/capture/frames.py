@@ -390,9 +390,9 @@ def _median_of_strip(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.floa
     _sort_planes(planes)
     depth_m = np.zeros(planes[0].shape, np.float32)
     for n in range(1, len(planes) + 1):
-        low, high = planes[(n - 1) // 2], planes[n // 2]
+        lower, upper = planes[(n - 1) // 2], planes[n // 2]
         # Most pixels have all readings, so whole planes are faster than single pixels.
-        value = low if low is high else (low + high) / np.float32(2)
+        value = lower if lower is upper else (lower + upper) / np.float32(2)
         np.copyto(depth_m, value, where=counts == n)
     return depth_m
 

@@ -213,11 +213,11 @@ def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
 
 
 def check_intrinsics(
-    given: Intrinsics,
+    camera: Intrinsics,
     width: int,
     height: int,
     *,
-    known: Intrinsics | None = None,
+    color: Intrinsics | None = None,
     source: object = None,
 ) -> Intrinsics:
     """Check that intrinsics belong to a colour picture of a given size.
@@ -229,11 +229,11 @@ def check_intrinsics(
 
     Parameters
     ----------
-    given : Intrinsics
+    camera : Intrinsics
         Intrinsics to check.
     width, height : int
         Size of the colour picture to which depth is aligned, pixels.
-    known : Intrinsics, optional
+    color : Intrinsics, optional
         Colour intrinsics of the capture, if known.
     source : object, optional
         The file, for error messages.
@@ -252,63 +252,63 @@ def check_intrinsics(
     --------
     >>> colour = Intrinsics(1280, 720, 927.2, 927.4, 651.3, 349.6)
     >>> depth = Intrinsics(1280, 720, 640.0, 640.0, 640.0, 360.0, stream=Stream.DEPTH)
-    >>> check_intrinsics(depth, 1280, 720, known=colour)
+    >>> check_intrinsics(depth, 1280, 720, color=colour)
     Traceback (most recent call last):
     ...
     cucumbervision.errors.IntrinsicsError: these are the depth stream's ... +45 % wrong ...
     """
-    right_px = known.fx_px if known is not None and known.size == (width, height) else None
-    if given.stream is not Stream.COLOR:
+    right_px = color.fx_px if color is not None and color.size == (width, height) else None
+    if camera.stream is not Stream.COLOR:
         raise IntrinsicsError(
-            f"these are the {given.stream} stream's intrinsics (fx {given.fx_px:.1f} px), but the "
-            f"depth is aligned to colour{_wrong_by(given, right_px)}",
+            f"these are the {camera.stream} stream's intrinsics (fx {camera.fx_px:.1f} px), but "
+            f"the depth is aligned to colour{_wrong_by(camera, right_px)}",
             source=source,
             remedy="give the colour stream's intrinsics; or, if the colour picture was aligned to "
             "depth, say so with --aligned-to depth",
         )
-    if given.size != (width, height):
+    if camera.size != (width, height):
         # RealSense colour modes keep the full height and crop the sides, so if the aspect ratio
         # differs, the height gives the scale (640x480 with f 616 becomes 1280x720 with f 924).
-        estimate_px = right_px or given.fx_px * height / given.height
-        about = "" if right_px else "about "
+        estimate_px = right_px or camera.fx_px * height / camera.height
+        qualifier = "" if right_px else "about "
         raise IntrinsicsError(
-            f"the intrinsics are for {given.width}x{given.height}, the picture is "
-            f"{width}x{height}{_wrong_by(given, estimate_px, about)}",
+            f"the intrinsics are for {camera.width}x{camera.height}, the picture is "
+            f"{width}x{height}{_wrong_by(camera, estimate_px, qualifier)}",
             source=source,
             remedy=f"give the colour stream's intrinsics at {width}x{height}",
         )
-    _check_principal_point(given, source)
+    _check_principal_point(camera, source)
     with np.errstate(all="ignore"):
-        corners = given.rays(
+        corners = camera.rays(
             np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height])
         )
     if not (np.abs(corners) <= _WIDEST).all():
         raise IntrinsicsError(
-            f"the lens distortion {given.coefficients} cannot be undone in the picture's corners",
+            f"the lens distortion {camera.coefficients} cannot be undone in the picture's corners",
             source=source,
             remedy="give k1, k2, p1, p2, k3 of this camera",
         )
-    return given
+    return camera
 
 
-def _check_principal_point(given: Intrinsics, source: object) -> None:
+def _check_principal_point(camera: Intrinsics, source: object) -> None:
     """Refuse a principal point that no camera's picture has, or that fits another picture size."""
-    width, height = given.size
-    across, down = 2 * given.cx_px / width, 2 * given.cy_px / height
+    width, height = camera.size
+    across, down = 2 * camera.cx_px / width, 2 * camera.cy_px / height
     factor = math.sqrt(max(across * down, 0.0))
     is_scaled = min(across, down) > 0 and abs(across - down) <= _SAME_FACTOR * factor
     if is_scaled and abs(factor - 1) > _CENTRED:
         size = f"{width * factor:.0f}x{height * factor:.0f}"
         raise IntrinsicsError(
-            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is the middle of a picture "
+            f"the principal point {camera.cx_px:g}, {camera.cy_px:g} px is the middle of a picture "
             f"of about {size}, {factor:.2g} times as large as {width}x{height}: lengths would come "
             f"out about {100 * (1 / factor - 1):+.0f} % wrong",
             source=source,
             remedy=f"divide fx, fy, cx, cy by {factor:.2g}, or give the calibration of this size",
         )
-    if not (0 <= given.cx_px <= width and 0 <= given.cy_px <= height):
+    if not (0 <= camera.cx_px <= width and 0 <= camera.cy_px <= height):
         raise IntrinsicsError(
-            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is outside the picture of "
+            f"the principal point {camera.cx_px:g}, {camera.cy_px:g} px is outside the picture of "
             f"{width}x{height}",
             source=source,
             remedy="give cx and cy in pixels of this picture",
@@ -332,14 +332,14 @@ def is_off_centre(intrinsics: Intrinsics) -> bool:
     return max(abs(across - 0.5), abs(down - 0.5)) > _OFF_CENTRE
 
 
-def _wrong_by(given: Intrinsics, right_px: float | None, about: str = "") -> str:
+def _wrong_by(camera: Intrinsics, right_px: float | None, qualifier: str = "") -> str:
     if right_px is None:
         return (
             "; by how much lengths would be wrong cannot be said without the colour calibration "
             "(f_right/f_wrong - 1; about +42 % on a typical D435 at 1280x720)"
         )
-    percent = 100 * scale_error(right_px, given.fx_px)
+    percent = 100 * scale_error(right_px, camera.fx_px)
     return (
-        f" (fx {right_px:.1f} px): lengths would come out {about}{percent:+.0f} % wrong "
+        f" (fx {right_px:.1f} px): lengths would come out {qualifier}{percent:+.0f} % wrong "
         "(f_right/f_wrong - 1)"
     )

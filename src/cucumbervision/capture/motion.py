@@ -20,7 +20,7 @@ _THERE_AND_BACK_PX = 0.5
 _MOST = 0.9  # quantile of the corners, so that swinging or near fruit do not dominate
 
 
-def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) -> list[float]:
+def moved_px(reference: NDArray[np.uint8], pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
     """Return the motion between a reference frame and each other frame.
 
     Corners of the reference are tracked forward and backward (Lucas and Kanade).
@@ -29,7 +29,7 @@ def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) 
     ----------
     reference : ndarray of uint8, shape (H, W, 3)
         RGB.
-    others : sequence of ndarray of uint8, shape (H, W, 3)
+    pictures : sequence of ndarray of uint8, shape (H, W, 3)
         Frames of the same camera.
 
     Returns
@@ -51,14 +51,16 @@ def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) 
     first, scale = _small_grey(reference)
     strongest = float(np.max(cv2.cornerMinEigenVal(first, 5)))
     if strongest < _CORNER_STRENGTH:
-        return [0.0] * len(others)
+        return [0.0] * len(pictures)
     level = max(_CORNER_STRENGTH / strongest, _WEAKEST)
-    found = cv2.goodFeaturesToTrack(first, _CORNERS, level, 5, blockSize=5)
-    corners = np.asarray(found, np.float32).reshape(-1, 2)
+    features = cv2.goodFeaturesToTrack(first, _CORNERS, level, 5, blockSize=5)
+    corners = np.asarray(features, np.float32).reshape(-1, 2)
     if len(corners) < _FEWEST:
-        return [0.0] * len(others)
+        return [0.0] * len(pictures)
     first = _levelled(first)
-    return [scale * _moved(first, _levelled(_small_grey(other)[0]), corners) for other in others]
+    return [
+        scale * _moved(first, _levelled(_small_grey(picture)[0]), corners) for picture in pictures
+    ]
 
 
 def still_px(color: NDArray[np.uint8]) -> float:
@@ -78,13 +80,17 @@ def _moved(
     import cv2
 
     # OpenCV writes into the last argument if it is given.
-    there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.zeros_like(corners))
-    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, np.zeros_like(corners))
-    same = np.linalg.norm(np.asarray(back) - corners, axis=1) < _THERE_AND_BACK_PX
-    same &= (np.ravel(found) == 1) & (np.ravel(again) == 1)
+    moved, forward_status, _ = cv2.calcOpticalFlowPyrLK(
+        first, second, corners, np.zeros_like(corners)
+    )
+    returned, backward_status, _ = cv2.calcOpticalFlowPyrLK(
+        second, first, moved, np.zeros_like(corners)
+    )
+    same = np.linalg.norm(np.asarray(returned) - corners, axis=1) < _THERE_AND_BACK_PX
+    same &= (np.ravel(forward_status) == 1) & (np.ravel(backward_status) == 1)
     if np.count_nonzero(same) < len(corners) / 2:
         return float("inf")
-    by = np.linalg.norm(np.asarray(there) - corners, axis=1)[same]
+    by = np.linalg.norm(np.asarray(moved) - corners, axis=1)[same]
     return float(np.quantile(by, _MOST))
 
 

@@ -212,8 +212,8 @@ def _read_table(path: Path) -> NDArray[Any]:
         )
     with wrap_reader_errors(path, DepthError, "give a line of numbers for each row of pixels"):
         table = np.loadtxt(text.splitlines(), delimiter=",", ndmin=2)
-    whole = bool(np.isfinite(table).all() and (table == np.rint(table)).all())
-    return table.astype(np.int32) if whole and np.abs(table).max(initial=0) < 2**31 else table
+    is_integer = bool(np.isfinite(table).all() and (table == np.rint(table)).all())
+    return table.astype(np.int32) if is_integer and np.abs(table).max(initial=0) < 2**31 else table
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -331,15 +331,15 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
 
 def _whole_png(data: bytes) -> bool:
     """Walk the PNG's chunks (ISO/IEC 15948, 5.3): each whole, its checksum right, IEND last."""
-    at = len(_PNG)
-    while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        body, end = at + 4, at + 8 + length
+    offset = len(_PNG)
+    while offset + 12 <= len(data):
+        length = int.from_bytes(data[offset : offset + 4], "big")
+        body, end = offset + 4, offset + 8 + length
         if data[end : end + 4] != zlib.crc32(data[body:end]).to_bytes(4, "big"):
             return False
         if data[body : body + 4] == b"IEND":
             return True
-        at = end + 4
+        offset = end + 4
     return False
 
 

@@ -213,7 +213,7 @@ class FrameRing:
             self.folder.mkdir(parents=True, exist_ok=True)
             for half in self.folder.glob(f"{_TEMPORARY}*"):
                 half.unlink(missing_ok=True)
-            self._held = [(one.at_s, one.path.stat().st_size) for one in self.frames()]
+            self._held = [(frame.at_s, frame.path.stat().st_size) for frame in self.frames()]
         self._thin(time.time() if now_s is None else now_s)
         path = self._path(at_s)
         write_frame(capture, path)
@@ -222,31 +222,31 @@ class FrameRing:
     def frames(self) -> list[RingFrame]:
         """Return the frames, the oldest first."""
         with suppress(FileNotFoundError), os.scandir(self.folder) as entries:
-            paths = [self.folder / one.name for one in entries if one.name.endswith(SUFFIX)]
+            paths = [self.folder / entry.name for entry in entries if entry.name.endswith(SUFFIX)]
             times = ((_time_of(path), path) for path in paths if path.stem.isdecimal())
-            return [RingFrame(*one) for one in sorted(times)]
+            return [RingFrame(*entry) for entry in sorted(times)]
         return []
 
     def newest(self) -> RingFrame | None:
         """Return the newest frame; None without any."""
-        return max(self.frames(), key=lambda one: one.at_s, default=None)
+        return max(self.frames(), key=lambda frame: frame.at_s, default=None)
 
     def _thin(self, now_s: float) -> None:
         held = sorted(self._held or [])
         free_bytes = self._room_bytes(sum(size for _, size in held))
-        kept: list[tuple[float, int]] = []
+        frames_kept: list[tuple[float, int]] = []
         last_s = -math.inf
         for at_s, size in held:
             is_new = now_s - at_s <= self._dense_s
             # A clock that was set back leaves frames of the future, which would stay for long.
             is_current = abs(now_s - at_s) <= self.kept_s and free_bytes >= 0
             if is_current and (is_new or at_s - last_s >= self._sparse_s):
-                kept.append((at_s, size))
+                frames_kept.append((at_s, size))
                 last_s = at_s
             else:
                 self._path(at_s).unlink(missing_ok=True)
                 free_bytes += size
-        self._held = kept
+        self._held = frames_kept
 
     def _room_bytes(self, held_bytes: int) -> int:
         """Return how much more the ring may take; negative where it has to shrink."""

@@ -61,7 +61,7 @@ def burst_capture(
     name: str,
     *,
     place: object,
-    **about: Any,
+    **capture_fields: Any,
 ) -> Capture:
     """Fuse a burst to a capture; `place` is for error messages, `about` are further fields.
 
@@ -78,7 +78,7 @@ def burst_capture(
         name=name,
         frame=frames[0].number,
         timestamp_s=frames[fused.burst_frame].timestamp_s,
-        **about,
+        **capture_fields,
     )
 
 

@@ -139,13 +139,13 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
     color, o = "RGB Camera", rs.option
     automatic = None if settings.exposure_us is None else float(settings.exposure_us == 0)
     exposure = settings.exposure_us / _COLOR_STEP_US if settings.exposure_us else None
-    wanted = (
+    settings_by_sensor = (
         ("Stereo Module", o.visual_preset, _preset(rs, settings.preset, source)),
         (color, o.enable_auto_exposure, automatic),
         (color, o.exposure, exposure),
     )
-    sensors = {one.get_info(rs.camera_info.name): one for one in device.query_sensors()}
-    for sensor, option, value in wanted:
+    sensors = {sensor.get_info(rs.camera_info.name): sensor for sensor in device.query_sensors()}
+    for sensor, option, value in settings_by_sensor:
         if value is not None:
             _set(sensors.get(sensor), sensor, option, value, source)
 
@@ -153,15 +153,15 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
 def _preset(rs: Any, name: str | None, source: object) -> float | None:
     if name is None:
         return None
-    known = rs.rs400_visual_preset.__members__
+    presets = rs.rs400_visual_preset.__members__
     key = name.strip().lower().replace("-", "_").replace(" ", "_")
-    if key not in known:
+    if key not in presets:
         raise CameraError(
             f"no preset is called {name!r}",
             source=source,
-            remedy=f"choose one of {', '.join(sorted(known))}",
+            remedy=f"choose one of {', '.join(sorted(presets))}",
         )
-    return float(int(known[key]))
+    return float(int(presets[key]))
 
 
 def _set(sensor: Any, name: str, option: Any, value: float, source: object) -> None:

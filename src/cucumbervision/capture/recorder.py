@@ -114,16 +114,16 @@ def record_captures(
     try:
         for _ in signals:
             number += 1
-            given = next(captures)
-            if not isinstance(given, Capture):
-                yield given
+            capture = next(captures)
+            if not isinstance(capture, Capture):
+                yield capture
                 continue
-            own = f"{name}_{number:04d}"
+            capture_name = f"{name}_{number:04d}"
             try:
-                capture = replace(given, name=own, stop=walk.stop(taken))
-                path = write_native(capture, out / own)
+                capture = replace(capture, name=capture_name, stop=walk.stop(taken))
+                path = write_native(capture, out / capture_name)
             except (CucumberVisionError, OSError) as error:
-                yield named_error(error, out / own)
+                yield named_error(error, out / capture_name)
                 continue
             taken += 1
             yield Recorded(capture, path, depth_quality(capture))
@@ -132,5 +132,5 @@ def record_captures(
 
 
 def _last_number(out: Path, name: str) -> int:
-    numbers = [one.name.removeprefix(f"{name}_") for one in out.glob(f"{name}_*")]
+    numbers = [path.name.removeprefix(f"{name}_") for path in out.glob(f"{name}_*")]
     return max((int(text) for text in numbers if text.isdecimal()), default=0)

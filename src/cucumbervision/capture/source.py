@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Stream
     from cucumbervision.errors import CaptureError
 
-    Listed: TypeAlias = tuple[
+    CaptureEntry: TypeAlias = tuple[
         str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
     ]
-    Opener: TypeAlias = Callable[["ReadOptions", CameraFile | None], Iterable[Listed]]
+    CaptureLister: TypeAlias = Callable[["ReadOptions", CameraFile | None], Iterable[CaptureEntry]]
 
 
 @dataclass(frozen=True)
@@ -121,17 +121,17 @@ class Folder:
         """
         if any(part.startswith("._") or part in _SYSTEM_NAMES for part in name.split("/")):
             return
-        at, _, own = name.rpartition("/")
-        self.files.setdefault(at, []).append(own)
+        folder, _, file_name = name.rpartition("/")
+        self.files.setdefault(folder, []).append(file_name)
 
     def take(self, head: str, *inside: str) -> dict[str, dict[str, list[str]]]:
         """Remove and return all files `head`, with the files of the subfolders `inside`."""
-        found = [at for at, names in self.files.items() if head in names]
-        for at in found:
-            self.files[at].remove(head)
+        folders = [folder for folder, names in self.files.items() if head in names]
+        for folder in folders:
+            self.files[folder].remove(head)
         return {
-            at: {sub: self.files.pop(f"{at}/{sub}".strip("/"), []) for sub in inside}
-            for at in found
+            folder: {sub: self.files.pop(f"{folder}/{sub}".strip("/"), []) for sub in inside}
+            for folder in folders
         }
 
     def kinds(self) -> str:
@@ -141,7 +141,11 @@ class Folder:
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names relative to the path."""
-        return (f"{at}/{own}".lstrip("/") for at, names in self.files.items() for own in names)
+        return (
+            f"{folder}/{file_name}".lstrip("/")
+            for folder, names in self.files.items()
+            for file_name in names
+        )
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,7 @@ class CaptureRef:
         Number in the source: BOP image id, recording frame.
     load : callable
         Loads the capture; raises a `CucumberVisionError` if it is broken.
-    at : str
+    location : str
         Canonical location of the capture, empty if there is none.
     parts : callable, optional
         Lists the files and bytes of the capture, for hashing without decoding; None if unknown
@@ -166,7 +170,7 @@ class CaptureRef:
     name: str
     frame: int
     load: Callable[[], Capture] = field(repr=False)
-    at: str = ""
+    location: str = ""
     parts: Callable[[], Iterable[Path | bytes]] | None = field(default=None, repr=False)
 
 
@@ -205,7 +209,7 @@ class CaptureSource:
         return self.refs()
 
     @classmethod
-    def listed(cls, path: Path, kind: str, parts: Iterable[Listed]) -> CaptureSource:
+    def listed(cls, path: Path, kind: str, parts: Iterable[CaptureEntry]) -> CaptureSource:
         """Create a source of captures that are known in advance.
 
         Parameters
@@ -225,11 +229,15 @@ class CaptureSource:
         ['a_b', 'A_b-2']
         """
         refs, taken = [], set[str]()
-        for text, frame, load, at, files in parts:
+        for text, frame, load, address, files in parts:
             name = unique_name(safe_name(text), taken)
             refs.append(
                 CaptureRef(
-                    name=name, frame=frame, load=partial(load, name), at=str(at), parts=files
+                    name=name,
+                    frame=frame,
+                    load=partial(load, name),
+                    location=str(address),
+                    parts=files,
                 )
             )
         return cls(path, kind, lambda: iter(refs), len(refs))
@@ -270,8 +278,8 @@ def safe_name(text: str) -> str:
     (200, False)
     """
     # Keep combining marks, which are vowels in Hindi.
-    kept = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
-    name = no_device("".join(kept).strip(".") or "capture")
+    letters = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
+    name = no_device("".join(letters).strip(".") or "capture")
     if len(name.encode()) <= _LONGEST_NAME:
         return name
     digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.accuracy.table import Table
+    from cucumbervision.accuracy.table import ReportTable
     from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
 
@@ -110,15 +110,17 @@ _CORRECTIONS = {
 }
 
 
-def _corrections_table(entries: Sequence[CorrectionEntry]) -> Table:
-    from cucumbervision.accuracy.table import Table
+def _corrections_table(entries: Sequence[CorrectionEntry]) -> ReportTable:
+    from cucumbervision.accuracy.table import ReportTable
 
     rows = []
     for entry in entries:
         half = entry.interval.half_width
         percent = None if half is None else 100 * half
         rows.append(vars(entry) | {"formula": _formula(entry), "half_width_percent": percent})
-    return Table.of_records("Corrections, tried on fruit left out of the fit", _CORRECTIONS, rows)
+    return ReportTable.of_records(
+        "Corrections, tried on fruit left out of the fit", _CORRECTIONS, rows
+    )
 
 
 def _formula(entry: CorrectionEntry) -> str:

@@ -27,9 +27,9 @@ def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     -------
     ndarray of float64, shape (N, M)
     """
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
-    return np.asarray(np.clip(high - low, 0, None).prod(axis=2), np.float64)
+    lower = np.maximum(a[:, None, :2], b[None, :, :2])
+    upper = np.minimum(a[:, None, 2:], b[None, :, 2:])
+    return np.asarray(np.clip(upper - lower, 0, None).prod(axis=2), np.float64)
 
 
 def box_ious(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
@@ -115,9 +115,11 @@ def suppress(
     import cv2
 
     # OpenCV separates classes by shifting their boxes, which must begin at 0.
-    low, high = np.split(boxes.astype(np.float64), 2, axis=1)
-    rectangles = np.concatenate([low - low.min(axis=0, initial=0.0), high - low], axis=1)
-    kept = cv2.dnn.NMSBoxesBatched(
+    corners, opposite = np.split(boxes.astype(np.float64), 2, axis=1)
+    rectangles = np.concatenate(
+        [corners - corners.min(axis=0, initial=0.0), opposite - corners], axis=1
+    )
+    chosen = cv2.dnn.NMSBoxesBatched(
         rectangles.tolist(), scores.tolist(), classes.tolist(), score_threshold=0, nms_threshold=iou
     )
-    return np.array(kept, np.intp)
+    return np.array(chosen, np.intp)

@@ -160,8 +160,8 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
         raise InstancesError(
             f"the box [{text}] is not finite", remedy="give x1, y1, x2, y2 in pixels"
         )
-    low, high = np.maximum(box[:2], -0.5), np.minimum(box[2:], (width - 0.5, height - 0.5))
-    if (high <= low).any():
+    corner, opposite = np.maximum(box[:2], -0.5), np.minimum(box[2:], (width - 0.5, height - 0.5))
+    if (opposite <= corner).any():
         raise InstancesError(
             f"the box [{text}] has no area inside the picture of {width}x{height}",
             remedy="give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower "
@@ -171,7 +171,7 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
         raise InstancesError(
             f"the confidence is {instance.confidence:g}", remedy="give a number from 0 to 1"
         )
-    return replace(instance, box=np.concatenate([low, high]))
+    return replace(instance, box=np.concatenate([corner, opposite]))
 
 
 def mirrored(instance: Instance, width: int) -> Instance:
@@ -193,12 +193,14 @@ def mirrored(instance: Instance, width: int) -> Instance:
     ([9.5, 4.5, 49.5, 14.5], [10, 49])
     """
     x1, y1, x2, y2 = instance.box
-    mask, own, points = instance.mask, instance.detector_mask, instance.keypoints
+    mask, detector_mask, points = instance.mask, instance.detector_mask, instance.keypoints
     return replace(
         instance,
         box=np.array([width - 1 - x2, y1, width - 1 - x1, y2]),
         mask=None if mask is None else np.ascontiguousarray(mask[:, ::-1]),
-        detector_mask=None if own is None else np.ascontiguousarray(own[:, ::-1]),
+        detector_mask=None
+        if detector_mask is None
+        else np.ascontiguousarray(detector_mask[:, ::-1]),
         keypoints=None if points is None else points * [-1, 1, 1] + [width - 1, 0, 0],
     )
 
@@ -245,18 +247,18 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     >>> [(one.confidence, one.box.tolist()) for one in merge_instances(found)]
     [(0.8, [4.5, 4.5, 44.5, 14.5]), (0.7, [45.5, 4.5, 55.5, 14.5])]
     """
-    found = sorted((_Region.of(one) for one in instances), key=_best_first)
-    found = [one for one in found if not _around_several(one, found)]
+    regions = sorted((_Region.of(instance) for instance in instances), key=_best_first)
+    regions = [region for region in regions if not _around_several(region, regions)]
     groups: list[list[_Region]] = []
     # The largest first, each compared only with the largest of a group: a small mask inside two
     # fruit joins one of them without merging both.
-    for one in sorted(found, key=lambda one: -one.area):
-        own = max(groups, key=lambda group: _shared(one, group[0]), default=None)
-        if own is not None and _same(one, own[0]):
-            own.append(one)
+    for region in sorted(regions, key=lambda region: -region.area):
+        group = max(groups, key=lambda group: _shared(region, group[0]), default=None)
+        if group is not None and _same(region, group[0]):
+            group.append(region)
         else:
-            groups.append([one])
-    return tuple(sorted(map(_kept, groups), key=lambda one: -one.confidence))
+            groups.append([region])
+    return tuple(sorted(map(_kept, groups), key=lambda instance: -instance.confidence))
 
 
 def apart(
@@ -276,16 +278,16 @@ def apart(
     tuple of Instance
         In their order. A mask that loses 30 % or more gets a new box; an empty one is removed.
     """
-    masks = [one.detector_mask for one in instances]
-    left = disjoint_masks(masks, [one.confidence for one in instances], depth_m)
+    masks = [instance.detector_mask for instance in instances]
+    disjoint = disjoint_masks(masks, [instance.confidence for instance in instances], depth_m)
     out = []
-    for one, before, after in zip(instances, masks, left, strict=True):
+    for instance, before, after in zip(instances, masks, disjoint, strict=True):
         if before is None or after is None or after is before:
-            out.append(one)
+            out.append(instance)
         elif after.any():
             much = np.count_nonzero(after) < (1 - _MUCH_CUT) * np.count_nonzero(before)
-            box = box_of_mask(after) if much else one.box
-            out.append(replace(one, box=box, detector_mask=after))
+            box = box_of_mask(after) if much else instance.box
+            out.append(replace(instance, box=box, detector_mask=after))
     return tuple(out)
 
 
@@ -326,10 +328,11 @@ def with_keypoints(
     from scipy.optimize import linear_sum_assignment
 
     poses = [pose for pose in poses if pose.keypoints is not None]
-    boxes, others = (
-        np.array([one.box for one in some]).reshape(-1, 4) for some in (instances, poses)
+    boxes, pose_boxes = (
+        np.array([instance.box for instance in members]).reshape(-1, 4)
+        for members in (instances, poses)
     )
-    overlaps = box_ious(boxes, others)
+    overlaps = box_ious(boxes, pose_boxes)
     # A sure pose outweighs every overlap; pairs below the threshold displace none.
     worth = overlaps + [pose.confidence > sure for pose in poses]
     worth[overlaps < min_iou] = 0.0
@@ -364,8 +367,8 @@ def visible_mask(instance: Instance) -> NDArray[np.bool_] | None:
     return instance.mask if instance.detector_mask is None else instance.detector_mask
 
 
-def _best_first(one: _Region) -> tuple[float, float]:
-    return -one.instance.confidence, -one.area
+def _best_first(region: _Region) -> tuple[float, float]:
+    return -region.instance.confidence, -region.area
 
 
 def _shared(a: _Region, b: _Region) -> float:
@@ -373,8 +376,8 @@ def _shared(a: _Region, b: _Region) -> float:
     if a.mask is None or b.mask is None or a.window is None or b.window is None:
         return box_iou(a.instance.box, b.instance.box)
     rows, columns = (
-        slice(max(own.start, other.start), min(own.stop, other.stop))
-        for own, other in zip(a.window, b.window, strict=True)
+        slice(max(a_span.start, b_span.start), min(a_span.stop, b_span.stop))
+        for a_span, b_span in zip(a.window, b.window, strict=True)
     )
     return float(np.count_nonzero(a.mask[rows, columns] & b.mask[rows, columns]))
 
@@ -386,31 +389,38 @@ def _same(a: _Region, b: _Region) -> bool:
     return shared >= min(_SAME_IOU * (a.area + b.area - shared), _INSIDE * min(a.area, b.area))
 
 
-def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
+def _around_several(region: _Region, regions: Sequence[_Region]) -> bool:
     """Return whether an instance is a box around several fruit that were also found separately."""
-    if one.mask is None:
+    if region.mask is None:
         return False
     parts: list[_Region] = []
-    for other in found:
+    for inner in regions:
         # An instance that matches the whole is a duplicate, not a part.
-        if other is one or other.mask is None or other.area >= one.area:
+        if inner is region or inner.mask is None or inner.area >= region.area:
             continue
-        shared = _shared(one, other)
-        if shared >= _INSIDE * other.area and not any(_same(other, part) for part in parts):
-            parts.append(other)
+        shared = _shared(region, inner)
+        if shared >= _INSIDE * inner.area and not any(_same(inner, part) for part in parts):
+            parts.append(inner)
     if len(parts) < 2:
         return False
-    return float(np.mean([part.instance.confidence for part in parts])) > one.instance.confidence
+    return float(np.mean([part.instance.confidence for part in parts])) > region.instance.confidence
 
 
 def _kept(group: Sequence[_Region]) -> Instance:
     members = sorted(group, key=_best_first)
     best = members[0].instance.confidence
-    trusted = [one for one in members if one.instance.confidence >= TRUSTED_SHARE * best]
-    kept = max(trusted, key=lambda one: one.area).instance
-    posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
+    trusted = [region for region in members if region.instance.confidence >= TRUSTED_SHARE * best]
+    instance = max(trusted, key=lambda region: region.area).instance
+    posed = [
+        member
+        for member in (instance, *(m.instance for m in members))
+        if member.keypoints is not None
+    ]
     if not posed:
-        return replace(kept, confidence=best)
+        return replace(instance, confidence=best)
     return replace(
-        kept, confidence=best, keypoints=posed[0].keypoints, end_confidence=posed[0].end_confidence
+        instance,
+        confidence=best,
+        keypoints=posed[0].keypoints,
+        end_confidence=posed[0].end_confidence,
     )

@@ -202,27 +202,27 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> LabelledInstance
     values = _finite(line.split())
     if len(values) < 5 or values[0] < 0 or values[0] % 1:
         raise ValueError("is neither box nor polygon")
-    number, rest = int(values[0]), values[1:]
+    number, coordinates = int(values[0]), values[1:]
     pose = 4 + 3 * _KEYPOINTS
     keypoints, confidence = None, 1.0
     polygons: tuple[NDArray[np.float64], ...] = ()
-    if len(rest) in (pose, pose + 1) and np.isin(rest[6:pose:3], (0, 1, 2)).all():
-        confidence = float(rest[pose]) if len(rest) > pose else 1.0
-        keypoints = _keypoints(rest[4:pose], 2.0)
-        shares = np.concatenate([rest[:4], keypoints[:, :2].ravel()])
-        rest = rest[:4]
+    if len(coordinates) in (pose, pose + 1) and np.isin(coordinates[6:pose:3], (0, 1, 2)).all():
+        confidence = float(coordinates[pose]) if len(coordinates) > pose else 1.0
+        keypoints = _keypoints(coordinates[4:pose], 2.0)
+        shares = np.concatenate([coordinates[:4], keypoints[:, :2].ravel()])
+        coordinates = coordinates[:4]
     else:
-        if len(rest) % 2:
-            rest, confidence = rest[:-1], float(rest[-1])
-        shares = rest
+        if len(coordinates) % 2:
+            coordinates, confidence = coordinates[:-1], float(coordinates[-1])
+        shares = coordinates
     if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
         raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
     box = None
-    if len(rest) == 4:
-        half = rest[2:] / 2
-        box = np.concatenate([rest[:2] - half, rest[:2] + half])
+    if len(coordinates) == 4:
+        half = coordinates[2:] / 2
+        box = np.concatenate([coordinates[:2] - half, coordinates[:2] + half])
     else:
-        polygons = (polygon_points(rest),)
+        polygons = (polygon_points(coordinates),)
     class_name = names[number].strip() if number < len(names) else str(number)
     return LabelledInstance(
         where=where,
@@ -344,11 +344,11 @@ class InstanceFile:
             else _or_error(record.where, self.source, _instance, record, width, height)
             for record in picture.records
         ]
-        kept = [one for one in read if not isinstance(one, InstancesError)]
+        entries = [entry for entry in read if not isinstance(entry, InstancesError)]
         return FileInstances(
-            instances=tuple(instance for instance, _ in kept),
-            clipped=tuple(cut for _, cut in kept),
-            refused=tuple(one for one in read if isinstance(one, InstancesError)),
+            instances=tuple(instance for instance, _ in entries),
+            clipped=tuple(cut for _, cut in entries),
+            refused=tuple(entry for entry in read if isinstance(entry, InstancesError)),
         )
 
     def coverage(
@@ -380,10 +380,10 @@ class InstanceFile:
     def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
         for short, called in self._by_name.items():
             # A capture's name may contain dots without having an extension.
-            wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
+            keys = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
             matches = [
                 picture
-                for name in wanted
+                for name in keys
                 for picture in called.get(name, ())
                 if short is str or _in_folder(picture.name, names)
             ]
@@ -391,7 +391,7 @@ class InstanceFile:
                 return matches[0]
             if matches:
                 raise InstancesError(
-                    f"names {' or '.join(sorted(wanted))} {len(matches)} times",
+                    f"names {' or '.join(sorted(keys))} {len(matches)} times",
                     source=self.source,
                     remedy="give the pictures different names",
                 )
@@ -468,11 +468,11 @@ def _read_yolo_file(path: Path, names: list[str]) -> LabelledImage:
 
 
 def _or_error(
-    where: str, source: object, read: Callable[..., _T], *given: Any
+    where: str, source: object, read: Callable[..., _T], *arguments: Any
 ) -> _T | InstancesError:
     """Return the parsed entry, or its error."""
     try:
-        return read(*given)
+        return read(*arguments)
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         return InstancesError(f"{where}: {error}", source=source, remedy="correct it")
 
@@ -558,11 +558,11 @@ def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np
     """Clip a corner-based box to the picture; return it from the first pixel's centre."""
     if box[2] <= box[0] or box[3] <= box[1]:
         raise ValueError("its box has no area")
-    low, high = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
-    if (high <= low).any():
+    corner, opposite = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
+    if (opposite <= corner).any():
         raise ValueError(f"its box lies outside the picture of {width}x{height}")
     clipped = bool(_beyond(box.reshape(2, 2), width, height).any())
-    return np.concatenate([low, high]) - 0.5, clipped
+    return np.concatenate([corner, opposite]) - 0.5, clipped
 
 
 def _beyond(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:

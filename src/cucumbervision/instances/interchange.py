@@ -71,14 +71,14 @@ def to_supervision(instances: Sequence[Instance], **data: Sequence[Any]) -> Any:
     except ModuleNotFoundError:
         raise MissingExtraError("supervision", "supervision") from None
     masks = _masks_of(instances)
-    names = sorted({one.class_name for one in instances})
+    names = sorted({instance.class_name for instance in instances})
     return supervision.Detections(
         xyxy=_boxes_of(instances),
         mask=masks,
-        confidence=np.array([one.confidence for one in instances], np.float64),
-        class_id=np.array([names.index(one.class_name) for one in instances], int),
+        confidence=np.array([instance.confidence for instance in instances], np.float64),
+        class_id=np.array([names.index(instance.class_name) for instance in instances], int),
         data={
-            "class_name": np.array([one.class_name for one in instances]),
+            "class_name": np.array([instance.class_name for instance in instances]),
             **{name: np.array(values) for name, values in data.items()},
         },
     )
@@ -144,11 +144,11 @@ def to_ultralytics(instances: Sequence[Instance], color_rgb: NDArray[np.uint8]) 
         from ultralytics.engine.results import Results
     except ModuleNotFoundError:
         raise MissingExtraError("ultralytics", "train") from None
-    names = dict(enumerate(sorted({one.class_name for one in instances})))
+    names = dict(enumerate(sorted({instance.class_name for instance in instances})))
     kinds = {name: k for k, name in names.items()}
     rows = [
-        [*box, one.confidence, kinds[one.class_name]]
-        for box, one in zip(_boxes_of(instances), instances, strict=True)
+        [*box, instance.confidence, kinds[instance.class_name]]
+        for box, instance in zip(_boxes_of(instances), instances, strict=True)
     ]
     masks = _masks_of(instances)
     return Results(
@@ -174,11 +174,11 @@ def _instance(
 
 
 def _boxes_of(instances: Sequence[Instance]) -> NDArray[np.float64]:
-    return np.array([one.box for one in instances], np.float64).reshape(-1, 4) + 0.5
+    return np.array([instance.box for instance in instances], np.float64).reshape(-1, 4) + 0.5
 
 
 def _masks_of(instances: Sequence[Instance]) -> NDArray[np.bool_] | None:
-    masks = [one.mask for one in instances if one.mask is not None]
+    masks = [instance.mask for instance in instances if instance.mask is not None]
     return np.stack(masks) if masks and len(masks) == len(instances) else None
 
 

@@ -107,18 +107,20 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     rows, edges = np.nonzero(crossed)
     # An edge that is traversed in both directions (a bridge between parts) must cross a row at
     # exactly the same position: computed from its lower end.
-    low = np.where(y1 <= y2, [x1, y1], [x2, y2])[:, edges]
-    high = np.where(y1 <= y2, [x2, y2], [x1, y1])[:, edges]
-    at = low[0] + (centres[rows, 0] - low[1]) * ((high[0] - low[0]) / (high[1] - low[1]))
+    lower = np.where(y1 <= y2, [x1, y1], [x2, y2])[:, edges]
+    upper = np.where(y1 <= y2, [x2, y2], [x1, y1])[:, edges]
+    crossings = lower[0] + (centres[rows, 0] - lower[1]) * (
+        (upper[0] - lower[0]) / (upper[1] - lower[1])
+    )
     # All pixel centres at or right of a crossing change sides.
-    first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
+    first = np.clip(np.ceil(crossings - 0.5), 0, width).astype(int)
     mask = np.zeros((height, width), bool)
     if len(rows):
         # Counted in the polygon's own rows and columns: there may be thousands in a picture.
-        (top, left), (bottom, right) = (rows.min(), first.min()), (rows.max(), first.max())
-        changes = np.zeros((bottom + 1 - top, right + 1 - left), np.int32)
-        np.add.at(changes, (rows - top, first - left), 1)
-        mask[top : bottom + 1, left:right] = changes[:, :-1].cumsum(axis=1) % 2 == 1
+        (top, first_column), (bottom, right) = (rows.min(), first.min()), (rows.max(), first.max())
+        changes = np.zeros((bottom + 1 - top, right + 1 - first_column), np.int32)
+        np.add.at(changes, (rows - top, first - first_column), 1)
+        mask[top : bottom + 1, first_column:right] = changes[:, :-1].cumsum(axis=1) % 2 == 1
     return mask
 
 
@@ -182,31 +184,31 @@ _RUN_BITS = 60  # limits the time for a malformed number of a million digits
 def _pack(value: int) -> str:
     text = ""
     while True:
-        low, value = value & 0x1F, value >> 5
+        digit, value = value & 0x1F, value >> 5
         # The last character's sign bit must match the sign of the value.
-        more = value != (-1 if low & 0x10 else 0)
-        text += chr((low | (0x20 if more else 0)) + 48)
-        if not more:
+        continues = value != (-1 if digit & 0x10 else 0)
+        text += chr((digit | (0x20 if continues else 0)) + 48)
+        if not continues:
             return text
 
 
 def _unpack(text: str) -> list[int]:
     runs: list[int] = []
-    at = 0
-    while at < len(text):
-        value, shift, more = 0, 0, True
-        while more:
-            if at == len(text):
+    position = 0
+    while position < len(text):
+        value, shift, continues = 0, 0, True
+        while continues:
+            if position == len(text):
                 raise ValueError("the run lengths end within a number")
             if shift > _RUN_BITS:
                 raise ValueError("a run length has more digits than any picture needs")
-            code = ord(text[at]) - 48
+            code = ord(text[position]) - 48
             if not 0 <= code < 64:
-                raise ValueError(f"{text[at]!r} is not a run length")
+                raise ValueError(f"{text[position]!r} is not a run length")
             value |= (code & 0x1F) << shift
-            more = bool(code & 0x20)
-            at, shift = at + 1, shift + 5
-            if not more and code & 0x10:
+            continues = bool(code & 0x20)
+            position, shift = position + 1, shift + 5
+            if not continues and code & 0x10:
                 value |= -1 << shift
         runs.append(value + runs[-2] if len(runs) > 2 else value)
     return runs

@@ -46,8 +46,8 @@ def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
         return array
     filled = array != 0
     if filled.any() and not (array[filled] == array[filled][0]).all():
-        least, most = array[filled].min(), array[filled].max()
-        fault = f"a mask has values from {least:g} to {most:g} beside 0, not one"
+        lowest, highest = array[filled].min(), array[filled].max()
+        fault = f"a mask has values from {lowest:g} to {highest:g} beside 0, not one"
         raise InstancesError(fault, remedy=remedy)
     return np.asarray(filled)
 
@@ -75,12 +75,14 @@ def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, sli
         return None
     # Only the mask's rows: the picture's would take several times as long.
     columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(axis=0))
-    top, bottom, left, right = (
-        int(edge) for found in (rows, columns) for edge in (found[0], found[-1] + 1)
+    y1, y2, x1, x2 = (
+        int(edge)
+        for filled_lines in (rows, columns)
+        for edge in (filled_lines[0], filled_lines[-1] + 1)
     )
     return (
-        slice(max(top - margin_px, 0), min(bottom + margin_px, mask.shape[0])),
-        slice(max(left - margin_px, 0), min(right + margin_px, mask.shape[1])),
+        slice(max(y1 - margin_px, 0), min(y2 + margin_px, mask.shape[0])),
+        slice(max(x1 - margin_px, 0), min(x2 + margin_px, mask.shape[1])),
     )
 
 
@@ -220,17 +222,17 @@ def disjoint_masks(
     >>> [mask.astype(int).tolist() for mask in disjoint_masks([left, both], [0.5, 0.9])]
     [[[1, 1, 1, 0, 0, 0]], [[0, 0, 0, 1, 1, 1]]]
     """
-    kept = list(masks)
+    parted = list(masks)
     windows = [None if mask is None else mask_window(mask) for mask in masks]
     for j, of_b in enumerate(windows):
         for i, of_a in enumerate(windows[:j]):
-            a, b = kept[i], kept[j]
+            a, b = parted[i], parted[j]
             given_a, given_b = masks[i], masks[j]
             if a is None or b is None or of_a is None or of_b is None:
                 continue
             rows, columns = (
-                slice(max(one.start, other.start), min(one.stop, other.stop))
-                for one, other in zip(of_a, of_b, strict=True)
+                slice(max(a_span.start, b_span.start), min(a_span.stop, b_span.stop))
+                for a_span, b_span in zip(of_a, of_b, strict=True)
             )
             if not (a[rows, columns] & b[rows, columns]).any():
                 continue
@@ -238,8 +240,8 @@ def disjoint_masks(
             if given_a is None or given_b is None or mask_iou(given_a, given_b) >= _ONE_IOU:
                 continue
             loser = _loser((a, b), (scores[i], scores[j]), depth_m)
-            kept[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
-    return kept
+            parted[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
+    return parted
 
 
 def _loser(
@@ -256,7 +258,7 @@ def _loser(
         return int(areas[1] > areas[0])
     far_m = _distances(shared, pair, depth_m)
     if all(far_m):
-        off = [abs(one - far_m[0]) for one in far_m[1:]]
+        off = [abs(distance_m - far_m[0]) for distance_m in far_m[1:]]
         if abs(off[0] - off[1]) > _NEARER * far_m[0]:
             return int(off[1] > off[0])
     return int(scores[1] <= scores[0])
@@ -277,7 +279,7 @@ def _distances(
     margin = max(_BESIDE_PX, *(part.stop - part.start for part in window))
     around = mask_window(shared, margin) or window
     medians = []
-    for mask in (shared, *(one & ~shared for one in pair)):
+    for mask in (shared, *(mask & ~shared for mask in pair)):
         readings = depth_m[around][mask[around]]
         readings = readings[readings > 0]
         medians.append(float(np.median(readings)) if readings.size else 0.0)
@@ -328,14 +330,14 @@ def without_flower(mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8]) -> NDA
     square = np.ones((3, 3), np.uint8)
     opened = cv2.morphologyEx(redder.astype(np.uint8), cv2.MORPH_OPEN, square)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(opened)
-    least, most = (share * np.count_nonzero(inside) for share in _FLOWER_SHARE)
-    parts = np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= least) + 1
+    least_px, most_px = (share * np.count_nonzero(inside) for share in _FLOWER_SHARE)
+    parts = np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= least_px) + 1
     if parts.size == 0:
         return mask
     flower = cv2.dilate(np.isin(labels, parts).astype(np.uint8), square) > 0
     _, labels, stats, _ = cv2.connectedComponentsWithStats((inside & ~flower).astype(np.uint8))
     body = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if len(stats) > 1 else flower
-    if np.count_nonzero(inside & ~body) > most:
+    if np.count_nonzero(inside & ~body) > most_px:
         return mask
     cleaned = np.zeros_like(mask)
     cleaned[window] = inside & body

@@ -80,7 +80,9 @@ class AcceptedSource:
 
     def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
         for ref in source:
-            yield replace(ref, load=partial(self._load, ref.load), at=self.shown(ref.at))
+            yield replace(
+                ref, load=partial(self._load, ref.load), location=self.shown(ref.location)
+            )
 
     def _load(self, load: Callable[[], Capture]) -> Capture:
         try:

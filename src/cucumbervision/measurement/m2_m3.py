@@ -86,7 +86,7 @@ def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -
     mask_points_m : ndarray of float, shape (N, 3)
         The mask's pixels with a valid reading, deprojected
         (`measurement.cloud.masked_points`), metres.
-    near : AlignedCloud, optional
+    cloud : AlignedCloud, optional
         The same points behind the gate, where that is known already.
 
     Returns

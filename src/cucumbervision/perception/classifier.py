@@ -69,7 +69,7 @@ class PictureClassifier:
         -------
         ndarray of float64, shape (N,)
         """
-        both = np.concatenate([pictures, mirrored])
-        planes = both.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
+        batch = np.concatenate([pictures, mirrored])
+        planes = batch.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
         (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
         return np.asarray(answer.reshape(2, -1).mean(axis=0), np.float64)

@@ -69,11 +69,16 @@ def crop_square(
     """
     corner, opposite = box[:2], box[2:]
     side = max(int(np.ceil(margin * max((opposite - corner).max(), 1.0))), 2)
-    left, top = np.rint((corner + opposite + 1 - side) / 2).astype(int)
+    left_px, top = np.rint((corner + opposite + 1 - side) / 2).astype(int)
     height, width = color_rgb.shape[:2]
-    x1, y1, x2, y2 = max(left, 0), max(top, 0), min(left + side, width), min(top + side, height)
+    x1, y1, x2, y2 = (
+        max(left_px, 0),
+        max(top, 0),
+        min(left_px + side, width),
+        min(top + side, height),
+    )
     square = np.full((side, side, 3), _GREY, np.uint8)
-    square[y1 - top : y2 - top, x1 - left : x2 - left] = color_rgb[y1:y2, x1:x2]
+    square[y1 - top : y2 - top, x1 - left_px : x2 - left_px] = color_rgb[y1:y2, x1:x2]
     shrinks = side > side_px
     resized = cv2.resize(
         square, (side_px, side_px), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
@@ -143,12 +148,12 @@ class CropClassifier(PictureClassifier):
         tuple of Instance
             Best first.
         """
-        odds = self.log_odds(color_rgb, [one.box for one in instances])
+        odds = self.log_odds(color_rgb, [instance.box for instance in instances])
         rescored = (
-            replace(one, confidence=lowered(one.confidence, value))
-            for one, value in zip(instances, odds.tolist(), strict=True)
+            replace(instance, confidence=lowered(instance.confidence, value))
+            for instance, value in zip(instances, odds.tolist(), strict=True)
         )
-        return tuple(sorted(rescored, key=lambda one: -one.confidence))
+        return tuple(sorted(rescored, key=lambda instance: -instance.confidence))
 
     def log_odds(
         self, color_rgb: NDArray[np.uint8], boxes: Sequence[NDArray[np.float64]]

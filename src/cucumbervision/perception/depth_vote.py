@@ -140,17 +140,17 @@ def depth_shape(
         return None
     rows, columns = np.nonzero(mask[window])
     readings = depth_m[window][rows, columns]
-    known = readings > 0
-    if known.sum() < max(_FEWEST_READINGS, _FEWEST_SHARE * len(rows)):
+    is_read = readings > 0
+    if is_read.sum() < max(_FEWEST_READINGS, _FEWEST_SHARE * len(rows)):
         return None
-    middle_m = float(np.median(readings[known]))
+    middle_m = float(np.median(readings[is_read]))
     length_px = max(max(cv2.minAreaRect(np.column_stack([columns, rows]).astype(np.float32))[1]), 1)
     width_px = len(rows) / length_px
-    body = known & (np.abs(readings - middle_m) < _BODY_M)
+    body = is_read & (np.abs(readings - middle_m) < _BODY_M)
     return DepthShape(
         width_m=width_px * middle_m / focal_px,
         length_m=length_px * middle_m / focal_px,
-        far_share=float(1 - body.sum() / known.sum()),
+        far_share=float(1 - body.sum() / is_read.sum()),
         relief=_relief(
             np.column_stack([columns, rows])[body],
             readings[body],
@@ -167,20 +167,20 @@ def _relief(pixels: NDArray[np.intp], depth_m: NDArray[np.float32], half_width_m
     slices = np.minimum(slices, _SLICES - 1)
     from_line = []
     for k in range(_SLICES):
-        here = slices == k
-        if not here.any():
+        in_slice = slices == k
+        if not in_slice.any():
             continue
-        side = np.abs(across[here] - np.median(across[here]))
-        core = depth_m[here][side <= _CORE * max(np.percentile(side, 95), 2.0)]
+        side = np.abs(across[in_slice] - np.median(across[in_slice]))
+        core = depth_m[in_slice][side <= _CORE * max(np.percentile(side, 95), 2.0)]
         if core.size > 4:
-            from_line.append(depth_m[here] - np.median(core))
+            from_line.append(depth_m[in_slice] - np.median(core))
     if not from_line:
         return _MOST_RELIEF
     return float(min(np.std(np.concatenate(from_line)) / half_width_m, _MOST_RELIEF))
 
 
 def with_depth_votes(
-    found: Sequence[Instance], depth_m: NDArray[np.float32], focal_px: float
+    detections: Sequence[Instance], depth_m: NDArray[np.float32], focal_px: float
 ) -> tuple[Instance | None, ...]:
     """Return detections with confidences rescored by depth.
 
@@ -189,7 +189,7 @@ def with_depth_votes(
 
     Parameters
     ----------
-    found : sequence of Instance
+    detections : sequence of Instance
         Of the shipped detector, with its confidence and masks.
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned; 0 where unknown.
@@ -204,15 +204,15 @@ def with_depth_votes(
     vote = _shipped_vote()
     shift = logit(DEFAULT_CONFIDENCE) - logit(_REPORTED_PROBABILITY)
     voted: list[Instance | None] = []
-    for one in found:
-        mask = one.detector_mask
+    for detection in detections:
+        mask = detection.detector_mask
         shape = None if mask is None else depth_shape(mask, depth_m, focal_px)
         if shape is None:
             voted.append(None)
             continue
-        likely = np.clip(vote.probability(one.confidence, shape), 1e-6, 1 - 1e-6)
+        likely = np.clip(vote.probability(detection.confidence, shape), 1e-6, 1 - 1e-6)
         confidence = expit(logit(likely) + shift)
-        voted.append(replace(one, confidence=float(confidence)))
+        voted.append(replace(detection, confidence=float(confidence)))
     return tuple(voted)
 
 

@@ -48,7 +48,7 @@ class EndLooker:
     def __init__(self, path: Path, runtime: str = "auto") -> None:
         chosen = "onnxruntime" if runtime == "auto" else runtime
         self._network = open_network(path, chosen, full_precision=True)
-        shapes = [tuple(one.shape[1:]) for one in self._network.inputs]
+        shapes = [tuple(tensor.shape[1:]) for tensor in self._network.inputs]
         if shapes != [(PLANES, END_PX, END_PX), (2,)] or len(self._network.outputs) != 1:
             raise ModelError(
                 f"takes {shapes}, not crops of ends",
@@ -72,10 +72,10 @@ class EndLooker:
         if not crops:
             return []
         planes = np.stack([crop.planes for crop in crops])
-        both = np.concatenate([planes, planes[:, ::-1]]).transpose(0, 3, 1, 2)
+        batch = np.concatenate([planes, planes[:, ::-1]]).transpose(0, 3, 1, 2)
         shapes = np.tile(np.array([crop.shape for crop in crops], np.float32), (2, 1))
-        names = [one.name for one in self._network.inputs]
-        scaled = both.astype(np.float32) / np.float32(255)
+        names = [tensor.name for tensor in self._network.inputs]
+        scaled = batch.astype(np.float32) / np.float32(255)
         (answer,) = self._network.run(dict(zip(names, (scaled, shapes), strict=True))).values()
         mean = np.asarray(answer, np.float64).reshape(2, len(crops), -1).mean(axis=0)
         return [looked_at(row) for row in mean]

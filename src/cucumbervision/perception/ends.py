@@ -76,8 +76,8 @@ def orient(
     ahead = np.gradient(middle, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     aside = np.linspace(-_HALF_WIDTH, _HALF_WIDTH, height)[:, None, None] * length
-    at = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
-    return sample_color(color_rgb, at, length * (1 + 2 * _BEYOND) / width)
+    sample_px = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
+    return sample_color(color_rgb, sample_px, length * (1 + 2 * _BEYOND) / width)
 
 
 class EndClassifier(PictureClassifier):
@@ -118,12 +118,15 @@ class EndClassifier(PictureClassifier):
         tuple of Instance
             In the same order; `end_confidence` is the probability that the direction is right.
         """
-        lines = [None if one.keypoints is None else one.keypoints[:, :2] for one in instances]
+        lines = [
+            None if instance.keypoints is None else instance.keypoints[:, :2]
+            for instance in instances
+        ]
         odds = self.log_odds(color_rgb, [line for line in lines if line is not None])
-        found = iter(odds)
+        scores = iter(odds)
         return tuple(
-            one if line is None else _ordered(one, next(found))
-            for one, line in zip(instances, lines, strict=True)
+            instance if line is None else _ordered(instance, next(scores))
+            for instance, line in zip(instances, lines, strict=True)
         )
 
     def log_odds(
@@ -144,12 +147,12 @@ class EndClassifier(PictureClassifier):
             The mean of the strip's and its mirror image's; None for a line too short to tell.
         """
         strips = [orient(color_rgb, line) for line in lines_px]
-        seen = [strip for strip in strips if strip is not None]
-        if not seen:
+        strips_read = [strip for strip in strips if strip is not None]
+        if not strips_read:
             return [None] * len(strips)
-        level = np.stack(seen)
-        found = iter(self.mean_logits(level, level[:, ::-1]).tolist())
-        return [None if strip is None else next(found) for strip in strips]
+        level = np.stack(strips_read)
+        scores = iter(self.mean_logits(level, level[:, ::-1]).tolist())
+        return [None if strip is None else next(scores) for strip in strips]
 
 
 def _ordered(instance: Instance, logit: float | None) -> Instance:

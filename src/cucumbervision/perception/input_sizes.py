@@ -66,7 +66,7 @@ SAME_IOU = 0.5
 """IoU above which two boxes are the same detection."""
 
 
-def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
+def merge_sizes(by_size: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     """Merge a network's detections at several input sizes, best first.
 
     The confidence is the mean over the sizes, with 0 for sizes that miss it: a fruit seen at
@@ -74,7 +74,7 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
 
     Parameters
     ----------
-    found : sequence of sequence of Instance
+    by_size : sequence of sequence of Instance
         Detections by size; those of a single size stay as they are.
 
     Returns
@@ -95,26 +95,28 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     >>> merge_sizes([[one], []])[0].confidence
     0.3
     """
-    if len(found) < 2:
-        return tuple(one for some in found for one in some)
+    if len(by_size) < 2:
+        return tuple(instance for instances in by_size for instance in instances)
     groups: list[dict[int, Instance]] = []
-    every = [(size, one) for size, some in enumerate(found) for one in some]
-    for size, one in sorted(every, key=lambda pair: -pair[1].confidence):
+    finds = [(size, instance) for size, instances in enumerate(by_size) for instance in instances]
+    for size, instance in sorted(finds, key=lambda pair: -pair[1].confidence):
         free = [group for group in groups if size not in group]
         firsts = [next(iter(group.values())) for group in free]
-        ious = box_ious(one.box[None], np.array([first.box for first in firsts]).reshape(-1, 4))[0]
-        ious *= [first.class_name == one.class_name for first in firsts]
+        ious = box_ious(
+            instance.box[None], np.array([first.box for first in firsts]).reshape(-1, 4)
+        )[0]
+        ious *= [first.class_name == instance.class_name for first in firsts]
         if ious.size and ious.max() > SAME_IOU:
-            free[int(ious.argmax())][size] = one
+            free[int(ious.argmax())][size] = instance
         else:
-            groups.append({size: one})
-    merged = [_mean_find(group, len(found)) for group in groups]
-    return tuple(sorted(merged, key=lambda one: -one.confidence))
+            groups.append({size: instance})
+    merged = [_mean_find(group, len(by_size)) for group in groups]
+    return tuple(sorted(merged, key=lambda instance: -instance.confidence))
 
 
 def _mean_find(finds: Mapping[int, Instance], sizes: int) -> Instance:
-    confidences = [one.confidence for one in finds.values()]
-    box = np.average([one.box for one in finds.values()], axis=0, weights=confidences)
-    least = TRUSTED_SHARE * max(confidences)
-    sure = [size for size, one in finds.items() if one.confidence >= least]
+    confidences = [find.confidence for find in finds.values()]
+    box = np.average([find.box for find in finds.values()], axis=0, weights=confidences)
+    least_confidence = TRUSTED_SHARE * max(confidences)
+    sure = [size for size, find in finds.items() if find.confidence >= least_confidence]
     return replace(finds[min(sure)], box=box, confidence=sum(confidences) / sizes)

@@ -62,29 +62,32 @@ def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
     >>> placed.keypoints[:, 0].round().tolist()
     [10.0, 30.0, 50.0, 70.0, 90.0]
     """
-    return tuple(_placed(one) for one in instances)
+    return tuple(_placed(instance) for instance in instances)
 
 
 def _placed(instance: Instance) -> Instance:
     mask = instance.detector_mask if instance.mask is None else instance.mask
     points = instance.keypoints
-    given = instance.input_size_px is None
-    if mask is None or points is None or given or not np.isfinite(points[:, :2]).all():
+    is_given = instance.input_size_px is None
+    if mask is None or points is None or is_given or not np.isfinite(points[:, :2]).all():
         return instance
     body = body_without_stalk(mask)
     axis = None if body is None else _axis(body)
     line = None if body is None or axis is None else _line_along(body, axis)
     if body is None or axis is None or line is None:
         return instance
-    tips, seen = line[[0, -1]], points[[0, -1], :2]
-    if np.linalg.norm(tips - seen, axis=1).sum() > np.linalg.norm(tips[::-1] - seen, axis=1).sum():
+    tips, tip_points = line[[0, -1]], points[[0, -1], :2]
+    if (
+        np.linalg.norm(tips - tip_points, axis=1).sum()
+        > np.linalg.norm(tips[::-1] - tip_points, axis=1).sum()
+    ):
         tips = tips[::-1]
-    near = np.linalg.norm(tips - seen, axis=1) <= _NEAR * arc_positions(points[:, :2])[-1]
-    if not near.any():
+    is_close = np.linalg.norm(tips - tip_points, axis=1) <= _NEAR * arc_positions(points[:, :2])[-1]
+    if not is_close.any():
         return instance
     line = points[:, :2].copy()
-    line[[0, -1]] = np.where(near[:, None], tips, seen)
-    spread = _points_between(body, axis, line[[0, -1]]) if near.all() else None
+    line[[0, -1]] = np.where(is_close[:, None], tips, tip_points)
+    spread = _points_between(body, axis, line[[0, -1]]) if is_close.all() else None
     if spread is None:
         spread = points_along(line, SHARES)
     return replace(instance, keypoints=np.column_stack([spread, points[:, 2]]))
@@ -212,6 +215,6 @@ def _inside(mask: NDArray[np.bool_], line: Array) -> NDArray[np.bool_]:
     u, v = np.rint(line).astype(int).T
     height, width = mask.shape
     within = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    found = np.zeros(len(line), np.bool_)
-    found[within] = mask[v[within], u[within]]
-    return found
+    is_inside = np.zeros(len(line), np.bool_)
+    is_inside[within] = mask[v[within], u[within]]
+    return is_inside

@@ -95,11 +95,13 @@ class Detectors:
         """
         detector, pose = self._detector, self._pose
         voting = depth_m if self._depth_votes and focal_px is not None else None
-        least = None if voting is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
-        found = detector.detect(color_rgb, least)
-        posed = pose.detect(color_rgb) if pose is not None and found else None
+        least_confidence = (
+            None if voting is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
+        )
+        detections = detector.detect(color_rgb, least_confidence)
+        posed = pose.detect(color_rgb) if pose is not None and detections else None
         return each_fruit_once(
-            found,
+            detections,
             posed,
             depth_m,
             confidence=self._confidence,
@@ -143,14 +145,16 @@ def each_fruit_once(
     by_depth: Sequence[Instance | None] = [None] * len(detected)
     if depth_m is not None and focal_px is not None:
         by_depth = with_depth_votes(detected, depth_m, focal_px)
-    rest = [one for one, voted in zip(detected, by_depth, strict=True) if voted is None]
-    rest = rest if posed is None else list(with_pose_votes(rest, posed, looks))
-    voted = sorted([*filter(None, by_depth), *rest], key=lambda one: -one.confidence)
-    found = merge_instances([one for one in voted if one.confidence > confidence])
+    unvoted = [
+        detection for detection, voted in zip(detected, by_depth, strict=True) if voted is None
+    ]
+    unvoted = unvoted if posed is None else list(with_pose_votes(unvoted, posed, looks))
+    voted = sorted([*filter(None, by_depth), *unvoted], key=lambda detection: -detection.confidence)
+    fruit = merge_instances([detection for detection in voted if detection.confidence > confidence])
     if depth_m is not None:
-        weak = [one for one in voted if one.confidence <= confidence]
-        found = join_pieces_by_depth(found, weak, depth_m)
-    return apart(with_keypoints(found, merge_instances(posed or ()), sure=confidence), depth_m)
+        weak = [detection for detection in voted if detection.confidence <= confidence]
+        fruit = join_pieces_by_depth(fruit, weak, depth_m)
+    return apart(with_keypoints(fruit, merge_instances(posed or ()), sure=confidence), depth_m)
 
 
 def with_pose_votes(
@@ -187,12 +191,16 @@ def with_pose_votes(
     """
     free = list(posed)
     voted = []
-    for one in sorted(detected, key=lambda one: -one.confidence):
-        ious = box_ious(one.box[None], np.array([pose.box for pose in free]).reshape(-1, 4))[0]
+    for detection in sorted(detected, key=lambda detection: -detection.confidence):
+        ious = box_ious(detection.box[None], np.array([pose.box for pose in free]).reshape(-1, 4))[
+            0
+        ]
         agrees = ious.size > 0 and ious.max() > SAME_IOU
         vote = free.pop(int(ious.argmax())).confidence if agrees else 0.0
-        voted.append(replace(one, confidence=(looks * one.confidence + vote) / (looks + 1)))
-    return tuple(sorted(voted, key=lambda one: -one.confidence))
+        voted.append(
+            replace(detection, confidence=(looks * detection.confidence + vote) / (looks + 1))
+        )
+    return tuple(sorted(voted, key=lambda detection: -detection.confidence))
 
 
 class Segmenter(Protocol):
@@ -289,7 +297,7 @@ class NetworkLoader:
         What SAM is shown.
     full_precision : bool
         Compute in float32.
-    most : int, optional
+    most_fruit : int, optional
         Largest number of detections per picture.
     input_sizes : tuple of int
         Input sizes (long sides, pixels) of detector and pose network; empty for each file's
@@ -317,13 +325,13 @@ class NetworkLoader:
         confidence: float = DEFAULT_CONFIDENCE,
         prompt: str = "box+point",
         full_precision: bool = False,
-        most: int | None = None,
+        most_fruit: int | None = None,
         input_sizes: tuple[int, ...] = (),
     ) -> None:
         self.registry = registry or load_registry()
         self.models: list[dict[str, Any]] = []
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
-        self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
+        self._confidence, self._most, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._with_ends: YoloDetector | None = None
         self._files: dict[str, dict[str, Path]] = {}
@@ -343,8 +351,8 @@ class NetworkLoader:
         The network is loaded with the first crops, which raises ModelError or ModelHashError if its
         file is missing, damaged, or another kind of network.
         """
-        own = self.registry.default("look")
-        return None if own is None else partial(self._look, own.name)
+        model = self.registry.default("look")
+        return None if model is None else partial(self._look, model.name)
 
     def _look(self, name: str, crops: Sequence[EndCrop]) -> list[EndLook]:
         if self._looker is None:
@@ -397,7 +405,7 @@ class NetworkLoader:
             self._runtime,
             self._confidence if confidence is None else confidence,
             full_precision=self._full_precision,
-            most=self._most,
+            most_fruit=self._most,
             input_sizes=self._input_sizes,
             verified=isinstance(chosen, str),
         )
@@ -415,12 +423,12 @@ class NetworkLoader:
 
     def _beside(self, task: str, kind: Callable[[Path], Classifier]) -> Classifier | None:
         """Load the registry's network for a task beside a detector, or return None without one."""
-        own = self.registry.default(task)
-        if own is None:
+        model = self.registry.default(task)
+        if model is None:
             return None
-        path = self.verify(own.name)["network"]
+        path = self.verify(model.name)["network"]
         opened = kind(path)
-        self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], opened)
+        self._note(model.name, model.task, self.registry.hashes(model.name)[path.name], opened)
         return opened
 
     def pose(self, path: Path) -> YoloDetector:
@@ -463,18 +471,18 @@ class NetworkLoader:
         ModelError, ModelHashError
             If the registry has no detector, or a file is missing, damaged or unknown.
         """
-        own, own_pose = self.registry.default("segment"), self.registry.default("pose")
-        if file is None and own is None:
+        segment_model, pose_model = self.registry.default("segment"), self.registry.default("pose")
+        if file is None and segment_model is None:
             raise ModelError(
                 "this version comes without a cucumber detector",
                 remedy="name a YOLO ONNX export (--instances FILE)",
             )
-        both = file is None and keypoints and own_pose is not None
-        least = detector_floor(self._confidence, votes=both or pose is not None)
-        chosen = own.name if file is None and own is not None else file or ""
-        detector = self.yolo(chosen, least)
-        if pose is None and both and own_pose is not None:
-            pose = self.yolo(own_pose.name, self._pose_confidence)
+        votes_by_pose = file is None and keypoints and pose_model is not None
+        least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
+        chosen = segment_model.name if file is None and segment_model is not None else file or ""
+        detector = self.yolo(chosen, least_confidence)
+        if pose is None and votes_by_pose and pose_model is not None:
+            pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
         return Detectors(detector, pose, self._confidence, depth_votes=file is None)
@@ -501,8 +509,8 @@ class NetworkLoader:
             begun = self._begun.pop(name, None)
             segmenter = self._open_segmenter(name) if begun is None else begun.result()
             model = self.registry.segmenter(name)
-            known, files = self.registry.hashes(model.name), self.verify(model.name)
-            hashes = {role: known[file.name] for role, file in files.items()}
+            registered, files = self.registry.hashes(model.name), self.verify(model.name)
+            hashes = {role: registered[file.name] for role, file in files.items()}
             self._note(model.name, model.task, hashes, segmenter)
             self._segmenters[name] = segmenter
         return self._segmenters[name]

@@ -108,34 +108,34 @@ def _location(entry: memoryview) -> Iterator[str]:
 
 def _fields(message: memoryview) -> Iterator[tuple[int, memoryview | int]]:
     """Return a message's fields: number, and bytes or number; fixed-size numbers as bytes."""
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
+    position = 0
+    while position < len(message):
+        key, position = _varint(message, position)
         number, wire = key >> 3, key & 7
         if wire == _VARINT:
-            value, at = _varint(message, at)
+            value, position = _varint(message, position)
             yield number, value
             continue
         if wire == _LENGTH:
-            size, at = _varint(message, at)
+            size, position = _varint(message, position)
         elif wire in (_EIGHT_BYTES, _FOUR_BYTES):
             size = 8 if wire == _EIGHT_BYTES else 4
         else:
             raise ValueError("is no protocol buffer")
-        if at + size > len(message):
+        if position + size > len(message):
             raise ValueError("is cut short")
-        yield number, message[at : at + size]
-        at += size
+        yield number, message[position : position + size]
+        position += size
 
 
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
+def _varint(message: memoryview, position: int) -> tuple[int, int]:
     value = 0
     for shift in range(0, 70, 7):
-        if at >= len(message):
+        if position >= len(message):
             raise ValueError("is cut short")
-        byte = message[at]
-        at += 1
+        byte = message[position]
+        position += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
-            return value, at
+            return value, position
     raise ValueError("is no protocol buffer")

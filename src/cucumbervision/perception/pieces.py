@@ -46,13 +46,13 @@ _FEWEST = 30  # pixels and readings of a body
 
 
 def join_pieces_by_depth(
-    found: Sequence[Instance], weak: Sequence[Instance], depth_m: NDArray[np.float32]
+    fruit: Sequence[Instance], weak: Sequence[Instance], depth_m: NDArray[np.float32]
 ) -> tuple[Instance, ...]:
     """Complete partly occluded fruit, and join their detected parts.
 
     Parameters
     ----------
-    found : sequence of Instance
+    fruit : sequence of Instance
         Instances with the detector's masks; those without are returned unchanged.
     weak : sequence of Instance
         Detections below the threshold, which may continue a fruit.
@@ -75,43 +75,57 @@ def join_pieces_by_depth(
     >>> join_pieces_by_depth([found], [weak], depth)[0].box.tolist()
     [19.5, 9.5, 39.5, 179.5]
     """
-    masks = [one.detector_mask for one in (*found, *weak) if one.detector_mask is not None]
+    masks = [
+        instance.detector_mask for instance in (*fruit, *weak) if instance.detector_mask is not None
+    ]
     cover = np.logical_or.reduce(masks) if masks else np.zeros(depth_m.shape, bool)
-    left = sorted(found, key=_area, reverse=True)
+    waiting = sorted(fruit, key=_area, reverse=True)
     done: list[Instance] = []
-    while left:
-        one = left.pop(0)
-        added = None if one.detector_mask is None else _beyond(one.detector_mask, cover, depth_m)
+    while waiting:
+        body_part = waiting.pop(0)
+        added = (
+            None
+            if body_part.detector_mask is None
+            else _beyond(body_part.detector_mask, cover, depth_m)
+        )
         if added is not None:
-            shares = [_shared(other, added) for other in left]
-            parts = [other for other, (own, _) in zip(left, shares, strict=True) if own >= _PART]
-            others = [*(of_added for own, of_added in shares if own < _PART)]
-            others += [_shared(other, added)[1] for other in done]
-            if max(others, default=0.0) <= _OF_ANOTHER:
-                left = [other for other in left if not any(other is part for part in parts)]
-                one = _joined(one, parts, added)
-        done.append(one)
-    return tuple(sorted(done, key=lambda one: -one.confidence))
+            shares = [_shared(candidate, added) for candidate in waiting]
+            parts = [
+                candidate
+                for candidate, (share, _) in zip(waiting, shares, strict=True)
+                if share >= _PART
+            ]
+            covered_shares = [*(of_added for share, of_added in shares if share < _PART)]
+            covered_shares += [_shared(joined, added)[1] for joined in done]
+            if max(covered_shares, default=0.0) <= _OF_ANOTHER:
+                waiting = [
+                    candidate
+                    for candidate in waiting
+                    if not any(candidate is part for part in parts)
+                ]
+                body_part = _joined(body_part, parts, added)
+        done.append(body_part)
+    return tuple(sorted(done, key=lambda instance: -instance.confidence))
 
 
-def _area(one: Instance) -> int:
-    return 0 if one.detector_mask is None else int(np.count_nonzero(one.detector_mask))
+def _area(instance: Instance) -> int:
+    return 0 if instance.detector_mask is None else int(np.count_nonzero(instance.detector_mask))
 
 
-def _shared(other: Instance, added: NDArray[np.bool_]) -> tuple[float, float]:
+def _shared(instance: Instance, added: NDArray[np.bool_]) -> tuple[float, float]:
     """Return the share of a detection inside the added pixels, and the reverse share."""
-    if other.detector_mask is None:
+    if instance.detector_mask is None:
         return 0.0, 0.0
-    shared = int(np.count_nonzero(other.detector_mask & added))
-    return shared / max(_area(other), 1), shared / int(np.count_nonzero(added))
+    shared = int(np.count_nonzero(instance.detector_mask & added))
+    return shared / max(_area(instance), 1), shared / int(np.count_nonzero(added))
 
 
-def _joined(one: Instance, parts: Sequence[Instance], added: NDArray[np.bool_]) -> Instance:
-    masks = [part.detector_mask for part in (one, *parts) if part.detector_mask is not None]
+def _joined(instance: Instance, parts: Sequence[Instance], added: NDArray[np.bool_]) -> Instance:
+    masks = [part.detector_mask for part in (instance, *parts) if part.detector_mask is not None]
     mask = np.logical_or.reduce([*masks, added])
     return replace(
-        one,
-        confidence=max(part.confidence for part in (one, *parts)),
+        instance,
+        confidence=max(part.confidence for part in (instance, *parts)),
         box=box_of_mask(mask),
         detector_mask=mask,
         mask=None,
@@ -152,36 +166,36 @@ class _Body:
         if len(pixels) < _FEWEST:
             return None
         centre = pixels.mean(axis=0)
-        long = np.linalg.eigh(np.cov((pixels - centre).T))[1][:, 1]
-        axes = np.array([long, [-long[1], long[0]]])
+        axis = np.linalg.eigh(np.cov((pixels - centre).T))[1][:, 1]
+        axes = np.array([axis, [-axis[1], axis[0]]])
         points = (pixels - centre) @ axes.T
         counts = np.bincount((points[:, 0] - points[:, 0].min()).astype(int))
         girth_px = float(np.quantile(counts[counts > 0], 0.75))
         readings = depth_m[mask]
-        known = valid_depth(readings)
-        if known.any():
-            known &= np.abs(readings - np.median(readings[known])) < _BODY_M
-        if np.count_nonzero(known) < _FEWEST or np.ptp(points[:, 0]) < _WIDE * girth_px:
+        is_read = valid_depth(readings)
+        if is_read.any():
+            is_read &= np.abs(readings - np.median(readings[is_read])) < _BODY_M
+        if np.count_nonzero(is_read) < _FEWEST or np.ptp(points[:, 0]) < _WIDE * girth_px:
             return None
-        at, degree = points[known, 0], int(np.ptp(points[known, 0]) > 1.5 * girth_px)
-        depth = np.polyfit(at, readings[known].astype(np.float64), degree)
+        positions_px, degree = points[is_read, 0], int(np.ptp(points[is_read, 0]) > 1.5 * girth_px)
+        depth = np.polyfit(positions_px, readings[is_read].astype(np.float64), degree)
         return cls(points, centre, axes, girth_px, np.pad(depth, (2 - len(depth), 0)))
 
     def end(self, side: int) -> tuple[float, Array, Array]:
         """Return the position of one end on the axis and in the picture, and its direction."""
         along, across = side * self.points[:, 0], self.points[:, 1]
         last = float(along.max())
-        near = along > last - _NEAR * self.girth_px
-        whole = near & (along < last - _TORN * self.girth_px)
-        slope, base = 0.0, float(across[near].mean())
-        if whole.any() and np.ptp(along[whole]) > self.girth_px:
-            slope, base = np.polyfit(along[whole], across[whole], 1)
+        at_end = along > last - _NEAR * self.girth_px
+        is_smooth = at_end & (along < last - _TORN * self.girth_px)
+        slope, base = 0.0, float(across[at_end].mean())
+        if is_smooth.any() and np.ptp(along[is_smooth]) > self.girth_px:
+            slope, base = np.polyfit(along[is_smooth], across[is_smooth], 1)
         slope = float(np.clip(slope, -_STEEPEST, _STEEPEST))
         ahead = side * self.axes[0] + slope * self.axes[1]
         # Start inside the mask, so that a round end is recognised.
         start = last - _TORN * self.girth_px
-        at = self.centre + side * start * self.axes[0] + (base + slope * start) * self.axes[1]
-        return side * start, at, ahead / np.linalg.norm(ahead)
+        tip = self.centre + side * start * self.axes[0] + (base + slope * start) * self.axes[1]
+        return side * start, tip, ahead / np.linalg.norm(ahead)
 
 
 def _beyond(
@@ -197,8 +211,8 @@ def _beyond(
         if edges is not None:
             outline = np.concatenate([edges[:, 0], edges[::-1, 1]])
             cv2.fillPoly(added, [np.rint(outline).astype(np.int32)], 1)
-    beyond = (added > 0) & cover & ~mask
-    return beyond if beyond.any() else None
+    added_part = (added > 0) & cover & ~mask
+    return added_part if added_part.any() else None
 
 
 def _sections(
@@ -206,33 +220,33 @@ def _sections(
 ) -> Array | None:
     """Return both edges of the sections beyond one end, shape (N, 2, 2); None if it ends there."""
     girth = body.girth_px
-    place, at, ahead = body.end(side)
+    place, position, ahead = body.end(side)
     step = max(girth / 8, 1.0)
     across = np.linspace(-_WIDE / 2, _WIDE / 2, 11)
-    middle, left, right = np.abs(across) < _WIDE / 5, across < -_WIDE / 3, across > _WIDE / 3
+    middle, on_left, right = np.abs(across) < _WIDE / 5, across < -_WIDE / 3, across > _WIDE / 3
     edges: list[Any] = []
     last, seen_px, open_px, hidden_px, rounded_px = 0, 0.0, 0.0, 0.0, 0.0
     for _ in range(int((_LONGEST * girth - np.ptp(body.points[:, 0])) / step)):
-        place, at = place + side * step, at + step * ahead
+        place, position = place + side * step, position + step * ahead
         aside = np.array([-ahead[1], ahead[0]])
-        pixels = np.rint(at + girth * across[:, None] * aside).astype(np.intp)
+        pixels = np.rint(position + girth * across[:, None] * aside).astype(np.intp)
         if not np.all((pixels >= 0) & (pixels < (cover.shape[1], cover.shape[0]))):
             break
-        edges.append(at + np.outer([-_ADDED_WIDE / 2, _ADDED_WIDE / 2], girth * aside))
+        edges.append(position + np.outer([-_ADDED_WIDE / 2, _ADDED_WIDE / 2], girth * aside))
         covered = cover[pixels[:, 1], pixels[:, 0]]
         expected_m = float(np.polyval(body.depth, place))
         farther_m = _farther(depth_m[pixels[:, 1], pixels[:, 0]], expected_m)
         # At a bend, only one side may be open.
-        beside = max(covered[left].mean(), covered[right].mean())
-        rounded_px += step * (covered[middle].mean() - beside)
+        beside_share = max(covered[on_left].mean(), covered[right].mean())
+        rounded_px += step * (covered[middle].mean() - beside_share)
         if covered.mean() >= _COVERED and abs(farther_m) <= _SAME_M:
             if rounded_px > _ROUNDED * girth:
                 break
-            if beside == 1:
+            if beside_share == 1:
                 rounded_px = 0.0
             last, seen_px, open_px, hidden_px = len(edges), seen_px + step, 0.0, 0.0
             off = float(across[covered].mean())
-            at, ahead = at + _SHIFT * off * girth * aside, ahead + _TURN * off * aside
+            position, ahead = position + _SHIFT * off * girth * aside, ahead + _TURN * off * aside
             ahead /= np.linalg.norm(ahead)
         elif farther_m < -_NEARER_M:
             hidden_px += step
@@ -246,5 +260,5 @@ def _sections(
 
 def _farther(readings: NDArray[np.float32], expected_m: float) -> float:
     """Return how much farther a section is than expected; 0 with too few readings."""
-    known = readings[valid_depth(readings)]
-    return float(np.median(known)) - expected_m if len(known) > 2 else 0.0
+    valid = readings[valid_depth(readings)]
+    return float(np.median(valid)) - expected_m if len(valid) > 2 else 0.0

@@ -136,19 +136,19 @@ class Registry:
         Folder of the embedded files.
     user : Path
         Folder of the fetched ones, with a subfolder per model; it need not exist.
-    own : tuple of Model
+    user_models : tuple of Model
         The user's own networks, the newest last.
     """
 
     shipped: tuple[Model, ...]
     embedded: Path
     user: Path
-    own: tuple[Model, ...] = ()
+    user_models: tuple[Model, ...] = ()
 
     @property
     def models(self) -> tuple[Model, ...]:
         """All of them, the package's own first."""
-        return self.shipped + self.own
+        return self.shipped + self.user_models
 
     def get(self, name: str) -> Model:
         """Return a model by its name, or the segmenter of a checkpoint of SAM 2 by its path.
@@ -182,7 +182,9 @@ class Registry:
         'mobile-sam'
         """
         embedded = (model for model in self.shipped if model.embedded)
-        return next((one for one in (*self.own[::-1], *embedded) if one.task == task), None)
+        return next(
+            (model for model in (*self.user_models[::-1], *embedded) if model.task == task), None
+        )
 
     def segmenter(self, name: str | None = None) -> Model:
         """Return a network that draws masks: the named one, or the default without a name.
@@ -194,7 +196,7 @@ class Registry:
         """
         model = self.default("prompted-mask") if name is None else self.get(name)
         if model is None or not model.segmenter:
-            names = ", ".join(one.name for one in self.models if one.segmenter)
+            names = ", ".join(model.name for model in self.models if model.segmenter)
             fault = "no segmenter is installed" if name is None else f"{name} draws no masks"
             raise UnknownModelError(fault, remedy=f"choose one of {names}")
         return model
@@ -214,9 +216,9 @@ class Registry:
     def size_bytes(self, name: str) -> int:
         """Return the size of the files on this machine, or of the file to fetch."""
         model, folder = self.get(name), self.folder(name)
-        here = [folder / f.file for f in model.files if (folder / f.file).is_file()]
-        if here:
-            return sum(path.stat().st_size for path in here)
+        files = [folder / f.file for f in model.files if (folder / f.file).is_file()]
+        if files:
+            return sum(path.stat().st_size for path in files)
         return model.source.size_bytes if model.source else sum(f.size_bytes for f in model.files)
 
     def hashes(self, name: str) -> dict[str, str]:
@@ -258,8 +260,8 @@ class Registry:
         ModelHashError
             If a file's hash differs.
         """
-        model, folder, wanted = self.get(name), self.folder(name), self.hashes(name)
-        for file, sha256 in wanted.items():
+        model, folder, hashes = self.get(name), self.folder(name), self.hashes(name)
+        for file, sha256 in hashes.items():
             path, remedy = folder / file, _again(model)
             if not path.is_file():
                 raise ModelError("the file is missing", source=path, remedy=remedy)
@@ -407,12 +409,14 @@ JUDGEMENT = "judgement.json"
 _LONGEST_NAME = 200
 
 
-def use_network(given: Path, *, anyway: bool = False, registry: Registry | None = None) -> Model:
+def use_network(
+    run_or_network: Path, *, anyway: bool = False, registry: Registry | None = None
+) -> Model:
     """Make a user's network the default for its task.
 
     Parameters
     ----------
-    given : Path
+    run_or_network : Path
         The folder of a `train house` run, or a YOLO ONNX export.
     anyway : bool
         Skip the check that it is better.
@@ -431,8 +435,8 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
         with the network in use, or is not better.
     """
     registry = registry or load_registry()
-    judgement = _read_judgement(given)
-    path = _network_file(given, judgement)
+    judgement = _read_judgement(run_or_network)
+    path = _network_file(run_or_network, judgement)
     from cucumbervision.perception.yolo import YoloDetector
 
     task = YoloDetector(path, "onnxruntime").task
@@ -448,8 +452,8 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
         origin="trained by its user",
         files=(ModelFile("network", path.name, sha256, path.stat().st_size),),
     )
-    earlier = tuple(one for one in registry.own if one.name != name)
-    changed = replace(registry, own=(*earlier, model))
+    earlier = tuple(model for model in registry.user_models if model.name != name)
+    changed = replace(registry, user_models=(*earlier, model))
     with tempfile.TemporaryDirectory() as folder:
         changed.install(name, (Path(shutil.copyfile(path, Path(folder) / path.name)),))
     _write(changed)
@@ -458,20 +462,20 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
 
 def use_shipped(registry: Registry | None = None) -> None:
     """Use the package's own networks again, for every task."""
-    _write(replace(registry or load_registry(), own=()))
+    _write(replace(registry or load_registry(), user_models=()))
 
 
 def _write(registry: Registry) -> None:
-    text = json.dumps({"models": [asdict(one) for one in registry.own]}, indent=2)
+    text = json.dumps({"models": [asdict(model) for model in registry.user_models]}, indent=2)
     registry.user.mkdir(parents=True, exist_ok=True)
     part = registry.user / f"{IN_USE}.part"
     part.write_text(text + "\n", encoding="utf-8")
     part.replace(registry.user / IN_USE)
 
 
-def _read_judgement(given: Path) -> Mapping[str, Any]:
+def _read_judgement(run_or_network: Path) -> Mapping[str, Any]:
     """Return the comparison in a run's folder; empty for a single file."""
-    path = (given if given.is_dir() else given.parent) / JUDGEMENT
+    path = (run_or_network if run_or_network.is_dir() else run_or_network.parent) / JUDGEMENT
     if not path.is_file():
         return {}
     with wrap_reader_errors(path, ModelError, "judge it again"):
@@ -479,15 +483,15 @@ def _read_judgement(given: Path) -> Mapping[str, Any]:
         return {name: values[name] for name in ("file", "new", "old", "better", "why")}
 
 
-def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
-    path = given
-    if given.is_dir():
+def _network_file(run_or_network: Path, judgement: Mapping[str, Any]) -> Path:
+    path = run_or_network
+    if run_or_network.is_dir():
         # The file name only: a comparison is about files in its own folder.
-        path = given / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
+        path = run_or_network / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
     if not path.is_file() or path.suffix != ".onnx":
         raise ModelError(
             "there is no exported and judged network",
-            source=given,
+            source=run_or_network,
             remedy="give the folder of a finished `train house` run, or an .onnx file",
         )
     return path

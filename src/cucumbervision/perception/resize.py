@@ -131,8 +131,8 @@ class Letterbox:
         """
         # Each side has its own gain, since each was rounded to whole pixels.
         gain = self.inner_width / self.width, self.inner_height / self.height
-        back = (np.asarray(points, np.float64) - (self.left, self.top)) / gain
-        return np.clip(back, 0.0, (self.width, self.height)) - 0.5
+        original = (np.asarray(points, np.float64) - (self.left, self.top)) / gain
+        return np.clip(original, 0.0, (self.width, self.height)) - 0.5
 
     def mask_back(
         self,
@@ -239,11 +239,11 @@ def _linear_weights(
     The picture's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
     padding add nothing.
     """
-    at = (start_px + (np.arange(size) + 0.5) * inner_px / size) * cells / input_px - 0.5
+    cell = (start_px + (np.arange(size) + 0.5) * inner_px / size) * cells / input_px - 0.5
     first = np.ceil(start_px * cells / input_px)
     last = np.floor((start_px + inner_px) * cells / input_px) - 1
-    at = np.clip(at, first, max(first, last))
-    weights = np.maximum(1 - np.abs(at[:, None] - np.arange(cells)), 0)
+    cell = np.clip(cell, first, max(first, last))
+    weights = np.maximum(1 - np.abs(cell[:, None] - np.arange(cells)), 0)
     return np.asarray(weights, np.float32)
 
 
@@ -397,8 +397,8 @@ def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
 
 def _span(flags: ArrayLike) -> slice:
     """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
-    found = np.flatnonzero(flags)
-    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
+    indices = np.flatnonzero(flags)
+    return slice(int(indices[0]), int(indices[-1]) + 1) if len(indices) else slice(0, 0)
 
 
 def _scaled_planes(
@@ -436,7 +436,8 @@ def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
     weights[columns >= ends[:, None]] = 0
     weights /= weights.sum(axis=1, keepdims=True)
     rows = np.broadcast_to(np.arange(size_out)[:, None], columns.shape)
-    kept = weights > 0
+    is_used = weights > 0
     return csr_array(
-        (weights[kept].astype(np.float32), (rows[kept], columns[kept])), (size_out, size_in)
+        (weights[is_used].astype(np.float32), (rows[is_used], columns[is_used])),
+        (size_out, size_in),
     )

@@ -320,9 +320,9 @@ def _open_onnxruntime(
     why: str = "",
 ) -> Network:
     ort = import_onnxruntime()
-    wanted = _PROVIDERS[runtime]
-    if wanted[0] not in ort.get_available_providers():
-        raise ModelError(f"ONNX Runtime has no {wanted[0]} here", remedy=_GPU_REMEDY)
+    wanted_providers = _PROVIDERS[runtime]
+    if wanted_providers[0] not in ort.get_available_providers():
+        raise ModelError(f"ONNX Runtime has no {wanted_providers[0]} here", remedy=_GPU_REMEDY)
     options = ort.SessionOptions()
     options.log_severity_level = 4
     # Otherwise its threads spin for 30 ms after each run and slow the rest down.
@@ -330,7 +330,9 @@ def _open_onnxruntime(
     if _most_threads is not None:
         options.intra_op_num_threads = _most_threads
     settings = {"CUDAExecutionProvider": {"use_tf32": "0"}} if full_precision else {}
-    providers = [(p, settings.get(p, {})) for p in wanted if p in ort.get_available_providers()]
+    providers = [
+        (p, settings.get(p, {})) for p in wanted_providers if p in ort.get_available_providers()
+    ]
     try:
         session = ort.InferenceSession(
             path if isinstance(path, bytes) else str(path), options, providers=providers
@@ -341,10 +343,10 @@ def _open_onnxruntime(
     # Its classes derive from Exception alone.
     except Exception as error:
         raise _unreadable(source, "ONNX Runtime", error) from error
-    if wanted[0] not in session.get_providers():
-        raise ModelError(f"{wanted[0]} does not start", source=source, remedy=_GPU_REMEDY)
+    if wanted_providers[0] not in session.get_providers():
+        raise ModelError(f"{wanted_providers[0]} does not start", source=source, remedy=_GPU_REMEDY)
     names = [o.name for o in outputs]
-    provider = wanted[0].removesuffix("ExecutionProvider").lower()
+    provider = wanted_providers[0].removesuffix("ExecutionProvider").lower()
     return Network(
         inputs=inputs,
         outputs=outputs,

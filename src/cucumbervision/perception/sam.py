@@ -144,12 +144,14 @@ class Sam:
         on the occluder. Masks do not overlap.
         """
         parts = [_parts(instance) for instance in instances]
-        drawn = iter(self._drawn(color_rgb, [one for some in parts for one in some]))
-        whole = [
-            _whole(instance, [next(drawn) for _ in some])
-            for instance, some in zip(instances, parts, strict=True)
+        drawn = iter(
+            self._drawn(color_rgb, [part for instance_parts in parts for part in instance_parts])
+        )
+        complete = [
+            _whole(instance, [next(drawn) for _ in instance_parts])
+            for instance, instance_parts in zip(instances, parts, strict=True)
         ]
-        return _apart(whole)
+        return _apart(complete)
 
     def _drawn(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
@@ -157,14 +159,14 @@ class Sam:
         """Draw a mask for each, ignoring separate parts."""
         height, width = color_rgb.shape[:2]
         boxes = [clip_box(instance.box, height, width) for instance in instances]
-        seen = {i: box for i, box in enumerate(boxes) if box is not None}
+        clipped = {i: box for i, box in enumerate(boxes) if box is not None}
         answers = self._answers(
-            color_rgb, np.array(list(seen.values())).reshape(-1, 4), self.prompt
+            color_rgb, np.array(list(clipped.values())).reshape(-1, 4), self.prompt
         )
-        given = dict(zip(seen, answers, strict=True))
+        by_index = dict(zip(clipped, answers, strict=True))
         return tuple(
-            _with_mask(instance, given[i], seen[i], height, width)
-            if i in given
+            _with_mask(instance, by_index[i], clipped[i], height, width)
+            if i in by_index
             else without_mask(instance, "mask-empty")
             for i, instance in enumerate(instances)
         )
@@ -185,8 +187,8 @@ class Sam:
         ndarray of bool, shape (H, W)
             May be empty.
         """
-        at = np.array([[u_px, v_px, u_px, v_px]], np.float64)
-        ((logits, sure),) = self._answers(color_rgb, at, "point")
+        point_box = np.array([[u_px, v_px, u_px, v_px]], np.float64)
+        ((logits, sure),) = self._answers(color_rgb, point_box, "point")
         return mask_from_logits(logits[sure.argmax()], *color_rgb.shape[:2])
 
     def _answers(
@@ -197,21 +199,21 @@ class Sam:
             return []
         height, width = color_rgb.shape[:2]
         embedding = self._encode(color_rgb)
-        found: list[_Answer] = []
+        answered: list[_Answer] = []
         for start in range(0, len(boxes), _TOGETHER):
             points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
             places = points_to_sam(points, height, width)
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
-            found.extend(zip(answer["logits"], answer["ious"], strict=True))
-        return found
+            answered.extend(zip(answer["logits"], answer["ious"], strict=True))
+        return answered
 
     def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the picture's embedding; the last one is cached."""
         # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
-        known, embedding = self._encoded
-        if known != picture or embedding is None:
+        encoded, embedding = self._encoded
+        if encoded != picture or embedding is None:
             square = prepare_picture(color_rgb)
             if self._encoder.inputs[0].shape[2] is None:
                 # Padding is 44 % of the square under a picture of 16:9.
@@ -293,21 +295,21 @@ def _with_mask(
     """Return an instance with the best of SAM's masks, unless it cannot be the fruit."""
     logits, sure = answer
     agreement = np.ones(len(sure))
-    own = instance.detector_mask
-    if own is not None and own.any():
-        agreement = mask_ious(logits > 0, mask_to_sam(own, logits.shape[1:]))
+    detector_mask = instance.detector_mask
+    if detector_mask is not None and detector_mask.any():
+        agreement = mask_ious(logits > 0, mask_to_sam(detector_mask, logits.shape[1:]))
     best = int((sure + agreement).argmax())
     return accepted(instance, mask_from_logits(logits[best], height, width), box)
 
 
 def accepted(instance: Instance, mask: NDArray[np.bool_], box: NDArray[np.float64]) -> Instance:
     """Return an instance with a drawn mask, unless it cannot be the fruit in its box."""
-    own = instance.detector_mask
+    detector_mask = instance.detector_mask
     fault = _mask_fault(mask, box)
-    if fault == "mask-off-box" and own is not None and own.any():
+    if fault == "mask-off-box" and detector_mask is not None and detector_mask.any():
         in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE
-        fault = "" if in_box and _within(mask, own) else fault
-    if not fault and not _agrees(mask, own):
+        fault = "" if in_box and _within(mask, detector_mask) else fault
+    if not fault and not _agrees(mask, detector_mask):
         fault = "mask-off-detector"
     if fault:
         return without_mask(instance, fault)
@@ -318,28 +320,28 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
     """Return an instance for each part of the detector's mask, or the instance itself."""
     import cv2
 
-    own = instance.detector_mask
-    window = None if own is None else mask_window(own)
-    if own is None or window is None:
+    detector_mask = instance.detector_mask
+    window = None if detector_mask is None else mask_window(detector_mask)
+    if detector_mask is None or window is None:
         return (instance,)
-    part = own[window].astype(np.uint8)
+    part = detector_mask[window].astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
     areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
-    least = max(_MIN_MASK_PX, _LEAST_PART * areas[1:].sum())
-    large = [k for k in range(1, count) if areas[k] >= least]
+    least_px = max(_MIN_MASK_PX, _LEAST_PART * areas[1:].sum())
+    large = [k for k in range(1, count) if areas[k] >= least_px]
     if len(large) < 2:
         return (instance,)
-    masks = [np.zeros_like(own) for _ in large]
+    masks = [np.zeros_like(detector_mask) for _ in large]
     for mask, k in zip(masks, large, strict=True):
         mask[window] = np.asarray(labels) == k
-    return tuple(replace(instance, box=box_of_mask(one), detector_mask=one) for one in masks)
+    return tuple(replace(instance, box=box_of_mask(mask), detector_mask=mask) for mask in masks)
 
 
 def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
     """Return an instance with the union of its parts' masks; rejected if one of them is."""
-    masks = [one.mask for one in drawn if one.mask is not None]
+    masks = [part.mask for part in drawn if part.mask is not None]
     if len(masks) < len(drawn):
-        fault = next(one.mask_failure for one in drawn if one.mask is None)
+        fault = next(part.mask_failure for part in drawn if part.mask is None)
         return without_mask(instance, fault)
     mask = masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
@@ -347,32 +349,32 @@ def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
 
 def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     """Assign each pixel to one fruit; reject a mask of which too little is left."""
-    masks = [one.mask for one in instances]
-    left = disjoint_masks(masks, [one.confidence for one in instances])
+    masks = [instance.mask for instance in instances]
+    disjoint = disjoint_masks(masks, [instance.confidence for instance in instances])
     out = []
-    for one, before, after in zip(instances, masks, left, strict=True):
+    for instance, before, after in zip(instances, masks, disjoint, strict=True):
         if after is None or after is before:
-            out.append(one)
+            out.append(instance)
         elif np.count_nonzero(after) < _MIN_MASK_PX:
-            out.append(without_mask(one, "mask-small"))
-        elif not _agrees(after, one.detector_mask):
-            out.append(without_mask(one, "mask-off-detector"))
+            out.append(without_mask(instance, "mask-small"))
+        elif not _agrees(after, instance.detector_mask):
+            out.append(without_mask(instance, "mask-off-detector"))
         else:
-            out.append(replace(one, mask=after))
+            out.append(replace(instance, mask=after))
     return tuple(out)
 
 
-def _agrees(mask: NDArray[np.bool_], own: NDArray[np.bool_] | None) -> bool:
-    if own is None or not own.any():
+def _agrees(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_] | None) -> bool:
+    if detector_mask is None or not detector_mask.any():
         return True
-    return mask_iou(own, mask) >= _MIN_AGREEMENT or _within(mask, own)
+    return mask_iou(detector_mask, mask) >= _MIN_AGREEMENT or _within(mask, detector_mask)
 
 
-def _within(mask: NDArray[np.bool_], own: NDArray[np.bool_]) -> bool:
+def _within(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_]) -> bool:
     """Return whether a mask runs along all of the detector's, inside it."""
-    inside = np.count_nonzero(mask & own) >= _MIN_INSIDE * np.count_nonzero(mask)
-    box, wide = box_of_mask(mask), box_of_mask(own)
-    spans = [max(edges[2] - edges[0], edges[3] - edges[1]) for edges in (box, wide)]
+    inside = np.count_nonzero(mask & detector_mask) >= _MIN_INSIDE * np.count_nonzero(mask)
+    box, detector_box = box_of_mask(mask), box_of_mask(detector_mask)
+    spans = [max(edges[2] - edges[0], edges[3] - edges[1]) for edges in (box, detector_box)]
     return bool(inside and spans[0] >= _MIN_SPAN * spans[1])
 
 

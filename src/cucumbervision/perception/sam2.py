@@ -90,16 +90,20 @@ class Sam2(Sam):
     ) -> tuple[Instance, ...]:
         height, width = color_rgb.shape[:2]
         drawn = []
-        for one in instances:
-            box = clip_box(one.box, height, width)
+        for instance in instances:
+            box = clip_box(instance.box, height, width)
             if box is None:
-                drawn.append(without_mask(one, "mask-empty"))
+                drawn.append(without_mask(instance, "mask-empty"))
                 continue
             self._show(color_rgb)
             masks, sure = self._masks(box, self.prompt)
-            own = one.detector_mask
-            agreement = mask_ious(masks, own) if own is not None and own.any() else 0.0
-            drawn.append(accepted(one, masks[int((sure + agreement).argmax())], box))
+            detector_mask = instance.detector_mask
+            agreement = (
+                mask_ious(masks, detector_mask)
+                if detector_mask is not None and detector_mask.any()
+                else 0.0
+            )
+            drawn.append(accepted(instance, masks[int((sure + agreement).argmax())], box))
         return tuple(drawn)
 
     def _show(self, color_rgb: NDArray[np.uint8]) -> None:

@@ -290,7 +290,7 @@ class YoloDetector:
         A detection's score must exceed it, 0 to 1.
     full_precision : bool
         As for `open_network`.
-    most : int, optional
+    most_fruit : int, optional
         Largest number of detections per picture. A very low confidence gives hundreds, each with a
         full-size mask.
     input_sizes : tuple of int
@@ -320,7 +320,7 @@ class YoloDetector:
         runtime: str = "auto",
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
-        most: int | None = None,
+        most_fruit: int | None = None,
         input_sizes: tuple[int, ...] = (),
         *,
         verified: bool = False,
@@ -328,7 +328,7 @@ class YoloDetector:
         self._network = open_network(
             path, runtime, full_precision=full_precision, verified=verified
         )
-        self._most = most
+        self._most = most_fruit
         self.ends: EndClassifier | None = None
         self.crops: CropClassifier | None = None
         self._layout = _read_layout(self._network)
@@ -400,23 +400,23 @@ class YoloDetector:
             If the network fails, or its output has no known layout.
         """
         confidence = self._confidence if confidence is None else confidence
-        least = detector_floor(confidence, votes=len(self._sizes_px) > 1)
+        least_confidence = detector_floor(confidence, votes=len(self._sizes_px) > 1)
         # A network's mistakes on the mirror image are others, those at another size are often not.
-        every = [
-            self._detect_mirrored(color_rgb, size_px, least)
+        by_size = [
+            self._detect_mirrored(color_rgb, size_px, least_confidence)
             if number % 2
-            else self._detect_at(color_rgb, size_px, least)
+            else self._detect_at(color_rgb, size_px, least_confidence)
             for number, size_px in enumerate(self._sizes_px)
         ]
-        merged = merge_sizes(every)[: self._most]
+        merged = merge_sizes(by_size)[: self._most]
         if self.crops is not None:
             merged = self.crops.rescore(color_rgb, merged)
-        found = tuple(one for one in merged if one.confidence > confidence)
+        detections = tuple(detection for detection in merged if detection.confidence > confidence)
         if not self._layout.by_place:
-            return found
+            return detections
         if self.ends is None:
-            return tuple(replace(one, end_confidence=0.5) for one in found)
-        return self.ends.order_ends(color_rgb, found)
+            return tuple(replace(detection, end_confidence=0.5) for detection in detections)
+        return self.ends.order_ends(color_rgb, detections)
 
     def _check_sizes(self) -> None:
         layout = self._layout
@@ -444,8 +444,8 @@ class YoloDetector:
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
     ) -> tuple[Instance, ...]:
         flipped = np.ascontiguousarray(color_rgb[:, ::-1])
-        found = self._detect_at(flipped, size_px, confidence)
-        return tuple(mirrored(one, color_rgb.shape[1]) for one in found)
+        detections = self._detect_at(flipped, size_px, confidence)
+        return tuple(mirrored(detection, color_rgb.shape[1]) for detection in detections)
 
     def _detect_at(
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
@@ -464,14 +464,14 @@ class YoloDetector:
             )
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
-        found = self._instances(rows[: self._most], prototypes, box)
-        return tuple(replace(one, input_size_px=max(size_px)) for one in found)
+        detections = self._instances(rows[: self._most], prototypes, box)
+        return tuple(replace(detection, input_size_px=max(size_px)) for detection in detections)
 
     def _instances(
         self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
     ) -> tuple[Instance, ...]:
         boxes = box.boxes_back(rows[:, :4])
-        found = []
+        instances = []
         for row, edges in zip(rows, boxes, strict=True):
             if edges[2] <= edges[0] or edges[3] <= edges[1]:
                 continue
@@ -484,8 +484,8 @@ class YoloDetector:
                 instance = replace(instance, detector_mask=mask if mask.any() else None)
             elif self._layout.keypoints[0] == _KEYPOINTS:
                 instance = replace(instance, keypoints=self._keypoints(row[6:], box))
-            found.append(instance)
-        return tuple(found)
+            instances.append(instance)
+        return tuple(instances)
 
     def _keypoints(self, values: NDArray[np.float32], box: Letterbox) -> NDArray[np.float64]:
         points = values.reshape(self._layout.keypoints)

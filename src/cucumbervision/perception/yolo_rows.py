@@ -71,14 +71,14 @@ def row_kind(
     cells = sum((input_px[0] // stride) * (input_px[1] // stride) for stride in _STRIDES_PX)
     if last == 6 + extra and end_to_end:
         return RowKind.FINAL, classes
-    for count, kind, own in (
+    for count, kind, class_count in (
         (last, RowKind.RAW, first - 4 - extra),
         (first, RowKind.RAW_ROWS, last - 4 - extra),
         (first, RowKind.OBJECT_ROWS, last - 5 - extra),
     ):
         expected = cells * (_ANCHORS_A_CELL if kind is RowKind.OBJECT_ROWS else 1)
-        if count == expected and own > 0 and own == (classes or own):
-            return kind, own
+        if count == expected and class_count > 0 and class_count == (classes or class_count):
+            return kind, class_count
     if last == 6 + extra and first not in (cells, _ANCHORS_A_CELL * cells):
         return RowKind.FINAL, classes
     raw_classes = classes or first - 4 - extra  # of grids with other strides

@@ -233,7 +233,7 @@ def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[B
         The model's.
     fields : iterable of Field
         The cells.
-    **more
+    **extra_fields
         Further members, as `pydantic.create_model` takes them.
 
     Examples

@@ -163,8 +163,12 @@ def each_once(
         if isinstance(entry, Failure):
             yield entry
             continue
-        place = entry.ref.at if "://" in entry.ref.at else os.path.realpath(entry.ref.at)
-        if entry.ref.at and place in places:
+        place = (
+            entry.ref.location
+            if "://" in entry.ref.location
+            else os.path.realpath(entry.ref.location)
+        )
+        if entry.ref.location and place in places:
             repeats += 1
             continue
         places.add(place)

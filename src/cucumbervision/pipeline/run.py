@@ -203,7 +203,7 @@ class Task(Listed):
     @property
     def place(self) -> str:
         """The key of its place in the journal."""
-        return place_of(self.ref.at or self.input, self.name)
+        return place_of(self.ref.location or self.input, self.name)
 
 
 class FolderWorker(Worker[JournalRecord]):

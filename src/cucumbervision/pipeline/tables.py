@@ -177,7 +177,7 @@ def write_workbook(
         As `fields.fruit_row` fills them; each is written before the next is asked for.
     summary : sequence of (str, value)
         Lines of the summary sheet.
-    most : int
+    most_rows : int
         Rows that are written at most: a sheet of Excel ends there.
 
     Raises

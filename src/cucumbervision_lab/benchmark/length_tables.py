@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, estimate, score
-from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.measurement.result import LengthDefinition
 
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
@@ -122,7 +122,7 @@ _ACCURACY = {
 }
 
 
-def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
+def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> ReportTable:
     """Return the accuracy of every method.
 
     Parameters
@@ -151,7 +151,7 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
         f"Errors against the true {truth}. A fruit that a method did not measure counts as 100 % "
         "error. Captures of one fruit resemble each other: use the interval by fruit."
     )
-    return Table.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment)
+    return ReportTable.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +245,7 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
     return [f for f in factors if sum(inside.any() for inside in f.groups.values()) > 1]
 
 
-def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -> Table:
+def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -> ReportTable:
     """Return the MAPE of each method by group, and median, worst error and yield of M6.
 
     Selectors are omitted, because the lengths they choose are already included.
@@ -283,7 +283,7 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
             measured = 100 * float(read["length_m"].notna().mean())
             row += [*worst, measured] if len(read) else [None] * 3
         rows.append(tuple(row))
-    return Table.of(f"By {factor.head}, against the {truth}", heads, rows, factor.comment)
+    return ReportTable.of(f"By {factor.head}, against the {truth}", heads, rows, factor.comment)
 
 
 def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:

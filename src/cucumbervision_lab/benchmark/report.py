@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cucumbervision.accuracy.statistics import estimate, score
-from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import write_json
 from cucumbervision.measurement.result import LengthDefinition
@@ -49,7 +49,7 @@ _GLANCE = (
 )
 
 
-def benchmark_tables(readings: pd.DataFrame) -> list[Table]:
+def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
     """Return all tables of a benchmark: beside the paper, at a glance, then by suite and masks.
 
     Parameters
@@ -78,7 +78,7 @@ def benchmark_tables(readings: pd.DataFrame) -> list[Table]:
     return tables
 
 
-def glance_table(readings: pd.DataFrame) -> Table:
+def glance_table(readings: pd.DataFrame) -> ReportTable:
     """Return a summary of M6 and the paper's M5 by suite and kind of masks.
 
     Parameters
@@ -111,7 +111,7 @@ def glance_table(readings: pd.DataFrame) -> Table:
             )
         )
     comment = "Mean error in percent of the true length; a fruit not measured counts as 100 %."
-    return Table.of("At a glance", _GLANCE, rows, comment)
+    return ReportTable.of("At a glance", _GLANCE, rows, comment)
 
 
 def _parts(readings: pd.DataFrame) -> list[tuple[Suite, Masks, pd.DataFrame]]:
@@ -136,12 +136,12 @@ cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm
 of its error plot), R². Intervals are omitted where the paper contradicts itself."""
 
 
-def paper_table(readings: pd.DataFrame) -> Table | None:
+def paper_table(readings: pd.DataFrame) -> ReportTable | None:
     """Return the paper's results next to those of the same protocol, against the thread.
 
     Returns
     -------
-    Table or None
+    ReportTable or None
         None without readings of the paper's suite.
     """
     protocol = readings[readings["suite"] == Suite.PAPER]
@@ -164,7 +164,7 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
         "other is printed in two ways."
     )
     title = "The paper's figures, on its own captures, beside this program's"
-    return Table.of(title, heads, rows, comment)
+    return ReportTable.of(title, heads, rows, comment)
 
 
 def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:
@@ -196,7 +196,7 @@ def writing_report(out: Path) -> Iterator[None]:
         ) from error
 
 
-def write_tables(path: Path, about: Mapping[str, object], tables: Sequence[Table]) -> Path:
+def write_tables(path: Path, about: Mapping[str, object], tables: Sequence[ReportTable]) -> Path:
     """Write a report's tables with unrounded numbers as JSON.
 
     Parameters
@@ -205,7 +205,7 @@ def write_tables(path: Path, about: Mapping[str, object], tables: Sequence[Table
         The file; its folder is created if missing.
     about : mapping of str to object
         Provenance, as JSON values.
-    tables : sequence of Table
+    tables : sequence of ReportTable
         The tables.
 
     Returns

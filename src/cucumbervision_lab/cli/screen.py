@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from cucumbervision.accuracy.table import Table
+    from cucumbervision.accuracy.table import ReportTable
     from cucumbervision_lab.training.train import EpochReport
 
 _SHOWN = (
@@ -65,7 +65,7 @@ def part_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-def show_tables(tables: Iterable[Table]) -> None:
+def show_tables(tables: Iterable[ReportTable]) -> None:
     """Print the tables of a report."""
     console = screen(150)
     for table in tables:

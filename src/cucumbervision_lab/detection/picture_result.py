@@ -123,7 +123,7 @@ def open_networks(
         runtime=runtime,
         confidence=_FLOOR if ranked else reported,
         full_precision=True,
-        most=MOST,
+        most_fruit=MOST,
         input_sizes=input_sizes,
     )
     detector = None if segment is None else loader.yolo(segment, second_look=second_look)

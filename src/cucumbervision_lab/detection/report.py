@@ -13,7 +13,7 @@ import pandas as pd
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
-from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.files import write_csv
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
 from cucumbervision.measurement.result import LengthDefinition
@@ -121,7 +121,7 @@ def summarise(result: DetectionResult) -> Summary:
     )
 
 
-def detection_tables(summary: Summary, confidence: float) -> list[Table]:
+def detection_tables(summary: Summary, confidence: float) -> list[ReportTable]:
     """Return the tables of an evaluation.
 
     Parameters
@@ -149,7 +149,7 @@ def detection_tables(summary: Summary, confidence: float) -> list[Table]:
     return tables + (_length_tables(summary.readings) if len(summary.readings) else [])
 
 
-def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
+def _precision_table(precisions: Sequence[AveragePrecision]) -> ReportTable:
     rows = [
         (
             str(precision.stage),
@@ -165,10 +165,10 @@ def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
         f"similarity with sigma {OKS_SIGMA:g} for all five, scaled by the visible mask's area."
     )
     heads = ["network", "of", "fruit", "mAP50:.3", "mAP50-95:.3"]
-    return Table.of("Average precision", heads, rows, comment)
+    return ReportTable.of("Average precision", heads, rows, comment)
 
 
-def _mask_table(summary: Summary) -> Table:
+def _mask_table(summary: Summary) -> ReportTable:
     """Return the overlap of predicted with true visible masks."""
     outlined = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
     kinds = {"detector": ([r.mask_iou for r in outlined], [r.scene for r in outlined])}
@@ -183,10 +183,10 @@ def _mask_table(summary: Summary) -> Table:
             rows.append((name, mean.count, mean.groups, *_spanned(mean), *_spanned(median)))
     heads = ["masks", "fruit", "scenes", "mean IoU:.3", "95 % by scene", "median IoU:.3", "95 %"]
     comment = "Intersection over union with the true visible mask, of fruit that were found."
-    return Table.of("Masks", heads, rows, comment)
+    return ReportTable.of("Masks", heads, rows, comment)
 
 
-def _length_tables(readings: pd.DataFrame) -> list[Table]:
+def _length_tables(readings: pd.DataFrame) -> list[ReportTable]:
     """Return the accuracy of lengths on true and on predicted masks, overall and by group."""
     tables = []
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
@@ -198,12 +198,14 @@ def _length_tables(readings: pd.DataFrame) -> list[Table]:
             accuracy_table(of_masks, LengthDefinition.THREAD),
             *(group_table(scored, factor, LengthDefinition.CENTRELINE) for factor in factors),
         ):
-            titled = Table(f"{table.title}, {words}", table.columns, table.rows, table.comment)
+            titled = ReportTable(
+                f"{table.title}, {words}", table.columns, table.rows, table.comment
+            )
             tables.append(titled)
     return tables
 
 
-def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
+def end_table(rows: Sequence[EndRow], title: str = "Ends") -> ReportTable:
     """Return the errors of the ends, and the share of swapped ends.
 
     Parameters
@@ -246,10 +248,10 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
     )
     heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
     heads += ["90th percentile (% of length)", "95 % by scene"]
-    return Table.of(title, heads, cells, comment)
+    return ReportTable.of(title, heads, cells, comment)
 
 
-def pose_table(readings: pd.DataFrame) -> Table:
+def pose_table(readings: pd.DataFrame) -> ReportTable:
     """Return how far the stem ends are off in space, and how often the ends are swapped.
 
     Parameters
@@ -304,10 +306,10 @@ def pose_table(readings: pd.DataFrame) -> Table:
         "ends are not swapped, hidden ends included. The last column: how often the true place "
         "to cut lies in its ellipsoid of 90 %."
     )
-    return Table.of("Poses", heads, cells, comment)
+    return ReportTable.of("Poses", heads, cells, comment)
 
 
-def photo_tables(photos: PhotoResult) -> list[Table]:
+def photo_tables(photos: PhotoResult) -> list[ReportTable]:
     """Return recall, precision, errors of ends and false positives on real photos."""
     (_, everywhere), *settings = photos.scores
     named = [("all", everywhere)]
@@ -326,7 +328,7 @@ def photo_tables(photos: PhotoResult) -> list[Table]:
     return [_share_table("Real photos", "photos", named, comment), *ends, _false_table(photos)]
 
 
-def _false_table(photos: PhotoResult) -> Table:
+def _false_table(photos: PhotoResult) -> ReportTable:
     """Return the false positives on real photos, most confident first."""
     false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
     rows = [
@@ -335,7 +337,7 @@ def _false_table(photos: PhotoResult) -> Table:
     ]
     title = f"False detections on real photos ({len(false)})"
     heads = ["photo", "scene", "confidence:.3", "box (px)"]
-    return Table.of(title, heads, rows, "The photos themselves are not shown.")
+    return ReportTable.of(title, heads, rows, "The photos themselves are not shown.")
 
 
 def _span(span: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
@@ -350,14 +352,14 @@ def _spanned(span: Estimate, decimals: int = 3) -> tuple[float, str]:
 
 def _share_table(
     title: str, first: str, named: Sequence[tuple[str, GroupScore]], comment: str = ""
-) -> Table:
+) -> ReportTable:
     """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
     heads += ["scenes with detections", "precision:.3", "precision, 95 % by scene"]
     rows = [
         (name, *_share_cells(score.recall), *_share_cells(score.precision)) for name, score in named
     ]
-    return Table.of(title, heads, rows, comment)
+    return ReportTable.of(title, heads, rows, comment)
 
 
 def _share_cells(share: Estimate | None) -> tuple[Cell, ...]:
@@ -367,7 +369,7 @@ def _share_cells(share: Estimate | None) -> tuple[Cell, ...]:
 
 
 def write_detection_report(
-    result: DetectionResult, summary: Summary, tables: Sequence[Table], out: Path
+    result: DetectionResult, summary: Summary, tables: Sequence[ReportTable], out: Path
 ) -> Path:
     """Write `results.json` with all tables, and CSV files of fruit, detections, ends and lengths.
 
@@ -377,7 +379,7 @@ def write_detection_report(
         Result of `evaluate_detection`.
     summary : Summary
         Metrics of the evaluation.
-    tables : sequence of Table
+    tables : sequence of ReportTable
         Tables from `detection_tables`.
     out : Path
         Output folder; created if missing.
@@ -401,14 +403,14 @@ def write_detection_report(
     return written
 
 
-def write_photo_report(photos: PhotoResult, tables: Sequence[Table], out: Path) -> Path:
+def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: Path) -> Path:
     """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`.
 
     Parameters
     ----------
     photos : PhotoResult
         Result of `evaluate_photos`.
-    tables : sequence of Table
+    tables : sequence of ReportTable
         Tables from `photo_tables`.
     out : Path
         Output folder; created if missing.

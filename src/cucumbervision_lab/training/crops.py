@@ -110,7 +110,7 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
     CaptureError
         If a picture cannot be read.
     """
-    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most=4 * _MOST)
+    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * _MOST)
     # By its file, so that no earlier classifier takes part.
     detector = loader.yolo(loader.verify("cucumber-seg")["network"])
     rows: list[tuple[NDArray[np.uint8], bool, float, bool]] = []

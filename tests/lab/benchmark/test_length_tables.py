@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
@@ -24,7 +24,7 @@ def methods_against(records: Sequence[LengthRecord], truth: LengthDefinition) ->
     return list(comparable_readings(readings_frame(records), truth)["method"].cat.categories)
 
 
-def cell(table: Table, row: str, head: str) -> Cell:
+def cell(table: ReportTable, row: str, head: str) -> Cell:
     place = [column.head for column in table.columns].index(head)
     return next(line[place] for line in table.rows if line[0] == row)
 
@@ -81,7 +81,7 @@ def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> N
     assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
 
 
-def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[Table]:
+def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[ReportTable]:
     scored = comparable_readings(readings_frame(records), truth)
     return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]
 

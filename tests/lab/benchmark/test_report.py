@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from tests.lab.benchmark.conftest import make_record
 
-from cucumbervision.accuracy.table import Table
+from cucumbervision.accuracy.table import ReportTable
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.records import Masks, readings_frame
@@ -76,7 +76,7 @@ def test_tables_of_each_suite_and_kind_of_masks(make_record: MakeRecord) -> None
 
 
 def test_tables_are_written_with_unrounded_numbers(tmp_path: Path) -> None:
-    table = Table.of("Bursts", ["frames", "MAPE (%):.1"], [[5, 0.123], [1, float("nan")]])
+    table = ReportTable.of("Bursts", ["frames", "MAPE (%):.1"], [[5, 0.123], [1, float("nan")]])
     path = write_tables(tmp_path / "new" / "benchmark.json", {"stress fruit": 3}, [table])
     assert json.loads(path.read_text("utf-8")) == {
         "stress fruit": 3,

@@ -26,7 +26,7 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.urls import as_path, is_remote, with_retries
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.source import Listed, Opener
+    from cucumbervision.capture.source import CaptureEntry, CaptureLister
 
 __all__ = [
     "READERS",
@@ -115,30 +115,30 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
         )
     folder = list_folder(path)
     kinds = folder.kinds()
-    found = find_captures(folder)
-    if not found and not folder.faults:
+    openers = find_captures(folder)
+    if not openers and not folder.faults:
         raise CaptureError(
             f"holds no captures that can be recognised, but {kinds}", source=path, remedy=_REMEDY
         )
-    given = read_camera_file(options.intrinsics) if options.intrinsics else None
-    parts: list[Listed] = []
+    camera = read_camera_file(options.intrinsics) if options.intrinsics else None
+    parts: list[CaptureEntry] = []
     faults = folder.faults
-    for opener in found.values():
+    for opener in openers.values():
         try:
-            parts += opener(options, given)
+            parts += opener(options, camera)
         except CaptureError as error:
             faults.append(error)
     if faults and not parts:
         raise faults[0]
     parts += [(Path(f.source).name, -1, partial(fail, f), Path(f.source), None) for f in faults]
     unused = tuple(name for name in folder if is_half_a_pair(name))
-    return replace(CaptureSource.listed(path, "+".join(found), parts), unused=unused)
+    return replace(CaptureSource.listed(path, "+".join(openers), parts), unused=unused)
 
 
-def find_captures(folder: Folder) -> dict[str, Opener]:
+def find_captures(folder: Folder) -> dict[str, CaptureLister]:
     """Return the openers of a folder's captures by format; `folder` keeps the unused files."""
-    found = {kind: find(folder) for kind, find in READERS.items()}
-    return {kind: opener for kind, opener in found.items() if opener is not None}
+    openers = {kind: find(folder) for kind, find in READERS.items()}
+    return {kind: opener for kind, opener in openers.items() if opener is not None}
 
 
 def list_folder(path: Path) -> Folder:
@@ -158,14 +158,14 @@ def list_folder(path: Path) -> Folder:
         )
 
     # Links may lead to visited folders or form a cycle.
-    seen = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
+    visited = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
-        at = Path(place).relative_to(path)
+        subfolder = Path(place).relative_to(path)
         for name in sorted(files):
-            folder.add((at / name).as_posix())
+            folder.add((subfolder / name).as_posix())
         if not os.access(place, os.X_OK):
             note(PermissionError(errno.EACCES, os.strerror(errno.EACCES), place))
         inside = {os.path.realpath(Path(place, name)): name for name in sorted(folders)[::-1]}
-        folders[:] = sorted(name for real, name in inside.items() if real not in seen)
-        seen |= inside.keys()
+        folders[:] = sorted(name for real, name in inside.items() if real not in visited)
+        visited |= inside.keys()
     return folder

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
+    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 SCENE_CAMERAS = "scene_camera.json"
 _PARTS = ("rgb", "depth", "mask_visib")
@@ -36,35 +36,35 @@ class _FrameCamera(BaseModel):
     depth_scale: float = Field(default=1.0, gt=0)
 
 
-def find_scenes(folder: Folder) -> Opener | None:
+def find_scenes(folder: Folder) -> CaptureLister | None:
     """Find BOP scenes; given intrinsics replace `cam_K`, a given depth unit `depth_scale`."""
-    found = folder.take(SCENE_CAMERAS, *_PARTS)
-    return partial(_open_scenes, folder.path, found) if found else None
+    scenes = folder.take(SCENE_CAMERAS, *_PARTS)
+    return partial(_open_scenes, folder.path, scenes) if scenes else None
 
 
 def _open_scenes(
     path: Path,
     scenes: Mapping[str, Mapping[str, list[str]]],
     options: ReadOptions,
-    given: CameraFile | None,
-) -> Iterator[Listed]:
-    for at, names in scenes.items():
-        files = {kind: _by_image(path / at / kind, names[kind]) for kind in _PARTS}
+    camera_file: CameraFile | None,
+) -> Iterator[CaptureEntry]:
+    for scene_path, names in scenes.items():
+        files = {kind: _by_image(path / scene_path / kind, names[kind]) for kind in _PARTS}
         if not any(files.values()):
             raise CaptureError(
-                "has no images in rgb/", source=path / at, remedy="check the scene's folder"
+                "has no images in rgb/", source=path / scene_path, remedy="check the scene's folder"
             )
-        prefix = safe_name("_".join((path.resolve().name, *Path(at).parts)))
-        yield from _scene(path / at, prefix, files, given, options)
+        prefix = safe_name("_".join((path.resolve().name, *Path(scene_path).parts)))
+        yield from _scene(path / scene_path, prefix, files, camera_file, options)
 
 
 def _scene(
     scene: Path,
     prefix: str,
     files: Mapping[str, Mapping[int, list[Path]]],
-    given: CameraFile | None,
+    camera_file: CameraFile | None,
     options: ReadOptions,
-) -> Iterator[Listed]:
+) -> Iterator[CaptureEntry]:
     cameras, fault = dict[str, Any](), None
     try:
         cameras = read_json(scene / SCENE_CAMERAS)
@@ -79,42 +79,42 @@ def _scene(
         fault = error
     # A mask or depth picture without a colour picture is reported as a broken frame.
     for image in sorted(set().union(*files.values())):
-        own = {kind: found.get(image, []) for kind, found in files.items()}
-        said = None if fault else cameras.get(str(image))
-        load = partial(_load, scene, image, own, said, given, options)
+        pictures = {kind: numbered.get(image, []) for kind, numbered in files.items()}
+        frame_camera = None if fault else cameras.get(str(image))
+        load = partial(_load, scene, image, pictures, frame_camera, camera_file, options)
         yield (
             f"{prefix}_{image:06d}",
             image,
             partial(fail, fault) if fault else load,
             scene / f"rgb/{image:06d}",
-            partial(_read_from, own, said, given),
+            partial(_read_from, pictures, frame_camera, camera_file),
         )
 
 
 def _read_from(
-    files: dict[str, list[Path]], camera: Any, given: CameraFile | None
+    files: dict[str, list[Path]], camera: Any, camera_file: CameraFile | None
 ) -> list[Path | bytes]:
     """Return the inputs of a frame, including only its own camera entry."""
-    beside = [] if given is None else [given.path]
+    camera_files = [] if camera_file is None else [camera_file.path]
     pictures = files["rgb"][:1] + files["depth"][:1] + files["mask_visib"]
-    return [json.dumps(camera).encode(), *pictures, *beside]
+    return [json.dumps(camera).encode(), *pictures, *camera_files]
 
 
 def _by_image(folder: Path, names: Iterable[str]) -> dict[int, list[Path]]:
-    found: dict[int, list[Path]] = {}
+    by_number: dict[int, list[Path]] = {}
     for file in (folder / name for name in names):
         number = file.stem.split("_")[0]
         if file.suffix.lower() in COLOR_SUFFIXES and number.isdecimal() and len(number) < 19:
-            found.setdefault(int(number), []).append(file)
-    return found
+            by_number.setdefault(int(number), []).append(file)
+    return by_number
 
 
 def _load(
     scene: Path,
     image: int,
     files: dict[str, list[Path]],
-    said: Any,
-    given: CameraFile | None,
+    frame_camera: Any,
+    camera_file: CameraFile | None,
     options: ReadOptions,
     name: str,
 ) -> Capture:
@@ -126,20 +126,20 @@ def _load(
                 remedy="copy the scene again",
             )
     camera_path = scene / SCENE_CAMERAS
-    if said is None:
+    if frame_camera is None:
         raise IntrinsicsError(
             f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"
         )
-    camera = parse_model(_FrameCamera, said, source=camera_path, error=IntrinsicsError)
+    camera = parse_model(_FrameCamera, frame_camera, source=camera_path, error=IntrinsicsError)
     color = read_color(files["rgb"][0])
     height, width = color.shape[:2]
     with as_errors_of(camera_path):
-        own = Intrinsics.from_matrix(camera.cam_K, width, height)
+        scene_intrinsics = Intrinsics.from_matrix(camera.cam_K, width, height)
     return frame_capture(
         color,
         partial(read_depth, files["depth"][0]),
-        own,
-        given and replace(given, depth_to_color=None),  # aligned by definition
+        scene_intrinsics,
+        camera_file and replace(camera_file, depth_to_color=None),  # aligned by definition
         # BOP: depth_scale times the stored number is millimetres.
         options.depth_unit_m or camera.depth_scale * 0.001,
         options,

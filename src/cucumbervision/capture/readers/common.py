@@ -32,8 +32,8 @@ _MIDDLE = 0.4  # minimum relative position of the principal point of a matrix wi
 
 
 def choose_intrinsics(
-    own: Intrinsics | None,
-    given: CameraFile | None,
+    frame_intrinsics: Intrinsics | None,
+    camera_file: CameraFile | None,
     width: int,
     height: int,
     *,
@@ -52,24 +52,26 @@ def choose_intrinsics(
         cause; or if there are none.
     """
     if aligned_to is Stream.DEPTH:
-        own = own and replace(own, stream=Stream.COLOR)
-    if given is not None:
-        camera = given.intrinsics
+        frame_intrinsics = frame_intrinsics and replace(frame_intrinsics, stream=Stream.COLOR)
+    if camera_file is not None:
+        camera = camera_file.intrinsics
         if aligned_to is Stream.DEPTH:
-            camera = replace(given.depth or camera, stream=Stream.COLOR)
-        if not given.is_sized:
+            camera = replace(camera_file.depth or camera, stream=Stream.COLOR)
+        if not camera_file.is_sized:
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
                 raise IntrinsicsError(
                     f"does not say its size, and {camera.cx_px:g}, {camera.cy_px:g} px is not near "
                     f"the middle of a picture of {width}x{height}",
-                    source=given.path,
+                    source=camera_file.path,
                     remedy="give the intrinsics of this size of picture",
                 )
             camera = replace(camera, width=width, height=height)
-        return check_intrinsics(camera, width, height, known=own, source=given.path)
-    if own is not None:
-        return check_intrinsics(own, width, height, source=source)
+        return check_intrinsics(
+            camera, width, height, color=frame_intrinsics, source=camera_file.path
+        )
+    if frame_intrinsics is not None:
+        return check_intrinsics(frame_intrinsics, width, height, source=source)
     raise no_intrinsics(source)
 
 
@@ -102,15 +104,15 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
 def frame_capture(
     color: NDArray[np.uint8],
     read_raw: Callable[[], NDArray[Any]],
-    own: Intrinsics | None,
-    given: CameraFile | None,
+    frame_intrinsics: Intrinsics | None,
+    camera_file: CameraFile | None,
     unit_m: float | None,
     options: ReadOptions,
     *,
     source: Path,
     depth_source: Path,
     depth_camera: Intrinsics | None = None,
-    **about: Any,
+    **capture_fields: Any,
 ) -> Capture:
     """Create a capture from a colour and a depth picture.
 
@@ -124,9 +126,9 @@ def frame_capture(
         RGB.
     read_raw : callable
         Reads the raw depth values, shape (h, w), after the intrinsics have been checked.
-    own : Intrinsics, optional
+    frame_intrinsics : Intrinsics, optional
         Intrinsics of the source.
-    given : CameraFile, optional
+    camera_file : CameraFile, optional
         Intrinsics given by the user.
     unit_m : float, optional
         Metres per depth step, if given by the user or the format.
@@ -136,7 +138,7 @@ def frame_capture(
         The files, for error messages.
     depth_camera : Intrinsics, optional
         Intrinsics of the depth camera, if not in the user's file.
-    **about
+    **capture_fields
         Further fields of `Capture`.
 
     Raises
@@ -147,24 +149,28 @@ def frame_capture(
         See `choose_intrinsics`.
     """
     height, width = color.shape[:2]
-    aligned_to = options.aligned_to or (given.aligned_to if given else None)
-    intrinsics = choose_intrinsics(own, given, width, height, aligned_to=aligned_to, source=source)
-    unit_m = unit_m or (given.depth_unit_m if given else None)
+    aligned_to = options.aligned_to or (camera_file.aligned_to if camera_file else None)
+    intrinsics = choose_intrinsics(
+        frame_intrinsics, camera_file, width, height, aligned_to=aligned_to, source=source
+    )
+    unit_m = unit_m or (camera_file.depth_unit_m if camera_file else None)
     depth_m = depth_to_metres(read_raw(), unit_m, source=depth_source)
-    along = options.depth_along or (given.depth_along if given else None)
-    camera = (given.depth if given else None) or depth_camera
+    along = options.depth_along or (camera_file.depth_along if camera_file else None)
+    camera = (camera_file.depth if camera_file else None) or depth_camera
     doubts: tuple[Doubt, ...] = ()
-    if aligned_to is None and given and camera and given.depth_to_color:
+    if aligned_to is None and camera_file and camera and camera_file.depth_to_color:
         _require_camera_size(depth_m, camera, source=depth_source)
         depth_m = depth_along_axis(depth_m, camera) if along is DepthAlong.RAY else depth_m
-        depth_m = _aligned(depth_m, camera, intrinsics, given.depth_to_color, source=depth_source)
+        depth_m = _aligned(
+            depth_m, camera, intrinsics, camera_file.depth_to_color, source=depth_source
+        )
     else:
         if aligned_to is Stream.COLOR and _is_same_view(depth_m, width, height):
             depth_m, doubts = enlarge_depth(depth_m, width, height), (Doubt.DEPTH_RESAMPLED,)
         require_same_size(color, depth_m, source=depth_source)
         depth_m = depth_along_axis(depth_m, intrinsics) if along is DepthAlong.RAY else depth_m
     require_readings(depth_m, source=depth_source)
-    return Capture(color, depth_m, intrinsics, source=str(source), doubts=doubts, **about)
+    return Capture(color, depth_m, intrinsics, source=str(source), doubts=doubts, **capture_fields)
 
 
 def _is_same_view(depth_m: NDArray[np.float32], width: int, height: int) -> bool:

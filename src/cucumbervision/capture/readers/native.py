@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
+    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 FORMAT = "cucumbervision-capture"
 
@@ -94,42 +94,46 @@ class Manifest(StrictModel):
     gravity: tuple[_Share, _Share, _Share] | None = None
 
 
-def find_native(folder: Folder) -> Opener | None:
+def find_native(folder: Folder) -> CaptureLister | None:
     """Find native capture folders; given intrinsics replace those of the folder."""
-    found = folder.take(MANIFEST, "", MASKS)
-    return partial(_open_folders, folder.path, [*found]) if found else None
+    folders = folder.take(MANIFEST, "", MASKS)
+    return partial(_open_folders, folder.path, [*folders]) if folders else None
 
 
 def _open_folders(
-    path: Path, found: Sequence[str], options: ReadOptions, given: CameraFile | None
-) -> Iterator[Listed]:
-    for at in found:
-        folder = path / at
-        name = "_".join(Path(at).parts or (path.resolve().name,))
+    path: Path, folders: Sequence[str], options: ReadOptions, camera_file: CameraFile | None
+) -> Iterator[CaptureEntry]:
+    for subfolder in folders:
+        folder = path / subfolder
+        name = "_".join(Path(subfolder).parts or (path.resolve().name,))
         source = folder / MANIFEST
         try:
             manifest = parse_model(Manifest, read_json(source), source=source)
         except CaptureError as error:
             yield name, 0, partial(fail, error), source, None
         else:
-            load = partial(_load, folder, manifest, given, options)
-            files = partial(_files, folder, manifest, given)
+            load = partial(_load, folder, manifest, camera_file, options)
+            files = partial(_files, folder, manifest, camera_file)
             yield manifest.name or name, manifest.frame, load, source, files
 
 
-def _files(folder: Path, manifest: Manifest, given: CameraFile | None) -> list[Path]:
+def _files(folder: Path, manifest: Manifest, camera_file: CameraFile | None) -> list[Path]:
     pictures = [folder / name for frame in manifest.frames for name in (frame.color, frame.depth)]
-    beside = [] if given is None else [given.path]
-    return [folder / MANIFEST, *pictures, *sorted((folder / MASKS).glob("*.png")), *beside]
+    camera_files = [] if camera_file is None else [camera_file.path]
+    return [folder / MANIFEST, *pictures, *sorted((folder / MASKS).glob("*.png")), *camera_files]
 
 
 def _load(
-    folder: Path, manifest: Manifest, given: CameraFile | None, options: ReadOptions, name: str
+    folder: Path,
+    manifest: Manifest,
+    camera_file: CameraFile | None,
+    options: ReadOptions,
+    name: str,
 ) -> Capture:
     unit_m = options.depth_unit_m or manifest.depth_unit_m
     frames, pixels = [], 0
-    for one in manifest.frames:
-        frames.append(_read_frame(folder, one, unit_m))
+    for frame in manifest.frames:
+        frames.append(_read_frame(folder, frame, unit_m))
         pixels += frames[-1][1].size
         if pixels > MOST_BURST_PIXELS:
             raise CaptureError(
@@ -145,14 +149,19 @@ def _load(
             fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
     height, width = fused.depth_m.shape
     with as_errors_of(folder / MANIFEST):
-        own = manifest.camera.intrinsics
+        frame_intrinsics = manifest.camera.intrinsics
     intrinsics = choose_intrinsics(
-        own, given, width, height, aligned_to=options.aligned_to, source=folder / MANIFEST
+        frame_intrinsics,
+        camera_file,
+        width,
+        height,
+        aligned_to=options.aligned_to,
+        source=folder / MANIFEST,
     )
     if options.depth_along is DepthAlong.RAY:
         fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
     require_readings(fused.depth_m, source=folder)
-    kept = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
+    frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
     return Capture(
         **vars(fused),
         intrinsics=intrinsics,
@@ -160,7 +169,7 @@ def _load(
         frame=manifest.frame,
         masks=read_masks(_masks(folder, manifest.frame), fused.color.shape),
         stop=Stop(**manifest.stop.model_dump()),
-        timestamp_s=kept.timestamp_s,
+        timestamp_s=frame_entry.timestamp_s,
         simulated=manifest.simulated,
         source=str(folder),
         provenance=manifest.provenance,

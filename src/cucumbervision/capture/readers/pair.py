@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
+    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _LISTS = frozenset({"associations.txt", "associated.txt", "associate.txt", "assoc.txt"})
@@ -68,7 +68,7 @@ class Pair:
         return self.color is not None and self.color == self.depth
 
 
-def find_pairs(folder: Folder) -> Opener | None:
+def find_pairs(folder: Folder) -> CaptureLister | None:
     """Find the frames of `match_pairs`, and mark their files as used."""
     try:
         pairs = _associated(folder)
@@ -77,8 +77,8 @@ def find_pairs(folder: Folder) -> Opener | None:
         pairs = []
     pairs = pairs or match_pairs(folder)
     taken = {file for pair in pairs for file in (pair.color, pair.depth)}
-    for at, names in folder.files.items():
-        names[:] = [name for name in names if folder.path / at / name not in taken]
+    for folder_path, names in folder.files.items():
+        names[:] = [name for name in names if folder.path / folder_path / name not in taken]
     return partial(_open_pairs, folder.path, pairs) if pairs else None
 
 
@@ -92,26 +92,26 @@ def match_pairs(folder: Folder) -> list[Pair]:
     complete pair, the result is empty.
     """
     colors, depths = _by_role(folder)
-    both = colors.keys() & depths.keys()
-    used = {depths[key] for key in both}
+    shared = colors.keys() & depths.keys()
+    used = {depths[key] for key in shared}
     arrays = [n for n in folder if n.lower().endswith(".npz") and n not in used]
-    whole = [name for name in arrays if _holds_color(folder.path / name)]
-    named: list[tuple[str | None, str | None]] = [(name, name) for name in whole]
-    for key in sorted(colors.keys() | depths.keys()) if both else ():
+    color_arrays = [name for name in arrays if _holds_color(folder.path / name)]
+    named: list[tuple[str | None, str | None]] = [(name, name) for name in color_arrays]
+    for key in sorted(colors.keys() | depths.keys()) if shared else ():
         color, depth = colors.get(key), depths.get(key)
-        if depth not in whole and (color or not _is_8_bit_png(folder.path / str(depth))):
+        if depth not in color_arrays and (color or not _is_8_bit_png(folder.path / str(depth))):
             named.append((color, depth))
-    found = []
+    pairs = []
     for color, depth in named:
-        at, _, picture = str(color or depth).rpartition("/")
+        folder_path, _, picture = str(color or depth).rpartition("/")
         pictures = [None if name is None else folder.path / name for name in (color, depth)]
-        found.append(_pair(folder, at, picture, pictures))
-    return found
+        pairs.append(_pair(folder, folder_path, picture, pictures))
+    return pairs
 
 
-def _pair(folder: Folder, at: str, picture: str, files: Sequence[Path | None]) -> Pair:
+def _pair(folder: Folder, folder_path: str, picture: str, files: Sequence[Path | None]) -> Pair:
     try:
-        return Pair(files[0], files[1], camera_file_near(folder, at, picture))
+        return Pair(files[0], files[1], camera_file_near(folder, folder_path, picture))
     except IntrinsicsError as error:
         return Pair(files[0], files[1], fault=error)
 
@@ -122,13 +122,19 @@ def _associated(folder: Folder) -> list[Pair]:
     By its association file (time, colour, time, depth), or without one by the times of both lists.
     """
     names, pairs = {*folder}, []
-    for at, own in folder.files.items():
-        lists = [_rows(folder.path / at / name, 4) for name in own if name.lower() in _LISTS]
-        if not lists and {*_TIMES} <= {*own}:
-            lists = [_nearest_in_time(*(_rows(folder.path / at / name, 2) for name in _TIMES))]
-        camera = camera_file_near(folder, at) if lists else None
+    for folder_path, file_names in folder.files.items():
+        lists = [
+            _rows(folder.path / folder_path / name, 4)
+            for name in file_names
+            if name.lower() in _LISTS
+        ]
+        if not lists and {*_TIMES} <= {*file_names}:
+            lists = [
+                _nearest_in_time(*(_rows(folder.path / folder_path / name, 2) for name in _TIMES))
+            ]
+        camera = camera_file_near(folder, folder_path) if lists else None
         for words in (row for rows in lists for row in rows):
-            files = [f"{at}/{word}".lstrip("/") for word in words[1::2]]
+            files = [f"{folder_path}/{word}".lstrip("/") for word in words[1::2]]
             if {*files} <= names:
                 color, depth = sorted(files, key=lambda f: bool(_DEPTH_WORD.search(f)))
                 pairs.append(Pair(folder.path / color, folder.path / depth, camera, _TUM_STEP_M))
@@ -262,32 +268,38 @@ def _holds_color(path: Path) -> bool:
 
 
 def _open_pairs(
-    path: Path, pairs: Sequence[Pair], options: ReadOptions, given: CameraFile | None
-) -> Iterator[Listed]:
-    near: dict[Path | None, CameraFile | CaptureError | None] = {None: given}
+    path: Path, pairs: Sequence[Pair], options: ReadOptions, camera_file: CameraFile | None
+) -> Iterator[CaptureEntry]:
+    cameras_by_path: dict[Path | None, CameraFile | CaptureError | None] = {None: camera_file}
     for file in {pair.camera for pair in pairs if pair.camera}:
         try:
-            near[file] = given or read_camera_file(file)
+            cameras_by_path[file] = camera_file or read_camera_file(file)
         except CaptureError as error:
-            near[file] = error
-    known = [(given or pair.fault or near[pair.camera]) for pair in pairs]
-    if not any(isinstance(one, CameraFile) for one in known) and not any(p.is_whole for p in pairs):
-        raise next((one for one in known if isinstance(one, CaptureError)), no_intrinsics(path))
-    for frame, (pair, camera) in enumerate(zip(pairs, known, strict=True)):
-        at = pair.color or pair.depth or path
+            cameras_by_path[file] = error
+    cameras = [(camera_file or pair.fault or cameras_by_path[pair.camera]) for pair in pairs]
+    if not any(isinstance(camera, CameraFile) for camera in cameras) and not any(
+        p.is_whole for p in pairs
+    ):
+        raise next(
+            (camera for camera in cameras if isinstance(camera, CaptureError)), no_intrinsics(path)
+        )
+    for frame, (pair, camera) in enumerate(zip(pairs, cameras, strict=True)):
+        picture = pair.color or pair.depth or path
         load: Callable[[str], Capture]
         if isinstance(camera, CaptureError):
-            yield at.stem, frame, partial(fail, camera), at, partial(_files, pair, None)
+            yield picture.stem, frame, partial(fail, camera), picture, partial(_files, pair, None)
             continue
         if pair.is_whole:
-            load = partial(_load_npz, at, camera, options)
+            load = partial(_load_npz, picture, camera, options)
         else:
             load = partial(_load_pair, pair, frame, camera, options)
-        yield at.stem, frame, load, at, partial(_files, pair, camera)
+        yield picture.stem, frame, load, picture, partial(_files, pair, camera)
 
 
-def _files(pair: Pair, given: CameraFile | None) -> list[Path]:
-    return [*dict.fromkeys(f for f in (pair.color, pair.depth, given and given.path) if f)]
+def _files(pair: Pair, camera_file: CameraFile | None) -> list[Path]:
+    return [
+        *dict.fromkeys(f for f in (pair.color, pair.depth, camera_file and camera_file.path) if f)
+    ]
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
@@ -319,13 +331,13 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
             source=path,
             remedy="name a colour picture with its depth picture, or a capture folder",
         )
-    given = read_camera_file(options.intrinsics) if options.intrinsics else None
+    camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
     pair = Pair(path, path if is_array else options.depth)
-    return CaptureSource.listed(path, "pair", _open_pairs(path, [pair], options, given))
+    return CaptureSource.listed(path, "pair", _open_pairs(path, [pair], options, camera_file))
 
 
 def _load_pair(
-    pair: Pair, frame: int, given: CameraFile | None, options: ReadOptions, name: str
+    pair: Pair, frame: int, camera_file: CameraFile | None, options: ReadOptions, name: str
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
@@ -333,24 +345,30 @@ def _load_pair(
             source=pair.color or pair.depth,
             remedy="put it beside this one",
         )
-    if given is None:
+    if camera_file is None:
         raise no_intrinsics(pair.color)
     return frame_capture(
         read_color(pair.color),
         partial(read_depth, pair.depth),
         None,
-        given,
-        options.depth_unit_m or given.depth_unit_m or pair.unit_m,
+        camera_file,
+        options.depth_unit_m or camera_file.depth_unit_m or pair.unit_m,
         options,
         source=pair.color,
         depth_source=pair.depth,
         name=name,
         frame=frame,
-        provenance={"reader": "pair", "depth": str(pair.depth), "intrinsics": str(given.path)},
+        provenance={
+            "reader": "pair",
+            "depth": str(pair.depth),
+            "intrinsics": str(camera_file.path),
+        },
     )
 
 
-def _load_npz(path: Path, given: CameraFile | None, options: ReadOptions, name: str) -> Capture:
+def _load_npz(
+    path: Path, camera_file: CameraFile | None, options: ReadOptions, name: str
+) -> Capture:
     arrays = read_arrays(path)
     if "color" not in arrays:
         raise CaptureError(
@@ -365,12 +383,12 @@ def _load_npz(path: Path, given: CameraFile | None, options: ReadOptions, name: 
             source=path,
             remedy="save an 8-bit RGB picture",
         )
-    own = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
+    frame_intrinsics = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
     return frame_capture(
         color,
         lambda: arrays["depth"],
-        own,
-        given,
+        frame_intrinsics,
+        camera_file,
         options.depth_unit_m,
         options,
         source=path,

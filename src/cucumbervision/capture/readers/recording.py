@@ -49,12 +49,16 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     """
     _require_aligned(options, path)
     import_realsense()
-    given = read_camera_file(options.intrinsics) if options.intrinsics else None
+    camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
     with _stream(path) as stream:
-        own, device = stream.intrinsics, stream.device
-    intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
-    about = {"source": str(path), "provenance": {"reader": "recording", **device}}
-    return CaptureSource(path, "recording", lambda: _refs(path, options.burst, intrinsics, about))
+        frame_intrinsics, device = stream.intrinsics, stream.device
+    intrinsics = choose_intrinsics(
+        frame_intrinsics, camera_file, frame_intrinsics.width, frame_intrinsics.height, source=path
+    )
+    capture_fields = {"source": str(path), "provenance": {"reader": "recording", **device}}
+    return CaptureSource(
+        path, "recording", lambda: _refs(path, options.burst, intrinsics, capture_fields)
+    )
 
 
 def _require_aligned(options: ReadOptions, path: Path) -> None:
@@ -71,7 +75,7 @@ def _stream(path: Path) -> AlignedStream:
 
 
 def _refs(
-    path: Path, burst: int, intrinsics: Intrinsics, about: dict[str, Any]
+    path: Path, burst: int, intrinsics: Intrinsics, capture_fields: dict[str, Any]
 ) -> Iterator[CaptureRef]:
     name = safe_name(path.stem)
     fault, any_frame = None, False
@@ -81,9 +85,11 @@ def _refs(
             if not frames:
                 break
             any_frame, number = True, frames[0].number
-            own, place = f"{name}_{number:06d}", f"{path} frame {number}"
-            load = partial(burst_capture, frames, intrinsics, own, place=place, **about)
-            yield CaptureRef(own, number, load, place)
+            capture_name, place = f"{name}_{number:06d}", f"{path} frame {number}"
+            load = partial(
+                burst_capture, frames, intrinsics, capture_name, place=place, **capture_fields
+            )
+            yield CaptureRef(capture_name, number, load, place)
     if fault is None and not any_frame:
         fault = CaptureError(
             "has no frame with both colour and depth",

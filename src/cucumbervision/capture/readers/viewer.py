@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
+    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
@@ -44,32 +44,39 @@ class _Snapshot:
     timestamp_s: float | None
 
 
-def find_snapshots(folder: Folder) -> Opener | None:
+def find_snapshots(folder: Folder) -> CaptureLister | None:
     """Find the snapshots of a folder.
 
     A snapshot has raw depth (`.raw`) or its metadata. A colourised depth picture next to a colour
     picture also counts, so that it is reported. The intrinsics file must have `depth_to_color`; its
     optional `depth` block takes precedence over the metadata.
     """
-    found: dict[str, Path | None] = {}
-    for at, names in folder.files.items():
+    snapshots: dict[str, Path | None] = {}
+    for folder_path, names in folder.files.items():
         bases = {n.removesuffix(e) for e in (_RAW, _TABLE) for n in names if n.endswith(e)}
         if bases or any(name.endswith(_COLOR_TABLE) for name in names):
             bases |= {name.removesuffix(_COLOR) for name in names if name.endswith(_COLOR)}
         if bases:
-            beside = camera_file_near(folder, at)
-            found |= {f"{at}/{base}".lstrip("/"): beside for base in sorted(bases)}
-            own = {base + ending for base in bases for ending in _ENDINGS}
-            names[:] = [name for name in names if name not in own]
-    return partial(_open_snapshots, folder.path, found) if found else None
+            camera_path = camera_file_near(folder, folder_path)
+            snapshots |= {
+                f"{folder_path}/{base}".lstrip("/"): camera_path for base in sorted(bases)
+            }
+            snapshot_files = {base + ending for base in bases for ending in _ENDINGS}
+            names[:] = [name for name in names if name not in snapshot_files]
+    return partial(_open_snapshots, folder.path, snapshots) if snapshots else None
 
 
 def _open_snapshots(
-    path: Path, found: Mapping[str, Path | None], options: ReadOptions, given: CameraFile | None
-) -> Iterator[Listed]:
-    near = {file: read_camera_file(file) for file in {*found.values()} if file and not given}
-    for name, beside in found.items():
-        camera = given or (near[beside] if beside else None)
+    path: Path,
+    snapshots: Mapping[str, Path | None],
+    options: ReadOptions,
+    camera_file: CameraFile | None,
+) -> Iterator[CaptureEntry]:
+    cameras_by_path = {
+        file: read_camera_file(file) for file in {*snapshots.values()} if file and not camera_file
+    }
+    for name, camera_path in snapshots.items():
+        camera = camera_file or (cameras_by_path[camera_path] if camera_path else None)
         if camera is None or camera.depth_to_color is None:
             raise IntrinsicsError(
                 "RealSense Viewer exports depth as the depth camera sees it, not aligned to colour",
@@ -88,9 +95,9 @@ def _open_snapshots(
             yield base.name, table.frame, load, base, files
 
 
-def _files(base: Path, given: CameraFile) -> list[Path]:
-    own = (base.with_name(base.name + ending) for ending in _ENDINGS[:4])
-    return [*(file for file in own if file.is_file()), given.path]
+def _files(base: Path, camera_file: CameraFile) -> list[Path]:
+    files = (base.with_name(base.name + ending) for ending in _ENDINGS[:4])
+    return [*(file for file in files if file.is_file()), camera_file.path]
 
 
 def _require_raw(base: Path) -> None:
@@ -104,7 +111,7 @@ def _require_raw(base: Path) -> None:
 
 
 def _load(
-    base: Path, table: _Snapshot, given: CameraFile, options: ReadOptions, name: str
+    base: Path, table: _Snapshot, camera_file: CameraFile, options: ReadOptions, name: str
 ) -> Capture:
     raw_path = base.with_name(base.name + _RAW)
     own_path = base.with_name(base.name + _COLOR_TABLE)
@@ -112,7 +119,7 @@ def _load(
         read_color(base.with_name(base.name + _COLOR)),
         partial(_read_raw, raw_path, table),
         _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
-        given,
+        camera_file,
         options.depth_unit_m,
         options,
         source=raw_path,
@@ -121,7 +128,7 @@ def _load(
         name=name,
         frame=table.frame,
         timestamp_s=table.timestamp_s,
-        provenance={"reader": "viewer", "intrinsics": str(given.path)},
+        provenance={"reader": "viewer", "intrinsics": str(camera_file.path)},
     )
 
 

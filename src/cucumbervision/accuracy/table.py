@@ -125,7 +125,8 @@ class ReportTable:
         Examples
         --------
         >>> rows = [{"method": "M1", "bias": 1.25, "count": 3}]
-        >>> ReportTable.of_records("a", {"method": "method", "bias": "bias (%):+.1"}, rows).text_rows()
+        >>> columns = {"method": "method", "bias": "bias (%):+.1"}
+        >>> ReportTable.of_records("a", columns, rows).text_rows()
         [['M1', '+1.2']]
         """
         rows = ([record[name] for name in columns] for record in records)

@@ -76,7 +76,7 @@ def columns_table(title: str | None, text_columns: Sequence[str], *right: str) -
     return table
 
 
-def print_table(console: Console, figures: table.Table) -> None:
+def print_table(console: Console, figures: table.ReportTable) -> None:
     """Print a report's table, and its comment below."""
     printed = Table(title=figures.title, title_justify="left")
     for column, numeric in zip(figures.columns, figures.numeric, strict=True):

@@ -1,4 +1,4 @@
-"""Which measured fruit can be of the crop, and what tells that depth has another unit."""
+"""Reject fruit of implausible size, and detect depth in a wrong unit."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def accepted_fruit(
     diameters_m: tuple[float, float],
     intrinsics: Intrinsics,
 ) -> FruitMeasurement:
-    """Return a fruit without its length where no fruit of its crop is of such a size.
+    """Return a fruit, without its length if the size is implausible for the crop.
 
     Parameters
     ----------
     fruit : FruitMeasurement
-        With its length; of one that goes on out of sight it is a lower bound.
+        The fruit with its length, a lower bound if it continues out of sight.
     lengths_m : tuple of float
         Shortest and longest, metres.
     diameters_m : tuple of float
@@ -40,9 +40,9 @@ def accepted_fruit(
     Returns
     -------
     FruitMeasurement
-        Where the size is outside: nothing is selected, the reason is 'implausible-length' or
-        'implausible-diameter', and `fallback` ends with the method that gave it. Too large a fruit
-        is flagged 'depth-unit'. The methods' measurements stay.
+        If the size is outside the limits, nothing is selected, the reason is 'implausible-length'
+        or 'implausible-diameter', and `fallback` ends with the rejected method. A fruit that is
+        too large is flagged 'depth-unit'. The measurements of the methods are unchanged.
     """
     if fruit.length is None:
         return fruit
@@ -67,7 +67,7 @@ def accepted_fruit(
 
 
 def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
-    """Return the mean diameter, metres; NaN, which no limit refuses, where it is not known."""
+    """Return the mean diameter, metres; NaN, which passes every limit, if it is unknown."""
     if fruit.traits is not None:
         return fruit.traits.diameter_mean_m
     tube = fruit.measurements.get(MethodName.M6)
@@ -79,10 +79,9 @@ def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
 
 
 def with_unit_doubts(fruit: Sequence[FruitMeasurement]) -> tuple[FruitMeasurement, ...]:
-    """Return the fruit of one picture, all flagged 'depth-unit' where half of them are too large.
+    """Return the fruit of one picture, all flagged 'depth-unit' if half of them are too large.
 
-    All were read from one depth picture: with its unit wrong, fruit whose sizes can be are wrong,
-    too.
+    They share one depth picture: if its unit is wrong, fruit of plausible size are wrong, too.
     """
     is_sized = [measured.length is not None or measured.reason in _REFUSED for measured in fruit]
     large = sum(Flag.DEPTH_UNIT in measured.flags for measured in fruit)

@@ -49,8 +49,8 @@ class Outcome(Generic[T]):
     Parameters
     ----------
     value : object, optional
-        What the worker made of it. None without a failure: nothing was to be done, or the loop was
-        stopped before its turn.
+        The worker's result. None without a failure: the capture needed no work, or the loop was
+        cancelled before its turn.
     failures : tuple of Failure
         What went wrong.
     """
@@ -61,7 +61,7 @@ class Outcome(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class ReadCapture:
-    """A capture in memory, and a hash of what it was read from where its worker asks for one."""
+    """A capture in memory, with a hash of its source if the worker computes one."""
 
     capture: Capture
     content: str = ""
@@ -69,7 +69,7 @@ class ReadCapture:
 
 @dataclass(frozen=True, eq=False)
 class SearchedCapture:
-    """A capture whose fruit were found, or what went wrong, on its way to be measured."""
+    """A capture between detection and measurement, or the result of a failed detection."""
 
     read: ReadCapture
     detected: DetectedCapture | CaptureResult
@@ -81,14 +81,14 @@ class Worker(ABC, Generic[T]):
     Parameters
     ----------
     measurer : Measurer
-        What measures; its networks are loaded with the first capture that was read.
+        The measurer; its networks are loaded with the first capture.
     """
 
     def __init__(self, measurer: Measurer) -> None:
         self.measurer = measurer
 
     def __call__(self, item: Item) -> Outcome[T]:
-        """Do all of it: `read`, `detect` and `measure`."""
+        """Read, detect and measure one item."""
         return self.measure(self.detect(self.read(item)))
 
     def read(self, item: Item) -> Outcome[T] | ReadCapture:
@@ -106,7 +106,7 @@ class Worker(ABC, Generic[T]):
         Raises
         ------
         CucumberVisionError
-            If nothing can be measured at all, as `Measurer.load`.
+            If the networks or the calibration cannot be loaded, as `Measurer.load`.
         """
         if isinstance(read, Outcome):
             return read
@@ -134,7 +134,7 @@ class Worker(ABC, Generic[T]):
 
 
 class ResultWorker(Worker[CaptureResult]):
-    """Keeps results as they are; one that could not be measured has an `error`."""
+    """Returns results unchanged; a capture that could not be measured has an `error`."""
 
     def make(self, result: CaptureResult, content: str) -> Outcome[CaptureResult]:  # noqa: ARG002
         """Return the result."""
@@ -144,7 +144,7 @@ class ResultWorker(Worker[CaptureResult]):
 Engine: TypeAlias = Callable[
     [Iterable[Item], Worker[Any], Callable[[], bool]], Iterator[Outcome[Any]]
 ]
-"""Does the work of all items, and yields the outcome of each, in order, as they are done."""
+"""Processes all items, and yields the outcome of each, in order, when it is available."""
 
 
 def in_turn(
@@ -158,9 +158,9 @@ def in_turn(
 def in_process(
     items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
-    """Do items one after the other in this process.
+    """Process items one after the other in this process.
 
-    While networks look at one capture, the next is read and the one before is measured.
+    While the networks process one capture, the next is read and the previous one is measured.
     """
     waiting: deque[tuple[Item, Future[Any]]] = deque()
     measuring: deque[Future[Outcome[Any]]] = deque()
@@ -199,18 +199,18 @@ def _done(outcome: Outcome[Any] | None = None) -> Future[Outcome[Any]]:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
 class Processes:
-    """Does items in several processes of this machine; each loads the networks once.
+    """Processes items in several processes of this machine; each loads the networks once.
 
     Parameters
     ----------
     workers : int
-        How many; they share the machine's cores among them.
+        Number of processes; they share the cores of the machine.
     """
 
     workers: int
@@ -218,10 +218,10 @@ class Processes:
     def __call__(
         self, items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
     ) -> Iterator[Outcome[Any]]:
-        """Do the items: at most two a worker are begun or wait for their turn.
+        """Process the items; at most two per worker are running or queued.
 
-        A process that is killed costs no row: what it had is done again in a process of its own,
-        and is a failure if that one is killed, too.
+        If a process is killed, its captures are measured again, each in a separate process. A
+        capture whose process is killed twice becomes a failure.
         """
         pool = _Pool(self.workers, worker)
         waiting: deque[tuple[Item, Future[Outcome[Any]]]] = deque()
@@ -248,7 +248,7 @@ class Processes:
 
 
 class _Pool:
-    """Processes with a worker each, restarted if one of them was killed."""
+    """A pool of processes with a worker each; it is restarted if one of them is killed."""
 
     def __init__(self, workers: int, worker: Worker[Any]) -> None:
         self._workers, self._worker = workers, worker
@@ -306,11 +306,11 @@ def portable(item: Item) -> Item:
     return failures[0]
 
 
-_worker: list[Worker[Any]] = []  # this process's
+_worker: list[Worker[Any]] = []  # the worker of this process
 
 
 def _begin(worker: Worker[Any], threads: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command ends its workers itself
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command stops its workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
     _worker.append(worker)
@@ -329,12 +329,12 @@ def _end_with_parent() -> None:
 
 
 def choose_engine(workers: int = 0, ray: str = "") -> Engine:
-    """Return what a command's options ask for.
+    """Return the engine that the options of a command select.
 
     Parameters
     ----------
     workers : int
-        Processes; 0 for one, or with Ray for one a CPU.
+        Number of processes. 0 means one, or with Ray one for each CPU.
     ray : str
         Address of a Ray cluster, or 'local' for one on this machine; empty for none.
     """
@@ -359,9 +359,9 @@ class LoopOptions:
     opener : callable
         Opens each input.
     engine : Engine
-        Where the work is done.
+        Where captures are processed.
     is_cancelled : callable
-        Asked before each capture whether to end after those that are being measured.
+        Called before each capture; if it returns True, no further capture is started.
     """
 
     opener: Opener = open_source
@@ -380,18 +380,18 @@ def measure_all(
     Parameters
     ----------
     items : iterable of Listed or Failure
-        The captures; a failure among them is passed on in its turn.
+        The captures; failures are passed through in order.
     worker : Worker
-        Reads and measures each, and makes of it what is wanted.
+        Reads and measures each capture, and converts the result.
     engine : Engine
-        Where the work is done: `in_turn`, `in_process`, `Processes` or a `RayEngine`.
+        Where captures are processed: `in_turn`, `in_process`, `Processes` or a `RayEngine`.
     is_cancelled : callable
-        Once it returns True, running captures are finished and no more are begun.
+        Once it returns True, running captures are finished and no more are started.
 
     Raises
     ------
     CucumberVisionError
-        If nothing can be measured at all: a network or the calibration cannot be loaded.
+        If a network or the calibration cannot be loaded.
 
     Examples
     --------

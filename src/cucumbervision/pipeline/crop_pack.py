@@ -1,4 +1,4 @@
-"""A crop pack: one folder with all that a crop needs, which `--profile FOLDER` reads."""
+"""Read a crop pack: the folder with profile and networks that `--profile FOLDER` names."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class CropPack:
     Parameters
     ----------
     profile : CropProfile
-        Of its `profile.toml`.
+        The profile, from `profile.toml`.
     segment, pose : Path, optional
-        Its networks, `NAME-seg.onnx` and `NAME-pose.onnx` as `train export` writes them; the
-        package's own where there are none.
+        Its networks, `NAME-seg.onnx` and `NAME-pose.onnx` as `train export` writes them; without
+        them, those of the package are used.
     truth : Path, optional
-        Its `truth.csv`.
+        Its `truth.csv`, if there is one.
     """
 
     profile: CropProfile
@@ -40,9 +40,9 @@ class CropPack:
     truth: Path | None = None
 
     def options(self, options: MeasureOptions) -> MeasureOptions:
-        """Return the same choices for this crop: its lengths, its cut, and its networks.
+        """Return options with the size limits, the cut and the networks of this crop.
 
-        Instances and keypoints that were chosen by the user stay.
+        Instances and keypoints chosen by the user are kept.
         """
         has_segmenter = options.instances in ("auto", "models") and self.segment is not None
         return replace(
@@ -62,7 +62,7 @@ def read_pack(folder: Path) -> CropPack:
     ModelError
         If there are two networks for one task.
     ModelHashError
-        If a network is not the one that the card beside it describes.
+        If a network does not match the card in the same folder.
     """
     profile = load_profile(folder / PACK_PROFILE)
     truth = folder / TRUTH

@@ -46,7 +46,7 @@ _JPEG_QUALITY = 90
 def find_pictures(
     inputs: Sequence[str | Path], leave_out: Path | None = None
 ) -> tuple[list[Item], int]:
-    """List the pictures of files and of folders, with those below.
+    """List the pictures among files and in folders, including subfolders.
 
     A named file counts as a picture with any extension; in folders the extension decides, and
     hidden files are skipped.
@@ -54,16 +54,17 @@ def find_pictures(
     Parameters
     ----------
     inputs : sequence of str or Path
-        What the user named.
+        Files and folders given by the user.
     leave_out : Path, optional
-        A folder whose files are not taken: that of the results.
+        Folder to exclude, such as that of the results.
 
     Returns
     -------
     items : list of Listed or Failure
-        Each file once, in the inputs' order, sorted within a folder; and inputs that name nothing.
+        Each file once, in the order of the inputs, sorted within a folder; a failure for each input
+        without pictures.
     skipped : int
-        Files in folders that are no pictures by their ending.
+        Number of files in folders whose extension is not that of a picture.
 
     Examples
     --------
@@ -111,7 +112,7 @@ def find_pictures(
 
 
 def read_picture(path: Path, name: str) -> Capture:
-    """Read a plain picture as a capture without depth: what finds fruit sees its colour only."""
+    """Read a plain picture as a capture without depth; detectors use only its colour."""
     color = read_photo(path)
     height, width = color.shape[:2]
     lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
@@ -127,9 +128,9 @@ def _below(folder: Path) -> Iterator[tuple[Path, str]]:
 
 @dataclass(frozen=True, eq=False)
 class DetectedPicture:
-    """What was found in one picture: its size in pixels, COCO's results, and the classes' names.
+    """Detections in one picture: its size in pixels, COCO results, and the names of the classes.
 
-    Each entry has a fruit's class name where COCO has a category's number.
+    An entry contains the name of the class instead of a category number of COCO.
     """
 
     name: str
@@ -150,7 +151,7 @@ class PictureWorker(Worker[DetectedPicture]):
     def measure(
         self, searched: Outcome[DetectedPicture] | SearchedCapture
     ) -> Outcome[DetectedPicture]:
-        """Return what was found; nothing is measured."""
+        """Return the detections; nothing is measured."""
         if isinstance(searched, Outcome):
             return searched
         if isinstance(searched.detected, CaptureResult):
@@ -184,13 +185,13 @@ class DetectResult:
     pictures : list of DetectedPicture
         The pictures, in order.
     failures : list of Failure
-        What could not be read; the rest was examined.
+        Pictures that could not be read.
     skipped : int
-        Files in folders that are no pictures.
+        Number of files in folders that are not pictures.
     models : list of dict
         Name, SHA-256 and runtime of each network.
     out : Path
-        Where the files are.
+        Output folder.
     """
 
     pictures: list[DetectedPicture] = field(default_factory=list)
@@ -201,7 +202,7 @@ class DetectResult:
 
     @property
     def exit_code(self) -> int:
-        """What the command's exit code is: 0, 1, 2 or 70, as in `measurer.exit_code`."""
+        """The exit code of the command: 0, 1, 2 or 70, as in `measurer.exit_code`."""
         return exit_code(len(self.pictures), self.failures)
 
 
@@ -215,19 +216,19 @@ def detect_inputs(
     report: Report | None = None,
     registry: Registry | None = None,
 ) -> DetectResult:
-    """Find the fruit of every picture, and write what was found into a folder.
+    """Find the fruit in every picture, and write the detections to a folder.
 
     `out` gets `results.json` (COCO results), `images.json` (the pictures, classes and provenance
     as a COCO data set without annotations), `failures.csv`, and `overlays/` with one annotated
-    JPEG a picture. A picture that cannot be read is noted and the others go on; a run that is
-    interrupted leaves what it found.
+    JPEG per picture. A picture that cannot be read is reported, and the others are processed. An
+    interrupted run keeps its results.
 
     Parameters
     ----------
     inputs : sequence of str or Path
         Files, folders and patterns.
     out : Path
-        Made where it is missing; pictures in it are left out.
+        Output folder, created if missing; pictures in it are excluded.
     options : MeasureOptions, optional
         Options of the run; those for measuring are ignored.
     report : callable, optional
@@ -248,7 +249,7 @@ def detect_inputs(
     started = datetime.now(UTC)
     items, skipped = find_pictures(inputs, leave_out=out)
     options = options or MeasureOptions()
-    if options.instances == "auto":  # plain pictures come without masks
+    if options.instances == "auto":  # plain pictures have no masks of a data set
         options = replace(options, instances="models")
     measurer = Measurer(options, registry)
     result = DetectResult(skipped=skipped, models=measurer.load().networks.models, out=out)
@@ -319,7 +320,7 @@ def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:
-    """Return one fruit's box, score, mask and keypoints as COCO's results have them.
+    """Return box, score, mask and keypoints of one fruit in the format of COCO results.
 
     COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
     `keypoints` every entry has keypoints, because a pose network ran.

@@ -1,4 +1,4 @@
-"""The fields of a fruit's row: name, unit, type, words and getter, once for every table."""
+"""The fields of a fruit's row: name, unit, type, description and path to the value."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
 
 
-# Of a unit of the tables: the SI unit, how many of it that is, and the digits that are written.
+# By unit of the tables: the SI unit, its conversion factor, and the decimals that are written.
 _UNITS = {
     "cm": ("m", 100.0, 3),
     "mm": ("m", 1e3, 2),
@@ -48,13 +48,13 @@ class Column:
     Parameters
     ----------
     name : str
-        As in CSV, Parquet and JSON; ends with the unit where there is one.
+        Name in CSV, Parquet and JSON; ends with the unit, if there is one.
     unit : str
-        The unit; empty where there is none.
+        The unit; empty if there is none.
     type : {'text', 'whole', 'number', 'yes/no'}
-        Of its cells, each of which may also be empty.
+        Type of its cells, each of which may also be empty.
     says : str
-        What it is, for people.
+        Description for people.
 
     Examples
     --------
@@ -70,25 +70,25 @@ class Column:
 
     @property
     def title(self) -> str:
-        """The head that people read, with the unit."""
+        """The heading for people, with the unit."""
         plain = self.name.removesuffix(f"_{self.unit}") if self.unit else self.name
         words = plain.replace("_", " ")
         return f"{words} [{self.unit}]" if self.unit else words
 
     @property
     def si_name(self) -> str:
-        """The name with the SI unit in place of the table's, as the store has it."""
+        """The name in the store, with the SI unit instead of the unit of the tables."""
         si, _, _ = self._scale
         return f"{self.name.removesuffix(self.unit)}{si}" if si else self.name
 
     @property
     def _scale(self) -> tuple[str, float, int | None]:
-        # What is for each 10 cm of something has no SI unit of its own.
+        # A ratio per 10 cm has no SI unit.
         scaled = self.name.endswith(f"_{self.unit}")
         return _UNITS.get(self.unit, _PLAIN) if scaled else _PLAIN
 
     def cell(self, value: Any, digits: int | None = None) -> Any:
-        """Return an SI value in the column's unit, rounded to `digits` or as the unit is."""
+        """Return an SI value in the column's unit, rounded to `digits` or as usual for the unit."""
         _, scale, usual = self._scale
         digits = usual if digits is None else digits
         if value is None or digits is None:
@@ -98,17 +98,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Field(Column):
-    """A column, and where its value is: in a `NumberedFruit` for the table of fruit.
+    """A column, and the path to its value in a `NumberedFruit` (for the table of fruit).
 
     Parameters
     ----------
     name, unit, type, says
         As in `Column`.
     path : str
-        Attributes, keys and numbers of elements that lead to the value in SI units, joined by
-        dots; a part that is None leaves the cell empty.
+        Attributes, keys and indices that lead to the value in SI units, joined by dots. The cell
+        is empty if a part of the path is None.
     digits : int, optional
-        Digits that are written; those of the unit if not given.
+        Number of decimals; by default that of the unit.
 
     Examples
     --------
@@ -121,7 +121,7 @@ class Field(Column):
     digits: int | None = None
 
     def value(self, line: Any) -> Any:
-        """Return the value in SI units; None where there is none."""
+        """Return the value in SI units, or None."""
         value = line
         for part in self.path.split("."):
             if value is None:
@@ -133,7 +133,7 @@ class Field(Column):
         return value
 
     def of(self, line: Any) -> Cell:
-        """Return the cell of a table: in `unit`, rounded, and of its type; times as UTC."""
+        """Return the cell of a table: in `unit`, rounded, of the column's type; times in UTC."""
         cell = self.cell(self.value(line), self.digits)
         if cell is None or cell != cell:  # not a number
             return None
@@ -154,7 +154,7 @@ class Field(Column):
 
 @dataclass(frozen=True, eq=False)
 class NumberedFruit:
-    """One fruit of one capture: what a row is made of.
+    """One fruit of one capture: the source of a row.
 
     Parameters
     ----------
@@ -188,12 +188,12 @@ class NumberedFruit:
 
     @property
     def mask_px(self) -> int | None:
-        """Pixels of the mask that was measured."""
+        """Number of pixels of the measured mask."""
         return None if self.fruit.mask is None else int(np.count_nonzero(self.fruit.mask))
 
 
 def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
-    """Return the fields that a table of them describes, each with its line.
+    """Return the fields that a CSV file describes, each with its line.
 
     Parameters
     ----------
@@ -215,12 +215,12 @@ FIELDS = tuple(
 
 
 def fruit_row(fruit: NumberedFruit) -> dict[str, Cell]:
-    """Return a fruit's row: a cell for every name of `FIELDS`, in the tables' units."""
+    """Return a fruit's row: a cell for every field of `FIELDS`, in the units of the tables."""
     return {fruit_field.name: fruit_field.of(fruit) for fruit_field in FIELDS}
 
 
 def si_values(fruit: NumberedFruit) -> dict[str, Cell]:
-    """Return what is known of a fruit in SI units, by `Column.si_name`."""
+    """Return the values of a fruit in SI units, by `Column.si_name`."""
     return {fruit_field.si_name: fruit_field.stored(fruit) for fruit_field in FIELDS}
 
 
@@ -230,11 +230,11 @@ def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[B
     Parameters
     ----------
     name : str
-        The model's.
+        Name of the model.
     fields : iterable of Field
-        The cells.
+        Fields of the object.
     **extra_fields
-        Further members, as `pydantic.create_model` takes them.
+        Further members, as in `pydantic.create_model`.
 
     Examples
     --------

@@ -39,26 +39,26 @@ _PERCEIVED = (MaskSource.SAM, MaskSource.SEGMENTER, MaskSource.DETECTOR)  # may 
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The fruit of one capture.
+    """The fruit detected in one capture.
 
     Parameters
     ----------
     instances : tuple of Instance
-        Each with the mask to measure, where one could be had.
+        The instances, with the mask to measure if there is one.
     clipped : frozenset of int
-        Which of them reached beyond the picture and were cut to it.
+        Indices of instances that extended beyond the picture and were clipped.
     refused : tuple of CucumberVisionError
-        What a file gave that is no fruit in this picture.
+        Errors of entries of a file that are no valid instances of this picture.
     stages : tuple of str
-        What they went through, as `stages.py` names it.
+        Processing stages, as `stages.py` names them.
     labels : tuple of str
         The classes that a detector knows.
     posed : bool
         Whether a pose network looked for keypoints.
     tubes : tuple of Measurement or None
-        M6 of each instance's mask, where it was measured to judge the mask; empty if none was.
+        M6 of each instance whose mask was measured to evaluate the mask; empty if none was.
     left_out : mapping of str to int
-        How many were left out by class, since another one was asked for.
+        Number of excluded detections by class.
     """
 
     instances: tuple[Instance, ...]
@@ -71,7 +71,7 @@ class Detections:
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     def of_classes(self, classes: Collection[str]) -> Detections:
-        """Return the same with the instances of some classes alone; with all if there are none."""
+        """Return the detections of some classes; all if `classes` is empty."""
         if not classes:
             return self
         chosen = [k for k, instance in enumerate(self.instances) if _class_of(instance) in classes]
@@ -96,14 +96,14 @@ Detector: TypeAlias = Callable[["Capture"], "Sequence[Instance]"]
 
 @dataclass(frozen=True)
 class Finder:
-    """What finds the fruit, and which networks take part.
+    """A function that finds fruit, and the networks that it uses.
 
     Parameters
     ----------
     find : callable
-        Gives the fruit of a capture.
+        Returns the fruit of a capture.
     networks : NetworkLoader
-        What loads the networks, and knows which were loaded so far.
+        Loads the networks, and lists those that are loaded.
     """
 
     find: Find
@@ -134,22 +134,22 @@ _FINDING = {
 def make_finder(
     options: MeasureOptions, registry: Registry | None = None, detector: Detector | None = None
 ) -> Finder:
-    """Load what a run needs to find fruit.
+    """Create the finder that the options select.
 
     Parameters
     ----------
     options : MeasureOptions
-        The run's choices.
+        Options of the run.
     registry : Registry, optional
-        Where networks with a name lie; the package's own if not given.
+        Registry of named networks; by default that of the package.
     detector : callable, optional
         Finds the fruit in place of `options.instances`.
 
     Returns
     -------
     Finder
-        Networks are loaded once; SAM, and the package's own networks where 'auto' was chosen,
-        only when the first capture needs them.
+        Loads each network once. SAM, and with 'auto' also the networks of the package, are loaded
+        when the first capture needs them.
 
     Raises
     ------
@@ -177,9 +177,11 @@ def make_finder(
         detections = boxes(capture).of_classes(options.classes)
         if name != "none":
             detections = _without_box_masks(detections)
-        if name is None and options.selector is Selector.BEST:  # the paper's measures SAM's
+        if (
+            name is None and options.selector is Selector.BEST
+        ):  # the paper's selector measures the masks of SAM
             detections = _with_fitting_masks(capture, detections)
-        # Masks that were given are used as they are unless a segmenter was asked for.
+        # Existing masks are used unchanged unless the user chose a segmenter.
         drawn = [
             k for k, i in enumerate(detections.instances) if options.segmenter or i.mask is None
         ]
@@ -200,7 +202,7 @@ def make_finder(
 
 
 def _without_box_masks(detections: Detections) -> Detections:
-    """Return fruit whose mask is a filled box as boxes, which a segmenter draws."""
+    """Return fruit whose mask is a filled box without that mask, for the segmenter."""
     instances = tuple(
         replace(instance, mask=None, mask_source=None)
         if instance.mask is not None and is_box_mask(instance.mask)
@@ -211,7 +213,7 @@ def _without_box_masks(detections: Detections) -> Detections:
 
 
 def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
-    """Return what a segmenter drew, under its own name if it is not SAM."""
+    """Return segmented instances with the source of the mask: SAM or another segmenter."""
     source = MaskSource.SAM if isinstance(segmenter, Sam) else MaskSource.SEGMENTER
     return tuple(
         instance if instance.mask is None else replace(instance, mask_source=source)
@@ -220,7 +222,7 @@ def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tupl
 
 
 def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
-    """Return fruit with the detector's mask as theirs where a tube fits it well, and that tube."""
+    """Return fruit with the mask of the detector if a tube fits it well, and that tube."""
     instances: list[Instance] = []
     tubes: list[Measurement | None] = []
     for instance in detections.instances:
@@ -244,7 +246,7 @@ def _placed(
     instances: tuple[Instance, ...],
     stages: tuple[Stage, ...],
 ) -> Detections:
-    """Return what was found with masks and keypoints as they are measured."""
+    """Return detections with final masks and keypoints."""
     cleaned = tuple(
         replace(instance, mask=without_flower(instance.mask, capture.color))
         if instance.mask is not None and instance.mask_source in _PERCEIVED
@@ -263,7 +265,7 @@ def _placed(
 def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     """Return a data set's own masks as instances.
 
-    An empty mask is left out: there is no fruit to measure.
+    Empty masks are omitted.
 
     Examples
     --------
@@ -289,7 +291,7 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
-_ROUNDING_PX = 0.51  # boxes that are counted from the picture's corner reach half a pixel beyond
+_ROUNDING_PX = 0.51  # boxes relative to the corner of the picture extend half a pixel beyond it
 
 
 def _finder_of(detector: Detector) -> Find:
@@ -331,7 +333,7 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
 def _auto_finder(
     options: MeasureOptions, networks: NetworkLoader, pose: YoloDetector | None
 ) -> Find:
-    """Take a data set's masks where there are some, and load the networks where there are none."""
+    """Use the masks of a data set if a capture has some, otherwise the networks."""
     find_in_dataset = _with_pose(_dataset, pose, options.confidence)
     loaded: list[Find] = []
 
@@ -351,7 +353,7 @@ def _network_finder(
     file: Path | None = None,
     pose: YoloDetector | Path | None = None,
 ) -> Find:
-    if options.segmenter not in (None, "none"):  # it draws all that is found: it loads meanwhile
+    if options.segmenter not in (None, "none"):  # used for every detection: load it in parallel
         networks.preload_segmenter(options.segmenter)
     detectors = networks.detectors(file, pose, keypoints=options.keypoints)
     labels, posed = detectors.labels, detectors.gives_keypoints
@@ -400,12 +402,12 @@ def _file_finder(path: Path) -> Find:
 def instance_notes(
     instances: str, captures: Sequence[tuple[Sequence[str], int | None]]
 ) -> list[str]:
-    """Return which captures and which pictures of a file of instances have no counterpart.
+    """Return notes on captures and on pictures of a file of instances without a counterpart.
 
     Parameters
     ----------
     instances : str
-        As `MeasureOptions.instances`; there are no notes where it is no file of instances.
+        As `MeasureOptions.instances`; no notes if it is not a file of instances.
     captures : sequence of (sequence of str, int or None)
         Names and number of each capture, as `InstanceFile.for_capture` takes them.
 

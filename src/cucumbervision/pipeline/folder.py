@@ -1,8 +1,8 @@
 """An output folder with atomic files, and the journal of finished captures.
 
 The journal is a folder `journal/` of segments, each written by one run. A line is a checksum, the
-place of the capture and the record as JSON; the last whole line of a place is its record. A partial
-line of a killed program is ignored; its capture is measured again.
+place of the capture and the record as JSON; the last complete line of a place is its record. A
+partial line of a killed program is ignored; its capture is measured again.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 
 
 class OutputFolder:
-    """A folder of this machine, or on a store that fsspec knows.
+    """A local folder, or one on a store that fsspec supports.
 
-    A file appears whole or not at all. What `write` and `replacing` have put there is on disk (or
-    acknowledged by the store) when they return.
+    Files are replaced atomically. When `write` and `replacing` return, the content is on disk (or
+    acknowledged by the store).
 
     Parameters
     ----------
     path : Path
-        Where; as `as_path` returns it.
+        Location, as `as_path` returns it.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class OutputFolder:
         self.is_remote = is_remote(path)
 
     def has(self, name: str) -> bool:
-        """Return whether a file of that name is there."""
+        """Return whether a file of that name exists."""
         return with_retries(self.path, (self.path / name).exists)
 
     def write(self, name: str, data: bytes) -> None:
@@ -77,7 +77,7 @@ class OutputFolder:
 
     @contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """Yield a file of this machine to fill; it takes the name when the block ends well.
+        """Yield a local temporary file, which replaces the named file when the block succeeds.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class OutputFolder:
             return
         target = self.path / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        # Its own ending stays last: writers go by it.
+        # Writers recognise the format by the extension.
         filled = target.with_name(f".{os.getpid()}.{target.name}")
         try:
             yield filled
@@ -110,12 +110,12 @@ class OutputFolder:
 
     @contextmanager
     def alone(self, name: str) -> Iterator[None]:
-        """Keep other programs out while the block runs, where the system can lock files.
+        """Lock the folder against other programs during the block, if the system can lock files.
 
         Raises
         ------
         CucumberVisionError
-            If another one is in it.
+            If another program has locked it.
         """
         try:
             import fcntl
@@ -146,7 +146,7 @@ _HEAD = b'{"format": "cucumbervision-journal", "version": 1}\n'
 _CHECK, _PLACE = 8, 32  # hexadecimal digits
 _START = _CHECK + 1 + _PLACE + 1
 
-# A store on the network takes whole objects: records wait for each other this long at most.
+# A remote store takes whole objects: records are collected for at most this number or time.
 _BATCH, _BATCH_S = 256, 30.0
 _SEGMENTS_HELD = 8
 
@@ -166,27 +166,27 @@ def place_of(address: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class JournalRecord:
-    """What is known of one measured capture.
+    """The journal's record of one measured capture.
 
     Parameters
     ----------
     place : str
         From `place_of`.
     content : str
-        Hash of what it was read from.
+        Hash of the files that it was read from.
     stages : tuple of str
-        What its fruit went through, as `Stage` names it.
+        Processing stages of its fruit, as in `Stage`.
     digest : str
         Hash of the options and networks of those stages.
     capture : dict
-        The capture as `measurements.json` has it, with its fruit.
+        The capture with its fruit, as in `measurements.json`.
     failures : tuple of Failure
-        What was refused in it, or could not be written.
+        Rejected instances, and files that could not be written.
     models : list of dict
         The networks that took part.
     picture : str, optional
-        Its annotated picture in the output folder; None where it could not be written, so that
-        the capture is not done.
+        Its annotated picture in the output folder; None if it could not be written, so that the
+        capture counts as incomplete.
     """
 
     place: str
@@ -215,7 +215,7 @@ class JournalRecord:
 
     @classmethod
     def from_line(cls, line: bytes) -> JournalRecord:
-        """Return the record of a line that `_is_whole` has let pass."""
+        """Return the record of a line that passed `_is_whole`."""
         values = json.loads(line[_START:])
         values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
         values["stages"] = tuple(values["stages"])
@@ -223,7 +223,7 @@ class JournalRecord:
 
 
 def _is_whole(line: bytes) -> bool:
-    """Return whether a line is a record, written to its end and not changed since."""
+    """Return whether a line is a complete record with a correct checksum."""
     if len(line) <= _START or not line.endswith(b"\n") or line[_CHECK : _CHECK + 1] != b" ":
         return False
     return line[:_CHECK] == b"%08x" % zlib.crc32(line[_CHECK + 1 : -1])
@@ -235,12 +235,12 @@ class Journal:
     Parameters
     ----------
     out : OutputFolder
-        Its segments lie in `journal/`; they are looked through once, and not held in memory.
+        The output folder. The segments in `journal/` are indexed once, and not kept in memory.
 
     Raises
     ------
     CucumberVisionError
-        If they cannot be read, or no new one be begun.
+        If they cannot be read, or a new segment cannot be created.
     """
 
     def __init__(self, out: OutputFolder) -> None:
@@ -259,7 +259,7 @@ class Journal:
             for number in range(len(self._segments)):
                 self._look_through(number)
         last = self._segments[-1].name.split("-")[0] if self._segments else "0"
-        # The name tells the run too: on a network's store nothing keeps a second one out.
+        # The name includes the run: on a remote store, nothing locks out a second run.
         self._run = f"{int(last.removesuffix('.jsonl')) + 1:06d}-{uuid.uuid4().hex[:8]}"
         self._number = 0
         self._begin()
@@ -279,12 +279,12 @@ class Journal:
 
     def _begin(self) -> None:
         with wrap_os_errors("cannot be written", self._out.path):
-            if self._out.is_remote:  # tells at once whether it can be written
+            if self._out.is_remote:  # reports immediately if the store is read-only
                 self._out.write(f"{JOURNAL}/{self._run}-.jsonl", _HEAD)
                 return
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{self._run}.jsonl"
-            # Unbuffered: what a full disk refuses must not come back with the next record.
+            # Unbuffered: bytes that a full disk rejects must not be written with the next record.
             self._file = path.open("xb", buffering=0)
             self._file.write(_HEAD)
             os.fsync(self._file.fileno())
@@ -306,7 +306,7 @@ class Journal:
             return JournalRecord.from_line(file.read(length))
 
     def _segment(self, number: int) -> bytes:
-        """Return a segment on a network's store, whole: most often the next record is in it."""
+        """Return a whole segment of a remote store, because the next record is usually in it."""
         if number not in self._held:
             segment = self._segments[number]
             self._held[number] = with_retries(segment, segment.read_bytes)
@@ -323,10 +323,10 @@ class Journal:
                 yield record
 
     def append(self, record: JournalRecord) -> None:
-        """Add a record: on this machine it is on disk when this returns.
+        """Add a record. In a local folder it is on disk when this method returns.
 
-        On a store on the network it waits for others, for half a minute at most: a run that is
-        killed measures those again.
+        For a remote store, records are collected for up to half a minute: if the run is killed,
+        the captures of unsent records are measured again.
 
         Raises
         ------
@@ -338,7 +338,7 @@ class Journal:
             if len(self._waiting) >= _BATCH or time.monotonic() - self._since > _BATCH_S:
                 self.flush()
             return
-        # What an earlier attempt left half written ends here, and is no record.
+        # The newline ends a partial line of an earlier attempt, which is no record.
         line = b"\n" * self._torn + record.line()
         self._torn = True
         unwritten, offset = memoryview(line), self._file.tell()
@@ -354,12 +354,12 @@ class Journal:
         )
 
     def flush(self) -> None:
-        """Send what waits.
+        """Write the collected records.
 
         Raises
         ------
         OSError
-            If it cannot be written; it waits on.
+            If they cannot be written; they are kept for the next attempt.
         """
         if not self._waiting:
             return

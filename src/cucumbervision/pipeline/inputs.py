@@ -35,11 +35,11 @@ class Listed:
     Parameters
     ----------
     input : str
-        What the user named.
+        The input as the user gave it.
     ref : CaptureRef
         The capture.
     name : str
-        What tables and pictures call it: no two of a run are alike.
+        Name in tables and pictures, unique within a run.
     """
 
     input: str
@@ -53,9 +53,9 @@ class Listed:
         return cls(capture.source or capture.name, ref, capture.name)
 
     def portable(self) -> Listed:
-        """Return the capture as another process can read it.
+        """Return a copy that another process can read.
 
-        What comes from no file of its own is read here: a recording is played in one process.
+        A capture without files, such as a frame of a recording, is read here.
 
         Raises
         ------
@@ -74,12 +74,12 @@ def _itself(capture: Capture) -> Capture:
 def list_captures(
     inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
 ) -> Iterator[Listed | Failure]:
-    """List the captures of all inputs, each input opened when its turn comes.
+    """List the captures of all inputs; each input is opened when it is reached.
 
     Parameters
     ----------
     inputs : iterable of Path
-        Folders and files that `open_source` knows.
+        Folders and files that `open_source` can read.
     reading : ReadOptions
         Reading options.
     opener : callable
@@ -88,14 +88,14 @@ def list_captures(
     Yields
     ------
     Listed or Failure
-        A capture, or why one or a whole input cannot be listed.
+        A capture, or the failure of one or of a whole input.
     """
     for path in inputs:
         yield from list_source(str(path), partial(opener, path, reading))
 
 
 def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[Listed | Failure]:
-    """List the captures of one source, as `list_captures`; `name` is what its sender calls it."""
+    """List the captures of one source, as `list_captures`; `name` is used in failures."""
     failures: list[Failure] = []
     refs = None
     with Boundary(failures, name):
@@ -108,7 +108,7 @@ def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[List
         ref = None
         with Boundary(failures, name):
             ref = next(refs, None)
-        if ref is None:  # the end, or the source itself broke: nothing more will come
+        if ref is None:  # end of the source, or a failure of the source itself
             break
         yield Listed(name, ref, ref.name)
     yield from failures
@@ -117,7 +117,7 @@ def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[List
 def read_captures(
     inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
 ) -> Iterator[Capture | Failure]:
-    """Read the captures of all inputs, each when its turn comes, and an input given twice once.
+    """Read the captures of all inputs one after the other; a repeated input is read once.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def read_captures(
     Yields
     ------
     Capture or Failure
-        A capture, or why one or a whole input cannot be read.
+        A capture, or the failure of one or of a whole input.
     """
     for listed in list_captures(distinct(inputs, _log.warning), reading, opener):
         if isinstance(listed, Failure):
@@ -142,17 +142,17 @@ def read_captures(
 def each_once(
     listed: Iterable[Listed | Failure], say: Callable[[str], None]
 ) -> Iterator[Listed | Failure]:
-    """Pass on every capture once, however often its place is named, under a name of its own.
+    """Yield every capture once, with a unique name.
 
-    A capture that cannot be read takes its name all the same, so that the others keep theirs when
-    it is repaired.
+    A capture that cannot be read also reserves its name, so that the names of the others do not
+    change when it is repaired.
 
     Parameters
     ----------
     listed : iterable of Listed or Failure
         From `list_captures`.
     say : callable
-        Told in a line, when an input is through, how many of its captures were named before.
+        Called with a line at the end of an input that repeats earlier captures.
     """
     names, places = set[str](), set[str]()
     repeats, current = 0, ""
@@ -183,7 +183,7 @@ def _say_again(path: str, captures: int, say: Callable[[str], None]) -> None:
 
 
 def distinct(inputs: Iterable[Path], say: Callable[[str], None]) -> list[Path]:
-    """Return the inputs without those that name the same place again; `say` is called for each."""
+    """Return the inputs without repeated places; `say` is called for each repetition."""
     places: set[str] = set()
     unique_inputs: list[Path] = []
     for path in inputs:
@@ -199,7 +199,7 @@ def distinct(inputs: Iterable[Path], say: Callable[[str], None]) -> list[Path]:
 def count_captures(
     inputs: Sequence[Path], reading: ReadOptions, opener: Opener = open_source
 ) -> int | None:
-    """Return how many captures the inputs hold; None where only reading them would tell."""
+    """Return the number of captures in the inputs; None if it is known only after reading."""
     total = 0
     for path in distinct(inputs, lambda _: None):
         source = None
@@ -207,6 +207,6 @@ def count_captures(
             source = opener(path, reading)
         if source is not None and source.total is None:
             return None
-        # The failure of one that cannot be opened is reported as one step.
+        # An input that cannot be opened counts as one step.
         total += 1 if source is None else source.total or 0
     return total

@@ -50,16 +50,16 @@ _WARM_UP_PX = (640, 480)
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an input, a capture or an instance could not be read, measured or written.
+    """The reason why an input, capture or instance could not be read, measured or written.
 
     Parameters
     ----------
     input : str
-        The file or folder that was named.
+        The file or folder given by the user.
     capture : str
-        The capture in it; empty where the input itself failed.
+        The capture in it; empty if the input itself failed.
     error : str
-        Stable name: a class of `cucumbervision.errors`.
+        Stable name: the name of a class in `cucumbervision.errors`.
     message : str
         The fault and the remedy in one line.
     """
@@ -73,25 +73,25 @@ class Failure:
 
     @classmethod
     def of(cls, error: Exception, input: str, capture: str = "") -> Failure:
-        """Return the failure that any exception is."""
+        """Return the failure for an exception."""
         named = named_error(error, capture or input)
         return cls(input, capture, named.code, str(named))
 
     @property
     def is_defect(self) -> bool:
-        """Whether the software itself is at fault."""
+        """Whether the cause is a defect of the software."""
         return self.error == InternalError.__name__
 
 
 class Boundary:
-    """Converts any exception in the block to a failure, so that the next capture can be measured.
+    """Context that converts any exception to a failure, so that a batch can continue.
 
-    KeyboardInterrupt and SystemExit are no `Exception` and pass.
+    KeyboardInterrupt and SystemExit are not converted.
 
     Parameters
     ----------
     failures : list of Failure
-        Gets the failure.
+        The failure is appended to this list.
     input, capture : str
         As in `Failure`.
 
@@ -108,15 +108,15 @@ class Boundary:
         self._failures, self._input, self._capture = failures, input, capture
 
     def __enter__(self) -> None:
-        """Begin what may fail."""
+        """Enter the context."""
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
-        """Note the failure, if there is one; a full disk ends what is done to many captures.
+        """Append the failure, if there is one; a full disk ends the batch.
 
         Raises
         ------
         DiskFullError
-            If there is no room left: nothing that comes next could be written either.
+            If the disk is full: later captures could not be written either.
         """
         if isinstance(error, Exception):
             if isinstance(named := named_error(error, self._input), DiskFullError):
@@ -131,15 +131,15 @@ def exit_code(done: int, failures: Iterable[Failure]) -> int:
     Parameters
     ----------
     done : int
-        How many captures went well.
+        Number of captures without failure.
     failures : iterable of Failure
-        What did not.
+        The failures.
 
     Returns
     -------
     int
-        70 (EX_SOFTWARE) if one is a defect of the software, 0 without failures, 1 where others
-        went well, 2 where nothing could be done.
+        70 (EX_SOFTWARE) if a failure is a defect of the software, 0 without failures, 1 if some
+        captures succeeded, 2 if none did.
 
     Examples
     --------
@@ -154,24 +154,24 @@ def exit_code(done: int, failures: Iterable[Failure]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class CaptureResult:
-    """What was measured in one capture.
+    """The result of one capture.
 
     Parameters
     ----------
     capture : Capture
-        The frame as it was measured: its depth scaled by the calibration, if there is one.
+        The measured frame, with depth scaled by the calibration, if there is one.
     fruit : tuple of FruitMeasurement
-        One for every detection.
+        One entry for every detection.
     failures : tuple of Failure
-        Why nothing was measured, or what a file of instances gave that is no fruit here.
+        Why nothing was measured, and invalid entries of a file of instances.
     error : CucumberVisionError, optional
-        Why nothing was measured; None where the capture was measured, even without fruit.
+        Why nothing was measured; None if the capture was measured, even without fruit.
     stages : tuple of Stage
-        What the fruit went through.
+        Processing stages of the fruit.
     models : tuple of dict
-        Name, SHA-256 and runtime of each network that took part.
+        Name, SHA-256 and runtime of each network that was used.
     left_out : mapping of str to int
-        How many detections were left out by class, since another one was asked for.
+        Number of excluded detections by class.
     """
 
     capture: Capture
@@ -187,7 +187,7 @@ class CaptureResult:
 
     @classmethod
     def failed(cls, capture: Capture, error: Exception) -> CaptureResult:
-        """Return the result of a capture in which nothing was measured."""
+        """Return the result of a capture that could not be measured."""
         named = named_error(error, capture.source or capture.name)
         return cls(capture, (), (Failure.of(named, capture.source, capture.name),), named)
 
@@ -203,7 +203,7 @@ class CaptureResult:
 
 @dataclass(frozen=True, eq=False)
 class DetectedCapture:
-    """A capture, its depth scaled by the calibration if there is one, and its fruit."""
+    """A capture, with depth scaled by the calibration if there is one, and its detections."""
 
     capture: Capture
     detections: Detections
@@ -217,10 +217,10 @@ class Measurer:
     options : MeasureOptions
         How to measure.
     registry : Registry, optional
-        Where networks with a name lie; the package's own if not given.
+        Registry of named networks; by default that of the package.
     detector : callable, optional
         Finds the fruit of a `Capture` in place of `options.instances`: any function that returns
-        its instances. What has no mask is segmented.
+        its instances. Instances without a mask are segmented.
 
     Examples
     --------
@@ -248,7 +248,7 @@ class Measurer:
 
     @property
     def models(self) -> list[dict[str, Any]]:
-        """Name, SHA-256 and runtime of each network that was loaded so far."""
+        """Name, SHA-256 and runtime of each loaded network."""
         return [] if self._finder is None else self._finder.networks.models
 
     @cached_property
@@ -268,11 +268,11 @@ class Measurer:
 
     @cached_property
     def hashes(self) -> StageHashes:
-        """What its rows depend on, by stage."""
+        """Hashes of everything that rows depend on, by stage."""
         return StageHashes(self.options, self._registry)
 
     def load(self) -> Finder:
-        """Load what is needed, if it is not loaded already; SAM waits until it is asked for.
+        """Load networks and calibration, if not loaded; SAM is loaded on first use.
 
         Raises
         ------
@@ -280,12 +280,12 @@ class Measurer:
             If a network, the file of instances or the calibration cannot be loaded.
         """
         if self._finder is None:
-            _ = self.site  # a calibration that cannot be read is known before networks are loaded
+            _ = self.site  # report an unreadable calibration before loading networks
             self._finder = make_finder(self.options, self._registry, self._detector)
         return self._finder
 
     def warm_up(self) -> None:
-        """Load the networks that find fruit, by looking at a grey picture; SAM still waits.
+        """Load the detection networks and run them on a grey picture; SAM is loaded on first use.
 
         Raises
         ------
@@ -295,7 +295,7 @@ class Measurer:
         finder = self.load()
         instances = self.options.instances
         if instances not in ("auto", "models") and not instances.lower().endswith(".onnx"):
-            return  # masks of a data set or a file need none
+            return  # masks of a data set or file need no networks
         lens = Intrinsics(*_WARM_UP_PX, float(_WARM_UP_PX[0]), float(_WARM_UP_PX[0]), 320.0, 240.0)
         shape = _WARM_UP_PX[::-1]
         color = np.full((*shape, 3), 90, np.uint8)
@@ -336,14 +336,14 @@ class Measurer:
     def measure_detected(
         self, detected: DetectedCapture, chosen: Collection[int] | None = None
     ) -> CaptureResult:
-        """Measure fruit that were found: the second half of `measure`.
+        """Measure detected fruit: the second half of `measure`.
 
         Parameters
         ----------
         detected : DetectedCapture
-            Of `detect`.
+            Result of `detect`.
         chosen : collection of int, optional
-            Which of the fruit, from 0; the others get no measurement. All if not given.
+            Indices of the fruit to measure; all by default.
         """
         capture, detections = detected.capture, detected.detections
         measured = [
@@ -382,7 +382,7 @@ class Measurer:
     ) -> FruitMeasurement:
         options = self.options
         judge = None
-        # A pose network that orders its own points is not asked again.
+        # The order of the ends is not changed if the pose network has determined it.
         if self._finder is not None and instance.end_confidence is not None:
             judge = self._finder.networks.ends
         return measure_fruit(
@@ -398,9 +398,9 @@ class Measurer:
         )
 
     def _judged(self, capture: Capture, measured: list[FruitMeasurement]) -> list[FruitMeasurement]:
-        """Return measured fruit of a capture with what their ends look like, all in one batch.
+        """Add the look at the ends, the calibration and the size limits to measured fruit.
 
-        They are calibrated, and those of sizes that cannot be get no length.
+        The ends of all fruit are evaluated in one batch. Implausible sizes get no length.
         """
         options, scale_known = self.options, self._scale_known
         look = None if self._finder is None else self._finder.networks.look_at_ends
@@ -428,5 +428,5 @@ class Measurer:
             return CaptureResult.failed(capture, error)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Send another process what it needs to load its own networks."""
+        """Pickle only the options, so that another process loads its own networks."""
         return Measurer, (self.options, self._registry, self._detector)

@@ -40,7 +40,7 @@ INSTANCE_SOURCES = ("auto", "models", "dataset")
 
 @dataclass(frozen=True)
 class MeasureOptions:
-    """One run's choices.
+    """Options of a run.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ class MeasureOptions:
         Whether the package's own pose network looks for the keypoints of M4 where the package's own
         detector finds the fruit.
     end_look : bool
-        Whether a network looks at both ends of each fruit whose mask a network drew; intervals
-        then depend on what it says.
+        Whether a network evaluates both ends of each fruit whose mask a network drew; intervals
+        then depend on its result.
     segmenter : str, optional
         A segmenter's name or the path of a checkpoint of SAM 2, which draws all masks, or 'none'.
         With None the default one draws what has no mask and what the detector's mask fits badly
@@ -67,18 +67,18 @@ class MeasureOptions:
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     methods : tuple of MethodName
-        Which methods run; also as their names, 'all', or 'm1,m5'.
+        Methods to run; also given as their names, 'all', or 'm1,m5'.
     selector : Selector
-        How one is chosen.
+        How the result is chosen.
     length : LengthDefinition
-        Which length `length_cm` holds where a tube was fitted.
+        Definition of `length_cm` if a tube was fitted.
     confidence : float
-        Detections below it are left out.
+        Minimum confidence of detections.
     input_sizes : tuple of int
         Long sides, pixels, that detector and pose network see; what they find at several is
         merged. Empty for each network's own.
     runtime : str
-        What runs the networks.
+        Runtime of the networks.
     full_precision : bool
         Networks in float32: the same lengths on every machine. Half precision is faster where
         the processor has it, and moves outlines by a pixel or so.
@@ -87,10 +87,10 @@ class MeasureOptions:
     calibration : Path, optional
         A site's calibration file, applied to depth and rows.
     accepted_m : tuple of float
-        Shortest and longest fruit that can be, metres, from the crop profile; by default a
-        long cucumber's. What lies outside gets no length.
+        Shortest and longest plausible fruit, metres, from the crop profile; by default those of a
+        long cucumber. Fruit outside get no length.
     accepted_diameter_m : tuple of float
-        Least and largest mean diameter, likewise.
+        Smallest and largest plausible mean diameter, metres.
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres, from the crop profile.
     camera_up : str, optional
@@ -121,12 +121,12 @@ class MeasureOptions:
     camera_up: str | None = None
 
     def __post_init__(self) -> None:
-        """Take the names of enumerations, and refuse what is no choice.
+        """Convert names to enumerations, and reject invalid values.
 
         Raises
         ------
         CucumberVisionError
-            Naming the option, its value and what is allowed.
+            With the option, its value and the allowed values.
         """
         for name, kind in (("length", LengthDefinition), ("selector", Selector)):
             object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
@@ -150,7 +150,7 @@ class MeasureOptions:
             raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
 
     def for_crop(self, profile: CropProfile) -> Self:
-        """Return the same choices for a crop: its sizes, and where it is cut."""
+        """Return the options with the plausible sizes and the cut of a crop."""
         return replace(
             self,
             accepted_m=profile.accepted_m,
@@ -159,13 +159,13 @@ class MeasureOptions:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the choices as JSON values."""
+        """Return the options as JSON values."""
         values: dict[str, Any] = json_value(asdict(self))
         return values
 
     @property
     def sha256(self) -> str:
-        """Hash of the choices, the same for the same choices.
+        """Hash of the options; equal options have equal hashes.
 
         Examples
         --------

@@ -66,14 +66,14 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
 def draw_region(
     picture: NDArray[np.uint8], fruit: FruitMeasurement, color: tuple[int, int, int], size: float
 ) -> None:
-    """Tint a fruit's mask, or draw its box where there is none, in place.
+    """Tint a fruit's mask, or draw its box if it has none, in place.
 
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W, 3)
         RGB; changed.
     fruit : FruitMeasurement
-        Whose mask.
+        The fruit.
     color : tuple of int
         RGB.
     size : float
@@ -114,16 +114,16 @@ def draw_path(
     color: tuple[int, int, int],
     size: float,
 ) -> None:
-    """Draw the line that was measured, with its tips, in place.
+    """Draw the measured line with its tips, in place.
 
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W, 3)
-        RGB; changed. It stays as it is where the measurement has no line in front of the camera.
+        RGB; changed, unless the measurement has no line in front of the camera.
     chosen : Measurement
-        Whose line.
+        The measurement.
     camera : Intrinsics
-        That took the picture.
+        Intrinsics of the picture.
     color : tuple of int
         RGB of the tips.
     size : float
@@ -154,7 +154,7 @@ def _label(number: int, fruit: FruitMeasurement) -> str:
     length = fruit.length
     if length is None:
         return f"{number}: not measured ({fruit.reason})"
-    # What runs on out of sight is longer than what was seen of it.
+    # A fruit that continues out of sight is longer than its visible part.
     bound = "at least " if fruit.at_least else ""
     return f"{number}: {bound}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
@@ -162,7 +162,7 @@ def _label(number: int, fruit: FruitMeasurement) -> str:
 def _draw_label(
     picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
 ) -> None:
-    """Write a label above a box, or below where there is no room, in place."""
+    """Write a label above a box, or below it if there is no space, in place."""
     (width, height), _ = cv2.getTextSize(label, _FONT, 0.65 * size, max(1, round(2 * size)))
     x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
     above = box[1] - 10 * size
@@ -215,7 +215,7 @@ def draw_detections(
 ) -> NDArray[np.uint8]:
     """Draw each fruit's mask, box, score and keypoints.
 
-    The stem end is a square, the blossom end a circle; what is hardly seen is hollow.
+    The stem end is a square, the blossom end a circle; keypoints of low visibility are hollow.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _MEASURING = 0.75
 """Share of the CPUs that the measuring actors claim together: actors that claim every core starve
 the readers, and the run hangs."""
 
-_READING = 0.25  # of a CPU, a reading task
+_READING = 0.25  # CPUs of a reading task
 
 _TRIES = 2  # of a capture whose worker is killed
 
@@ -34,10 +34,9 @@ class RayEngine:
     Parameters
     ----------
     address : str
-        Of the cluster, as `ray.init` takes it; 'local' for one that is started on this machine and
-        ends with the run.
+        Address of the cluster, as in `ray.init`; 'local' starts one on this machine for the run.
     workers : int
-        Measuring actors; 0 for one a CPU.
+        Number of measuring actors; 0 means one per CPU.
     """
 
     address: str = "local"
@@ -46,17 +45,17 @@ class RayEngine:
     def __call__(
         self, items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
     ) -> Iterator[Outcome[Any]]:
-        """Do the items; Ray Data bounds what is in memory between reading and measuring.
+        """Process the items; Ray Data limits the number of captures in memory.
 
-        A worker that is killed costs no row: its captures are done again, and one whose worker is
-        killed twice is a failure.
+        If a worker is killed, its captures are measured again. A capture whose worker is killed twice
+        becomes a failure.
 
         Raises
         ------
         MissingExtraError
             If Ray is not installed.
         CucumberVisionError
-            If the cluster cannot be reached, or nothing can be measured at all.
+            If the cluster cannot be reached, or networks or calibration cannot be loaded.
         """
         ray = _import_ray()
         listed = list(items)
@@ -86,11 +85,11 @@ class RayEngine:
 
     def _connect(self, ray: Any) -> None:
         try:
-            # A cluster of its own needs no page and writes no lines of its own.
+            # A local cluster needs neither dashboard nor log output.
             local = self.address == "local"
             local_options = {"include_dashboard": False, "num_cpus": None} if local else {}
             ray.init(self.address, log_to_driver=False, logging_level="error", **local_options)
-        except Exception as error:  # Ray's own have no family
+        except Exception as error:  # Ray's exceptions have no common base class
             raise CucumberVisionError(
                 f"no Ray cluster can be reached ({error})",
                 source=self.address,
@@ -127,7 +126,7 @@ class RayEngine:
 
 
 class _Reading:
-    """Reads a capture: a task of its own for Ray, which needs no network."""
+    """Reads a capture, as a separate Ray task without networks."""
 
     def __init__(self, worker: Worker[Any]) -> None:
         self._worker = worker
@@ -148,7 +147,7 @@ class _Measuring:
         outcome: Outcome[Any] | CucumberVisionError
         try:
             outcome = self._worker.measure(self._worker.detect(pickle.loads(row["read"])))
-        except CucumberVisionError as error:  # nothing can be measured at all
+        except CucumberVisionError as error:  # networks or calibration cannot be loaded
             outcome = error
         return {"number": row["number"], "done": pickle.dumps(outcome)}
 

@@ -39,9 +39,9 @@ class Results:
     Parameters
     ----------
     captures : tuple of CaptureResult
-        One for each capture that could be read, in order.
+        One entry for each capture that could be read, in order.
     failures : tuple of Failure
-        What could not be read or measured.
+        Captures that could not be read or measured.
     """
 
     captures: tuple[CaptureResult, ...]
@@ -94,7 +94,7 @@ def measure(
 ) -> Results:
     """Measure captures, or the arrays of one.
 
-    To measure again and again, keep a `Measurer`: its networks are loaded once.
+    For repeated calls, use a `Measurer`: its networks are loaded once.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measure many captures into a folder: each journalled when it is done, tables at the end."""
+"""Measure many captures into a folder, with a journal of finished captures and final tables."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One capture of a run that is done, or an input that could not be listed.
+    """A finished capture of a run, or an input that could not be listed.
 
     Parameters
     ----------
     name : str
-        What the tables call the capture; empty where the input failed.
+        Name of the capture in the tables; empty if the input failed.
     record : JournalRecord, optional
-        What was measured; None where nothing was.
+        The result; None if nothing was measured.
     before : bool
         Whether an earlier run measured it.
     failures : tuple of Failure
@@ -85,7 +85,7 @@ class BatchOptions(LoopOptions):
     opener, engine, is_cancelled
         As in `LoopOptions`.
     parquet : bool
-        Write `parquet/`, too: parts of 100,000 fruit.
+        Also write `parquet/`, in parts of 100,000 fruit.
     """
 
     parquet: bool = False
@@ -98,19 +98,19 @@ class RunResult:
     Parameters
     ----------
     out : Path
-        Where the files are.
+        Output folder.
     records : callable
         Returns a new iterator of the captures' records, in order.
     failures : list of Failure
-        What could not be read, measured or written.
+        Captures that could not be read, measured or written.
     summary : Summary
         Counts and lengths.
     notes : list of str
         Notes: inputs that were given twice, damaged records.
     before : int
-        How many captures an earlier run had measured.
+        Number of captures measured by an earlier run.
     interrupted : bool
-        Whether it ended before all was measured.
+        Whether it ended before all captures were measured.
     """
 
     out: Path
@@ -123,12 +123,12 @@ class RunResult:
 
     @property
     def captures(self) -> int:
-        """How many captures were measured, now or before, those without fruit included."""
+        """Number of captures measured now or before, including those without fruit."""
         return self.summary.captures
 
     @cached_property
     def rows(self) -> list[dict[str, Cell]]:
-        """One row a fruit, as `fields.fruit_row` fills them; read from the journal when asked."""
+        """The rows of `fields.fruit_row`, one per fruit, read from the journal on demand."""
         return list(self.each_row())
 
     def each_row(self) -> Iterator[dict[str, Cell]]:
@@ -160,8 +160,8 @@ def measure_inputs(
     inputs : sequence of Path or str
         Folders and files that `open_source` knows, or URLs of such.
     out : Path or str
-        Folder or URL; made where it is missing. Its tables hold the captures of this run's
-        inputs, measured now or before.
+        Folder or URL, created if missing. Its tables contain the captures of the inputs of this
+        run, measured now or before.
     options : MeasureOptions
         Options of the run.
     report : callable, optional
@@ -176,8 +176,8 @@ def measure_inputs(
     Raises
     ------
     CucumberVisionError
-        If the run cannot start at all: `out` cannot be written or another run writes into it, or
-        a network or the calibration cannot be loaded.
+        If `out` cannot be written or is in use by another run, or a network or the calibration
+        cannot be loaded.
     """
     batch = batch or BatchOptions()
     if batch.parquet:
@@ -195,14 +195,14 @@ class Task(Listed):
     Parameters
     ----------
     known_content : str
-        Hash of the content that was measured before in the same way; empty where none was.
+        Hash of the content that was already measured with the same options; empty if none was.
     """
 
     known_content: str = ""
 
     @property
     def place(self) -> str:
-        """The key of its place in the journal."""
+        """Key of the capture in the journal."""
         return place_of(self.ref.location or self.input, self.name)
 
 
@@ -212,9 +212,9 @@ class FolderWorker(Worker[JournalRecord]):
     Parameters
     ----------
     measurer : Measurer
-        What measures.
+        The measurer.
     out : OutputFolder
-        Gets the pictures.
+        Folder for the pictures.
     """
 
     def __init__(self, measurer: Measurer, out: OutputFolder) -> None:
@@ -281,7 +281,7 @@ def _picture(name: str) -> str:
 
 
 def content_of(parts: Iterable[Path | bytes]) -> str:
-    """Hash what a capture is read from; empty where a part of it cannot be read.
+    """Hash the files of a capture; empty if one cannot be read.
 
     Examples
     --------
@@ -300,7 +300,7 @@ def content_of(parts: Iterable[Path | bytes]) -> str:
 
 
 def _content_of_capture(capture: Capture) -> str:
-    """Hash a capture that comes from no file of its own."""
+    """Hash a capture without files of its own, such as a frame of a recording."""
     frame_numbers = [capture.frame, capture.burst_frame, capture.burst_size, capture.timestamp_s]
     camera = [vars(capture.intrinsics), vars(capture.stop), capture.source]
     digest = hashlib.sha256(json.dumps(json_value([frame_numbers, camera])).encode())
@@ -311,7 +311,7 @@ def _content_of_capture(capture: Capture) -> str:
 
 @dataclass
 class _Run:
-    """One run while it goes."""
+    """State of a run."""
 
     journal: Journal
     out: OutputFolder
@@ -358,7 +358,7 @@ class _Run:
         return result
 
     def _task(self, entry: Item) -> Task | Failure:
-        """Return a capture with what the journal knows of it."""
+        """Return a capture with the content hash of its journal record."""
         if isinstance(entry, Failure):
             return entry
         task = Task(entry.input, entry.ref, entry.name)
@@ -369,7 +369,7 @@ class _Run:
         return replace(task, known_content=record.content) if same else task
 
     def _take(self, task: Task | Failure, outcome: Outcome[JournalRecord]) -> Step | None:
-        """Journal what was measured, count it, and note what went wrong."""
+        """Write a result to the journal, count it, and collect its failures."""
         name = task.name if isinstance(task, Task) else ""
         record, failures, before = outcome.value, list(outcome.failures), False
         if isinstance(task, Task) and record is None and not failures:

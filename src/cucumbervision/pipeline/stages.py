@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Stage(StrEnum):
-    """What the fruit of a capture went through before they were measured."""
+    """Processing stages of the fruit of a capture before they are measured."""
 
     DATASET = "dataset"
     """Taken from the data set's own masks."""
@@ -50,9 +50,9 @@ class StageHashes:
     Parameters
     ----------
     options : MeasureOptions
-        The run's choices.
+        Options of the run.
     registry : Registry, optional
-        Where networks with a name lie; the package's own if not given.
+        Registry of named networks; by default that of the package.
 
     Examples
     --------
@@ -71,7 +71,7 @@ class StageHashes:
 
     @cached_property
     def sources(self) -> frozenset[Stage]:
-        """The stages that fruit may come from, as the options are."""
+        """The stages that are possible with these options."""
         choice = self._options.instances
         if choice == "auto":
             return frozenset({Stage.DATASET, Stage.DETECTED})
@@ -80,12 +80,12 @@ class StageHashes:
         return frozenset({Stage.DATASET if choice == "dataset" else Stage.LISTED})
 
     def of(self, stages: Iterable[Stage | str]) -> str:
-        """Return the hash of all that rows which went through these stages depend on.
+        """Return the hash of everything that rows of these stages depend on.
 
         Raises
         ------
         CucumberVisionError
-            If a file that the options name cannot be read.
+            If a file in the options cannot be read.
         """
         names = [Stage(stage) for stage in stages]
         key = " ".join(names)
@@ -97,7 +97,7 @@ class StageHashes:
         return digest
 
     def still_hold(self, stages: Iterable[Stage | str], digest: str) -> bool:
-        """Return whether what was measured through these stages would be measured so again."""
+        """Return whether a result of these stages would be the same with the present options."""
         names = [Stage(stage) for stage in stages]
         return bool(names) and names[0] in self.sources and self.of(names) == digest
 
@@ -158,7 +158,7 @@ class StageHashes:
     def _hashes(self, name: str) -> Any:
         try:
             return self._registry.hashes(name)
-        except ModelError as error:  # it is not installed: measuring raises the error
+        except ModelError as error:  # not installed: measuring raises the error
             return str(error)
 
 

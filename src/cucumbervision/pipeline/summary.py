@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.fields import Cell
 
 
-# Of a depth step, mm, beside 1 mm: D405 cameras, TUM's, L515 cameras, micrometres, cm, metres.
+# Depth steps other than 1 mm, in mm: D405 cameras, TUM's, L515 cameras, micrometres, cm, metres.
 _STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
 _USUAL_CM = (5.0, 50.0)
 
@@ -34,25 +34,25 @@ class Summary:
     Parameters
     ----------
     captures, fruit : int
-        How many were measured, fruit that got no length included.
+        Number of captures and of fruit, including fruit without a length.
     lengths_cm : array of float
-        Of the fruit that got one that is no lower bound.
+        Lengths that are not lower bounds.
     lower_bounds_cm : array of float
-        Of those that go on out of sight.
+        Lower bounds of fruit that continue out of sight.
     refused_cm : list of float
-        Of the fruit that no fruit of the crop can be as long, as short or as thick as.
+        Lengths of fruit of implausible size.
     too_large : int
-        How many of these are too long or too thick.
+        Number of these that are too long or too thick.
     methods, masks : Counter
-        Fruit by the method that was chosen, and by who drew the mask; '' for none.
+        Number of fruit by chosen method, and by source of the mask; '' for none.
     labels, left_out : Counter
-        Fruit by class, and detections of classes that were not asked for.
+        Number of fruit by class, and of detections of excluded classes.
     flags : Counter
-        Fruit by flag.
+        Number of fruit by flag.
     simulated : bool
-        Whether drawn captures are among them.
+        Whether some captures are simulated.
     models : list of dict
-        The networks that took part, each once.
+        The networks that were used.
 
     Examples
     --------
@@ -79,7 +79,7 @@ class Summary:
 
     @property
     def measured(self) -> int:
-        """How many fruit got a length."""
+        """Number of fruit with a length."""
         return len(self.lengths_cm) + len(self.lower_bounds_cm)
 
     def add(
@@ -112,11 +112,11 @@ class Summary:
         self.models += [model for model in models if model not in self.models]
 
     def doubts(self) -> list[str]:
-        """Return what the data makes doubtful, a line each with the remedy."""
+        """Return one line for each doubt about the data, with the remedy."""
         return [*self.unit_hints(), *self._class_notes(), *data_doubts(self.flags, self.fruit)]
 
     def _class_notes(self) -> list[str]:
-        """Return which classes were measured and left out, where there are several.
+        """Return a note on measured and excluded classes, if there are several.
 
         Examples
         --------
@@ -152,7 +152,7 @@ class Summary:
         return [f"{fault}: is one step of depth really 1 mm? {asked} would explain it"]
 
     def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
-        """Return lines of what and value, for the workbook's first sheet.
+        """Return pairs of label and value for the first sheet of the workbook.
 
         Parameters
         ----------

@@ -46,8 +46,8 @@ _MEANING = ("column", "unit", "meaning")
 class Workbook:
     """An Excel file as a context manager, written with constant memory.
 
-    Text is never converted to formulas or links. Sheets print on A4 in the full width, with their
-    heads on every page.
+    Text is never converted to formulas or links. Sheets print on A4 at full width, with the
+    headings on every page.
 
     Parameters
     ----------
@@ -88,10 +88,12 @@ class Workbook:
             except FileCreateError as error:
                 raise error.args[0] from None
             finally:
-                self.book.fileclosed = True  # one that broke off is not written as it is collected
+                self.book.fileclosed = (
+                    True  # an incomplete book must not be written when it is garbage-collected
+                )
 
     def sheet(self, title: str, widths: Sequence[int] = (), pages_high: int = 0) -> Any:
-        """Return a new sheet, its first columns so wide and at most so many pages high."""
+        """Return a new sheet with the widths of its first columns and a maximum of pages."""
         sheet = self.book.add_worksheet(title)
         for number, width in enumerate(widths):
             sheet.set_column(number, number, width)
@@ -110,20 +112,20 @@ class Workbook:
         frozen: int = 0,
         printed: int | None = None,
     ) -> None:
-        """Write a table: heads with units that stay in place, formats and filters.
+        """Write a table with fixed headings, number formats and filters.
 
         Parameters
         ----------
         title : str
-            The sheet's.
+            Title of the sheet.
         columns : sequence of Column
-            Its columns; `picture` holds names of files to link to.
+            The columns; cells of `picture` are names of files to link to.
         rows : iterable of mapping
-            Each is written before the next is asked for.
+            The rows; each is written before the next is requested.
         frozen : int
-            Columns that stay in place.
+            Number of fixed columns.
         printed : int, optional
-            Columns that are printed; all if not given.
+            Number of printed columns; all by default.
         """
         sheet = self.sheet(title)
         sheet.repeat_rows(0)
@@ -167,18 +169,18 @@ def write_workbook(
     summary: Sequence[tuple[str, Any]],
     most_rows: int = MOST_EXCEL_ROWS,
 ) -> None:
-    """Write the rows as an Excel file: the fruit, a summary, and what each column means.
+    """Write an Excel file with the fruit, a summary, and the meaning of the columns.
 
     Parameters
     ----------
     path : Path
         The .xlsx file.
     rows : iterable of mapping
-        As `fields.fruit_row` fills them; each is written before the next is asked for.
+        As returned by `fields.fruit_row`; each is written before the next is requested.
     summary : sequence of (str, value)
         Lines of the summary sheet.
     most_rows : int
-        Rows that are written at most: a sheet of Excel ends there.
+        Maximum number of rows, by default that of an Excel sheet.
 
     Raises
     ------
@@ -215,7 +217,7 @@ def write_parquet(
     rows: list[dict[str, Cell]],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write a table as Parquet: types, units and words a column, provenance with the file.
+    """Write a table as Parquet, with unit and description of each column, and provenance.
 
     Raises
     ------
@@ -288,7 +290,7 @@ def provenance_of(
     site: SiteCalibration | None,
     started: datetime,
 ) -> dict[str, Any]:
-    """Return what a run was measured with: software, options, networks, calibration, versions."""
+    """Return the provenance of a run: software, options, networks, calibration, versions."""
     return {
         **software(),
         "started": started.isoformat(timespec="seconds"),
@@ -320,22 +322,22 @@ def write_reports(
     Parameters
     ----------
     out : OutputFolder
-        Where to.
+        Output folder.
     records : callable
         Returns a new iterator of the run's captures, in order.
     summary : Summary
-        Of the same captures.
+        Summary of the same captures.
     failures : sequence of Failure
         What could not be read, measured or written.
     provenance : mapping
         As `provenance_of` returns it.
     parquet : bool
-        Whether to write `parquet/`, too.
+        Whether to also write `parquet/`.
 
     Returns
     -------
     list of Failure
-        Why a table could not be written.
+        One for each table that could not be written.
     """
     written: list[Failure] = []
     with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
@@ -358,7 +360,7 @@ def write_reports(
 
 
 def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
-    """Return a line for the workbook's summary where a sheet of Excel does not take all fruit.
+    """Return a line for the summary of the workbook if an Excel sheet cannot hold all fruit.
 
     Examples
     --------
@@ -377,7 +379,7 @@ def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str,
 def _json_pieces(
     provenance: Mapping[str, Any], records: Iterable[JournalRecord], failures: Iterable[Failure]
 ) -> Iterator[str]:
-    """Yield the text of `measurements.json`, a capture at a time, one value a line."""
+    """Yield the text of `measurements.json` by capture, one value per line."""
     yield json.dumps(dict(provenance), indent=1, ensure_ascii=False).removesuffix("\n}")
     yield ',\n "captures": ['
     yield from _json_items(record.capture for record in records)
@@ -400,7 +402,7 @@ def _write_parts(
 ) -> None:
     """Write `parquet/part-00000.parquet` and so on, and remove further parts of an earlier run."""
     names = set[str]()
-    # Without any fruit there is one part, which tells the columns.
+    # Without fruit, one empty part defines the columns.
     while (part := list(islice(rows, _PART_ROWS))) or not names:
         name = f"part-{len(names):05d}.parquet"
         with out.replacing(f"{PARQUET}/{name}") as path:

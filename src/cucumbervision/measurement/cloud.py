@@ -32,8 +32,8 @@ def masked_points(
     Returns
     -------
     ndarray of float64, shape (N, 3)
-        Camera coordinates in metres (x right, y down, z forward), the paper's Eq. 4; in the
-        pixels' order, row by row.
+        Camera coordinates in metres (x right, y down, z forward; Eq. 4 of the paper), in row-major
+        order of the pixels.
 
     Examples
     --------
@@ -62,11 +62,11 @@ def box_points(
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour.
     box : ndarray of float, shape (4,)
-        Edges x1, y1, x2, y2 in pixels; what lies outside the picture is left out.
+        Edges x1, y1, x2, y2 in pixels; parts outside the picture are ignored.
     intrinsics : Intrinsics
         The colour stream's.
     stride : int
-        Every how many pixels, both ways.
+        Step between pixels, in both directions.
 
     Returns
     -------
@@ -88,14 +88,14 @@ def box_points(
 
 
 def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return the half-open pixel range left, top, right, bottom whose centres lie in a box.
+    """Return the half-open range x1, y1, x2, y2 of pixels whose centres lie in a box.
 
     Parameters
     ----------
     box : ndarray of float, shape (4,)
         Edges x1, y1, x2, y2 in pixels.
     shape : tuple of int
-        (H, W) of the picture; the range is cut to it.
+        (H, W) of the picture; the range is clipped to it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a fruit's own picture tells of depth that is no depth of it: pure functions of arrays."""
+"""Detect depth readings that cannot be the distance of a fruit; pure functions of arrays."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from cucumbervision.measurement.flags import Flag
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_NEAREST_M = 0.12  # the nearest that any common depth camera reads (D405: 7 cm, D435: 17 cm)
+_NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
 _MIN_READINGS = 30
-# Distance from the outline, as a share of the largest, of the middle and of the flanks. Of a tube
-# the flanks lie 0.12 to 0.55 radii behind the middle, 0.26 by the median.
+# Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
+# of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
 _MIDDLE, _FLANK = 0.75, (0.15, 0.5)
-_HOLLOW = 0.08  # apparent radii that the middle lies behind the flanks
-# Stereo cameras read thin fruit between leaves hollow, too; but what surrounds those is not nearer.
+_HOLLOW = 0.08  # threshold in apparent radii: the middle lies behind the flanks by more
+# Stereo depth of thin fruit between leaves is hollow, too, but their surroundings are not nearer.
 _AROUND, _NEARER_SHARE = (0.3, 1.0), 0.85  # radii beyond the outline; share of the readings there
 _NOISE_SD = 4.0  # standard errors of both medians
-_PART = 0.1  # least share of the mask of a part that counts
-_WAIST = 0.72  # of the largest radius: what is narrower between wider parts
-_GAP_BEHIND = 1.0  # diameters that the gap lies behind the fruit
-_LONGER = 2.5  # most that the gap is as long as where it is shortest
-# Radii: the ring of the plane; how far any fruit stands out (real ones 1.4 to 2.5 before a table),
-# and the roughness of planes (0.3 under printed paper, 0.4 and more between leaves).
+_PART = 0.1  # minimum size of a part, relative to the mask
+_WAIST = 0.72  # of the largest radius: a narrower place between wider parts is a waist
+_GAP_BEHIND = 1.0  # minimum distance of the gap behind the fruit, in diameters
+_LONGER = 2.5  # maximum length of the gap relative to its shortest length
+# In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
+# to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE, _STANDS_OUT, _ROUGH, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
-_PLANE_READINGS = 2000  # more tell no more of a plane
-# Of 48 real fruit with true depth one detection that is no fruit passes these limits; moved by a
-# radius, about half do before an open background, and none where all around is as near.
+_PLANE_READINGS = 2000  # more readings do not improve the plane
+# Among 48 real fruit with correct depth, one false detection exceeds these limits. With masks moved
+# by a radius, about half do before a distant background, and none among objects at equal distance.
 _NEAREST_PERCENT, _NEAR_RADII = 20, 1.3
 _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.5, 0.3
-_GAP_SHARE = 0.8  # of the gap's readings
+_GAP_SHARE = 0.8  # share of the readings in the gap
 
 
 def depth_doubts(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], focal_px: float
 ) -> tuple[Flag, ...]:
-    """Return why depth in a fruit's mask cannot be its distance.
+    """Return flags for depth that cannot be the distance of a fruit.
 
     Parameters
     ----------
@@ -56,11 +56,12 @@ def depth_doubts(
     Returns
     -------
     tuple of Flag
-        'depth-too-near': the fruit is nearer than any camera reads. 'depth-hollow': its middle lies
-        behind its flanks, and itself behind what surrounds it, as where nearer is larger.
-        'depth-gap': the mask is of several parts, and what lies between them is clearly behind,
-        so that they are no one fruit. 'depth-unaligned': nothing stands out from the plane around
-        the mask, or the mask fits what is near in depth far better at another place.
+        'depth-too-near': the fruit is nearer than the minimum distance of any camera.
+        'depth-hollow': its middle lies behind its flanks, and the fruit behind its surroundings,
+        as in inverted depth. 'depth-gap': the mask has several parts, and the background between
+        them is clearly farther away, so that they are different fruit. 'depth-unaligned': the fruit
+        does not stand out from the plane around it, or the mask fits the near depth much better at
+        another position.
 
     Examples
     --------
@@ -84,9 +85,9 @@ def depth_doubts(
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A fruit in the part of the picture around it, as far as its shorter side beyond it.
+    """A fruit in a window of the picture, extended by the shorter side of the fruit.
 
-    Distances from the outline, inside and outside it, are in pixels.
+    Distances from the outline, inside and outside, are in pixels.
     """
 
     depth_m: NDArray[np.float32]
@@ -124,7 +125,7 @@ class _Body:
 
 
 def _is_hollow(body: _Body) -> bool:
-    """Return whether a mask's middle lies behind its flanks, and what is around lies before it."""
+    """Return whether a mask's middle lies behind its flanks, and its surroundings are nearer."""
     share = body.inside_px / body.radius_px
     middle = body.depth_m[body.read & (share >= _MIDDLE)]
     flank = body.depth_m[body.read & (share >= _FLANK[0]) & (share <= _FLANK[1])]
@@ -141,14 +142,14 @@ def _is_hollow(body: _Body) -> bool:
 
 
 def _median_error(values: NDArray[np.float32]) -> float:
-    """Return the standard error of a median, by the values' median deviation."""
+    """Return the standard error of a median, from the median absolute deviation."""
     return 1.2533 * _robust_sd(values) / float(np.sqrt(values.size))
 
 
 def _has_gap(body: _Body) -> bool:
-    """Return whether what lies between a mask's parts, along its axis, is clearly behind them.
+    """Return whether the depth between a mask's parts, along its axis, is clearly larger.
 
-    Parts are its pieces, or what a waist parts: fruit end to end in one outline.
+    Parts are connected components, or sections on both sides of a waist (two fruit end to end).
     """
     width_px = 2.0 * body.radius_px
     limit_m = body.distance_m + _GAP_BEHIND * 2.0 * body.radius_m
@@ -163,7 +164,7 @@ def _has_gap(body: _Body) -> bool:
 
 
 def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
-    """Return a mask's large parts, numbered from 1, 0 elsewhere; None if it has one alone."""
+    """Return a mask's large parts, numbered from 1, 0 elsewhere; None if there is only one."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
@@ -175,7 +176,7 @@ def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
 
 
 def _grown(parts: NDArray[np.uint8], mask: NDArray[np.bool_], width_px: float) -> NDArray[np.uint8]:
-    """Return parts grown to the outline again, by what they had been worn off."""
+    """Return eroded parts, grown back to the outline."""
     import cv2
 
     reach_px = 2 * round(_WAIST * width_px / 2) + 1
@@ -184,14 +185,14 @@ def _grown(parts: NDArray[np.uint8], mask: NDArray[np.bool_], width_px: float) -
 
 
 def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
-    """Return the pixels with one part before them along the parts' axis and another after."""
+    """Return the pixels that lie between two parts along the axis of the parts."""
     import cv2
 
     points = np.argwhere(parts)[:, ::-1].astype(np.float64)
     centre = points.mean(axis=0)
     x, y = np.linalg.eigh(np.cov((points - centre).T))[1][:, 1]
     reach = int(np.abs(points - centre).max() * 1.5) + 2
-    # To a picture in which the axis runs down the columns, and back.
+    # Rotate so that the axis runs along the columns, and back.
     turned = np.array([[y, -x, reach], [x, y, reach]], np.float64)
     turned[:, 2] -= turned[:, :2] @ centre
     size, nearest = (2 * reach, 2 * reach), cv2.INTER_NEAREST
@@ -200,11 +201,11 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     before = np.take_along_axis(upright, above, axis=0)
     after = np.take_along_axis(upright, below, axis=0)
     gap = (upright == 0) & (before > 0) & (after > 0) & (before != after)
-    # Beside the inner side of a bend the way from part to part is long and outside the fruit.
+    # On the inner side of a bend, the path between the parts is long and outside the fruit.
     long_px = below - above
     shortest_px = long_px.min(where=gap, initial=len(upright))
     gap &= long_px <= max(_LONGER * shortest_px, width_px)
-    # Edges of both parts read as something between: a pixel of each is left out.
+    # Depth at the edges is a mixture: one pixel of each part is omitted.
     gap = cv2.erode(gap.astype(np.uint8), np.ones((3, 1), np.uint8))
     height, width = parts.shape
     gap_in_picture = cv2.warpAffine(
@@ -220,7 +221,7 @@ def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
 
 
 def _is_flat(body: _Body) -> bool:
-    """Return whether a mask lies in the plane of what surrounds it, so that no body is there."""
+    """Return whether a mask lies in the plane of its surroundings, so that it is no body."""
     outside = body.outside_px / body.radius_px
     around = body.read & (outside > _PLANE[0]) & (outside < _PLANE[1])
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
@@ -241,7 +242,7 @@ def _is_flat(body: _Body) -> bool:
 
 
 def _with_one(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return (u, v, 1) of a mask's pixels."""
+    """Return the homogeneous coordinates (u, v, 1) of a mask's pixels."""
     v, u = np.nonzero(mask)
     return np.stack([u, v, np.ones(len(u))], axis=1).astype(np.float64)
 
@@ -251,10 +252,10 @@ def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
 
 
 def _is_beside(body: _Body) -> bool:
-    """Return whether the mask, moved, holds what is near and is bordered by what is behind.
+    """Return whether the mask fits the depth much better at a shifted position.
 
-    The score of a place is the mean inside less the mean around of +1 for near and -1 for behind,
-    of what is read; it is 2 for a fruit that stands free.
+    The score of a position is the mean inside the mask minus the mean around it, where near
+    readings count +1 and far ones -1; it is 2 for a free-standing fruit.
     """
     import cv2
 
@@ -264,10 +265,10 @@ def _is_beside(body: _Body) -> bool:
     if readings_m.size < _MIN_READINGS:
         return False
     near_m = float(np.percentile(readings_m, _NEAREST_PERCENT))
-    # Radii at the nearest distance, not at the mask's: there it may be of something else.
+    # Radii at the nearest distance, because the distance at the mask may be that of another object.
     limit_m = near_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
     behind = np.where(body.read, np.where(body.depth_m < limit_m, 1.0, -1.0), 0.0)
-    # Six pixels a radius are enough to find where they lie together.
+    # Six pixels per radius are enough to find the best position.
     scale = min(1.0, _RADIUS_PX / body.radius_px)
     size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
     values, is_read, shape = (
@@ -280,7 +281,7 @@ def _is_beside(body: _Body) -> bool:
     best = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
     moved = np.abs(best - _SHIFTS)
     better = float(scores[tuple(best)] - scores[_SHIFTS, _SHIFTS])
-    # A best place at the border of the search may be any other thing.
+    # A best position at the border of the search may belong to another object.
     return bool(
         scores.max() >= _ALIGNED
         and better >= _BETTER
@@ -292,7 +293,7 @@ def _is_beside(body: _Body) -> bool:
 def _mean_under(
     values: NDArray[Any], is_read: NDArray[Any], weights: NDArray[Any]
 ) -> NDArray[np.float32]:
-    """Return the mean of what is known under weights, for each shift up to `_SHIFTS` pixels."""
+    """Return the weighted mean of the readings for each shift up to `_SHIFTS` pixels."""
     import cv2
 
     sums, counts = (

@@ -11,19 +11,22 @@ if TYPE_CHECKING:
 
 _DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
 
-_WAVES_RMS_PX = 0.17  # what goes on over longer ways: 0.19 pixels together
+_WAVES_RMS_PX = 0.17  # correlated over longer distances; 0.19 pixels in total
 
-_WAVE_SIGMA_PX = 5.0  # of the Gaussian that makes them smooth, in the depth camera's pixels
+_WAVE_SIGMA_PX = 5.0  # sigma of their smoothing, in pixels of the depth camera
 
 _MOST_WAVES = 48
 
-_SKIN_RMS_M = 0.0005  # and of a glossy or dark skin, however near it is
+_SKIN_RMS_M = 0.0005  # additional error of a glossy or dark skin at any distance
 
-_EDGE_STEP_M, _EDGE_SIGMA_PX = 0.2, 3.6  # what lies behind, and the blur of the matching window
+_EDGE_STEP_M, _EDGE_SIGMA_PX = (
+    0.2,
+    3.6,
+)  # depth step to the background, and blur of the matching window
 
-_KNOT_STEP = 1.4  # between knots, in sigmas
+_KNOT_STEP = 1.4  # distance between knots, in sigmas
 
-_DEPTH_FOCAL_RATIO = 0.69  # of a D435's depth camera to its colour camera
+_DEPTH_FOCAL_RATIO = 0.69  # focal length of the depth camera relative to the colour camera, D435
 
 _BASELINE_M = 0.050
 
@@ -47,9 +50,9 @@ def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float
 
 
 def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return how far a reading may be drawn to what lies behind, metres, by its place in the mask.
+    """Return the possible depth error towards the background, metres, by distance from the outline.
 
-    A matching window that reaches over a small step of disparity reads something between.
+    A matching window across a small disparity step gives a value in between.
 
     Parameters
     ----------
@@ -69,12 +72,12 @@ def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
 def noise_waves(
     pixels: NDArray[np.intp], far_m: NDArray[np.float64], focal_px: float
 ) -> NDArray[np.float64]:
-    """Return what each of some waves does to the depth of each point.
+    """Return the effect of each wave of smooth depth noise on each point.
 
-    A matcher's errors are smooth over a dozen pixels, so that a small fruit is moved and tilted
-    as a whole. White noise at knots, blurred by a Gaussian, has the same covariance. On a large
-    fruit the knots lie wider apart and the waves are lower, so that the long ones, which alone
-    tilt it, keep their strength.
+    Stereo matching errors are smooth over a dozen pixels, so that a small fruit is shifted and
+    tilted as a whole. White noise at knots, blurred by a Gaussian, has the same covariance. On a
+    large fruit, the knots are farther apart and the waves lower, so that the long waves, which
+    tilt the fruit, keep their amplitude.
 
     Parameters
     ----------
@@ -88,7 +91,7 @@ def noise_waves(
     Returns
     -------
     ndarray of float64, shape (N, W)
-        Metres, for waves of standard deviation 1; about `_MOST_WAVES` at most.
+        Metres, for amplitudes of standard deviation 1; at most about `_MOST_WAVES` waves.
 
     Examples
     --------

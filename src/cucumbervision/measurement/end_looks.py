@@ -1,4 +1,4 @@
-"""What a look at both ends of a measured fruit adds to it."""
+"""Add the evaluation of both ends by a network to measured fruit."""
 
 from __future__ import annotations
 
@@ -40,26 +40,25 @@ def with_end_looks(
     scale_known: bool = False,
     models: IntervalModels | None = None,
 ) -> list[FruitMeasurement]:
-    """Return the fruit of a capture with what their ends look like, seen in one batch.
+    """Return the fruit of a capture with the evaluation of their ends, computed in one batch.
 
-    Their intervals are computed again. A fruit whose end may go on out of sight is flagged with
-    where that end is in the picture, unless another flag says already that its length is a lower
-    bound.
+    Intervals are computed again. A fruit whose end may continue out of sight is flagged with the
+    position of that end in the picture, unless it has another flag for a lower bound.
 
     Parameters
     ----------
     capture : Capture
         The frame.
     fruit : sequence of FruitMeasurement
-        Those that M6 did not measure, or whose masks no network drew, are returned as they are.
+        Fruit without M6, or with masks that no network drew, are returned unchanged.
     look : callable
-        What looks.
+        Evaluates crops of ends.
     definition : LengthDefinition
-        Which length, as for `measure_fruit`.
+        Definition of length, as for `measure_fruit`.
     scale_known : bool
-        Whether the camera's depth scale is known, likewise.
+        Whether the camera's depth scale is known, as for `measure_fruit`.
     models : IntervalModels, optional
-        The package's own if not given.
+        Interval models; by default those of the package.
     """
     tubes = {k: tube for k, measured in enumerate(fruit) if (tube := _tube(measured)) is not None}
     if not tubes:
@@ -124,7 +123,7 @@ def _looked_at(
 
 
 def end_flag(outward_px: NDArray[np.float64]) -> Flag:
-    """Return the flag of a doubtful end by the direction in the picture out of the fruit there.
+    """Return the flag of a doubtful end by its outward direction in the picture.
 
     Examples
     --------

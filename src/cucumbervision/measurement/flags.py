@@ -1,4 +1,4 @@
-"""What else to know of a measurement: one table of all flags, from which words and rules come."""
+"""The table of flags of a measurement, with their texts and effects."""
 
 from __future__ import annotations
 

@@ -21,27 +21,30 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import Measurement
 
 _STEP_M, FARTHEST_M = 0.002, 0.40
-_NEARER_M = 0.005  # what is nearer than the end by this covers it
+_NEARER_M = 0.005  # an object nearer than the end by more covers it
 # Depth bleeds some pixels beyond a fruit's edge, and stalk and flower are as near as the fruit. An
-# end is covered where most of what lies just beyond it is nearer than the fruit's own surface.
+# end is covered if most readings just beyond it are nearer than the surface of the fruit.
 _RING_PX, _AHEAD = (3.0, 12.0), 0.5  # beyond the end; cosine: within 60 degrees of straight ahead
 _IN_FRONT_M, _IN_FRONT_SD, _COVERED_SHARE = 0.006, 3.0, 0.5
 _LEAST_READINGS = 5
-_SEEN_SD, _REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
+_SEEN_SD, _REACH_SD_M = (
+    0.03,
+    0.01,
+)  # softness of both limits: relative to the visible length, and in metres
 _LEVEL = 0.9
 _GRID = 400
 
 
 @dataclass(frozen=True)
 class GirthRelation:
-    """How a fruit's length goes with its girth: log length = a + b log diameter, in metres.
+    """Relation of length and girth: log length = a + b log diameter, in metres.
 
     Parameters
     ----------
     log_length, slope : float
         a and b.
     spread : float
-        Standard deviation of the logarithm about that.
+        Standard deviation of the logarithm of the length.
     """
 
     log_length: float
@@ -49,7 +52,7 @@ class GirthRelation:
     spread: float
 
     def beyond(self, length_m: float, diameter_m: float) -> float:
-        """Return how far a length lies above the usual one, in the logarithm's deviations.
+        """Return how far a length exceeds the usual one, in standard deviations of the logarithm.
 
         Examples
         --------
@@ -66,14 +69,14 @@ DRAWN_KINDS = GirthRelation(5.36, 2.16, 0.30)
 
 @dataclass(frozen=True)
 class HiddenLength:
-    """The length of a fruit of which an end is hidden.
+    """The length of a fruit with a hidden end.
 
     Parameters
     ----------
     seen_m : float
-        What is seen of it, metres.
+        Visible length, metres.
     median_m, low_m, high_m : float
-        Of the whole fruit: the median, and the 90 % interval.
+        Median and 90 % interval of the whole length, metres.
     """
 
     seen_m: float
@@ -84,15 +87,15 @@ class HiddenLength:
 
 @dataclass(frozen=True)
 class BeyondEnd:
-    """What lies beyond one end of a body, within 60 degrees of straight ahead.
+    """Depth beyond one end of a body, within 60 degrees of its direction.
 
     Parameters
     ----------
     covered : bool
-        Whether most of what lies just beyond it is nearer than the fruit.
+        Whether most readings just beyond the end are nearer than the fruit.
     behind : float
-        Share of the pixels up to a radius beyond it that are read clearly behind the fruit, 0 to
-        1: a fruit that went on there would be seen.
+        Share of the pixels up to a radius beyond the end whose depth is clearly behind the fruit,
+        0 to 1: a fruit that continued there would be visible.
     """
 
     covered: bool = False
@@ -104,13 +107,13 @@ def with_hidden_end(
 ) -> Measurement:
     """Return an M6 measurement with the distribution of the whole length, if it can be estimated.
 
-    That is where one end is hidden, and by something in the picture: of both ends, or of what
-    the picture's edge cuts off, nothing honest is known but the lower bound.
+    This requires that exactly one end is hidden, by an object in the picture. With two hidden ends,
+    or a fruit cut by the edge of the picture, only the lower bound is known.
 
     Parameters
     ----------
     measured : Measurement
-        By M6.
+        Measurement of M6.
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour.
     intrinsics : Intrinsics
@@ -135,7 +138,7 @@ def beyond_ends(
     centres_m: NDArray[np.float64],
     radii_m: NDArray[np.float64],
 ) -> tuple[BeyondEnd, BeyondEnd]:
-    """Return what lies beyond the first and the last end of a body.
+    """Return the depth beyond the first and the last end of a body.
 
     Parameters
     ----------
@@ -146,7 +149,7 @@ def beyond_ends(
     intrinsics : Intrinsics
         The colour stream's.
     centres_m, radii_m : ndarray of float64, shape (K, 3) and (K,)
-        The fitted body's balls in order, camera coordinates.
+        Centres and radii of the fitted body in order, camera coordinates.
 
     Examples
     --------
@@ -207,7 +210,7 @@ def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 def covered_reach(
     depth_m: NDArray[np.float32], intrinsics: Intrinsics, axis_m: NDArray[np.float64], end: int
 ) -> float | None:
-    """Return how far beyond an end the fruit could go on unseen, metres.
+    """Return how far a fruit could continue unseen beyond an end, metres.
 
     Parameters
     ----------
@@ -223,8 +226,8 @@ def covered_reach(
     Returns
     -------
     float or None
-        Along the axis' direction there, until something farther than the fruit is seen; what has
-        no reading may hide it. None where it could leave the picture unseen.
+        Distance along the direction of the axis to the first reading behind the fruit; pixels
+        without a reading may hide it. None if it could leave the picture unseen.
 
     Examples
     --------
@@ -259,18 +262,18 @@ def covered_reach(
 def hidden_length(
     seen_m: float, diameter_m: float, reach_m: float, relation: GirthRelation = DRAWN_KINDS
 ) -> HiddenLength:
-    """Return the whole length's distribution.
+    """Return the distribution of the whole length.
 
     Parameters
     ----------
     seen_m : float
-        Length of what is seen.
+        Visible length, metres.
     diameter_m : float
         The largest diameter.
     reach_m : float
-        How far it could go on unseen, both ends together (`covered_reach`).
+        How far it could continue unseen at both ends together, metres (`covered_reach`).
     relation : GirthRelation
-        What its girth says of its length.
+        Relation of length and girth.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The interval of a length: what it depends on, and the models that give it."""
+"""Intervals of lengths: features and models."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ PERCEIVED = " perceived"
 LOOKED = " looked"
 """Behind these, of models for fruit at whose ends a network looked."""
 
-FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
+FLOOR = 1e-4  # of the length: minimum relative sigma
 
 
 @dataclass(frozen=True)
 class Band:
-    """What calibration fruit of one group showed.
+    """Errors of the calibration fruit of one group.
 
     Parameters
     ----------
     bias : float
         Median log error.
     low_quantile, high_quantile : float
-        Conformal quantiles of (log error - bias) / sigma to either side, each missed by half
-        of 1 - level; a method that reads short has a long lower side. Scale known.
+        Conformal quantiles of (log error - bias) / sigma on both sides, each with a miss rate of
+        (1 - level) / 2, for a known depth scale. A method that reads short has a long lower side.
     count : int
         Calibration readings behind the quantiles.
     """
@@ -68,20 +68,20 @@ class IntervalModel:
     method : str
         The method.
     level : float
-        The level at which the quantiles were taken.
+        Level of the quantiles.
     features : tuple of str
         Names of the features.
     weights : tuple of float
-        c0 and one weight a feature, of log(relative sigma).
+        Constant and one weight per feature, for log(relative sigma).
     bands : dict of str to Band
-        By group (`feature_groups`): '' for all, '1' and '1-0' for those alike in the first of
-        the `edges`, and so on.
+        Bands by group (`feature_groups`): '' for all fruit, '1' and '1-0' for subgroups by the
+        first and second of the `edges`, and so on.
     edges : tuple of (str, tuple of float)
-        Features by which fruit are grouped, and where one group ends (Mondrian conformal
-        prediction; Vovk et al. 2005): within each group the interval covers by itself.
+        Features by which fruit are grouped, with the limits of the groups (Mondrian conformal
+        prediction; Vovk et al. 2005): the interval has its coverage within each group.
     missing : str
-        Feature that holds how much longer the fruit is expected to be, as a logarithm; empty where
-        nothing tells.
+        Feature with the logarithm of the expected ratio of true to measured length; empty if there
+        is none.
     """
 
     method: str
@@ -191,7 +191,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         "end_hidden": float(Flag.END_HIDDEN in fit.flags),
         "end_on": float(Flag.END_ON in fit.flags),
         "poor_fit": float(Flag.POOR_FIT in fit.flags),
-        # What a fruit shows that goes on behind something, though nothing is known to cover it.
+        # Signs of a fruit that continues behind an object which depth does not show.
         "closed": 1.0 - min(fit.ends_open),
         "flare": float(np.log(widest / np.median(fit.traits.diameter_m))),
         "girth": DRAWN_KINDS.beyond(tube.centreline_m, widest),
@@ -201,10 +201,10 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
 
 
 def asks_the_look(features: Mapping[str, float]) -> bool:
-    """Return whether a fruit's interval depends on the look at its ends.
+    """Return whether a fruit's interval depends on the evaluation of its ends.
 
-    Where depth shows the background beyond both ends it tells that they are the fruit's own better
-    than any look.
+    If depth shows the background beyond both ends, the ends are true, and the network is not
+    needed.
 
     Examples
     --------
@@ -215,7 +215,7 @@ def asks_the_look(features: Mapping[str, float]) -> bool:
 
 
 def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
-    """Return the features of what both ends of a fruit look like.
+    """Return the features of the evaluation of both ends of a fruit.
 
     Examples
     --------
@@ -245,7 +245,7 @@ def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, f
     Parameters
     ----------
     length_m, distance_m : float
-        The length as measured, and the fruit's median depth, metres.
+        Measured length, and median depth of the fruit, metres.
     fill : float
         Share of the mask's (or box's) pixels with a reading, 0 to 1.
 
@@ -264,16 +264,16 @@ def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, f
 def mask_features(
     source: MaskSource | None, flags: Sequence[Flag], confidence: float = 1.0
 ) -> dict[str, float]:
-    """Return the features that tell who drew the mask that was measured, and what it lacks.
+    """Return the features of the measured mask: its source, and what is missing.
 
     Parameters
     ----------
     source : MaskSource, optional
-        Who drew it; None without one.
+        Source of the mask; None without a mask.
     flags : sequence of Flag
-        What else is known of the fruit.
+        Flags of the fruit.
     confidence : float
-        The detection's: parts of fruit and merged ones have a low one.
+        Confidence of the detection; it is low for parts of fruit and merged fruit.
 
     Examples
     --------
@@ -282,7 +282,7 @@ def mask_features(
     >>> [name for name, value in mask_features(MaskSource.SAM, [Flag.END_HIDDEN]).items() if value]
     ['perceived', 'certainty', 'goes_on']
     """
-    # Given keypoints are the truth's own, as no network's are: they shall tell nothing here.
+    # Keypoints of a data set are true, unlike those of a network: they must not matter here.
     is_labelled = source is MaskSource.DATASET
     goes_on = not is_labelled and not LOWER_BOUND.isdisjoint(flags)
     return {
@@ -291,15 +291,17 @@ def mask_features(
         "own_mask": float(source is MaskSource.DETECTOR),
         "cut": float(Flag.CUT_BY_FRAME in flags),
         "goes_on": float(goes_on),
-        # Of a fruit that goes on out of sight the keypoints' ends are guesses.
+        # The end keypoints of a fruit that continues out of sight are guesses.
         "ends_disagree": float(not (is_labelled or goes_on) and Flag.ENDS_DISAGREE in flags),
     }
 
 
-WIDEST = 4.0  # an interval from half to twice a length says nothing
+WIDEST = 4.0  # an interval from half to twice a length is useless
 
 SCALE_SD = 0.01  # of an uncalibrated D4xx: the data sheet allows 2 % at 2 m
-REAL_SD = 0.010  # what real fruit err that drawn ones do not: `benchmarks/real_cucumbers.py`
+REAL_SD = (
+    0.010  # additional error of real fruit over simulated ones: `benchmarks/real_cucumbers.py`
+)
 
 _SHIPPED = Path(__file__).with_name("interval_models.json")
 
@@ -311,13 +313,13 @@ class IntervalModels:
     Parameters
     ----------
     level : float
-        The level of every interval.
+        Level of all intervals.
     models : dict of str to IntervalModel
-        Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord': on masks that were
-        given. The same with ' perceived' behind them: on what networks draw, which errs otherwise;
-        and with ' perceived looked' for fruit at whose ends a network looked (`asks_the_look`).
+        Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord', for masks of a data
+        set. With the suffix ' perceived': for masks of networks, which have other errors; with
+        ' perceived looked': for fruit whose ends a network evaluated (`asks_the_look`).
     fruit : int
-        Simulated fruit behind them.
+        Number of simulated calibration fruit.
     """
 
     level: float
@@ -327,7 +329,7 @@ class IntervalModels:
     def interval(
         self, key: str, length_m: float, features: Mapping[str, float], more_sd: float = 0.0
     ) -> tuple[float, float] | None:
-        """Return the interval of a length; None where there is no model of that key.
+        """Return the interval of a length; None without a model for the key.
 
         Parameters
         ----------
@@ -354,7 +356,7 @@ def read_interval_models(path: Path) -> IntervalModels:
     Raises
     ------
     ModelError
-        If the file is none.
+        If the file is missing or invalid.
     """
     content = read_json(path, ModelError, "reinstall the package")
     with wrap_reader_errors(path, ModelError, "reinstall the package"):
@@ -384,26 +386,26 @@ def with_interval(
     Parameters
     ----------
     length : Length
-        Of the fitted tube, or the raw length of M1 to M5; the interval of a raw length is about
-        the centreline, since a chord or an arc of the visible surface is not the fruit's length.
+        Length of the fitted tube, or raw length of M1 to M5. The interval of a raw length is that
+        of the centreline, since a chord or an arc of the visible surface is not the fruit's length.
     measurement : Measurement
-        Where the length is from.
+        The measurement of the length.
     distance_m, fill : float
         Median depth, and share of pixels with a reading, of the mask or box.
     mask : mapping of str to float
-        What is known of the mask (`mask_features`).
+        Features of the mask (`mask_features`).
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length.
     models : IntervalModels, optional
-        The package's own if not given.
+        Interval models; by default those of the package.
 
     Returns
     -------
     length : Length
-        With its interval, where there is a model of that length; of a fruit that the picture's edge
-        cuts nothing is known but that it is longer.
+        The length with its interval, if there is a model for it; a fruit cut by the edge of the
+        picture has none, because only a lower bound is known.
     narrow : bool
-        False where the interval would span more than a factor of four and is left out.
+        False if the interval would span more than a factor of four and is therefore omitted.
     """
     if mask["cut"]:
         return length, True
@@ -419,7 +421,7 @@ def with_interval(
     )
     if bounds is None:
         return length, True
-    # A method that reads short is expected beyond what it read: the length bounds the interval too.
+    # For a method that reads short, both ends may exceed the length: extend the interval to it.
     low_m, high_m = min(bounds[0], length.value_m), max(bounds[1], length.value_m)
     if high_m > WIDEST * low_m:
         return length, False

@@ -51,7 +51,7 @@ def measure_m1(
     -----
     The paper's M1 (Eq. 1). For a fruit at angle t in the picture, before a backdrop at its own
     depth, it tends to L cos t; before empty or far space the lines leave the fruit and it reads
-    far less. That is the method's known error and is kept.
+    far less. This known error of the method is kept.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
     >>> u.shape, u[0, :3].tolist(), v[:, 0].tolist()
     ((3, 13), [0.0, 2.0, 4.0], [2.0, 4.0, 6.0])
     """
-    # The longer side: 0 where the box is wide, 1 where it is high.
+    # Axis of the longer side: 0 for a wide box, 1 for a high one.
     side = int(box[3] - box[1] > box[2] - box[0])
     across_axis = 1 - side
     along = np.linspace(box[side], box[side + 2], _SAMPLES)

@@ -52,9 +52,9 @@ def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
     Parameters
     ----------
     cloud : AlignedCloud
-        Behind the gate.
+        The cloud after the depth gate.
     method : MethodName
-        The method in whose name it measures.
+        Name of the method in the result.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -
         The mask's pixels with a valid reading, deprojected
         (`measurement.cloud.masked_points`), metres.
     cloud : AlignedCloud, optional
-        The same points behind the gate, where that is known already.
+        The same points after the depth gate, if already computed.
 
     Returns
     -------

@@ -36,7 +36,7 @@ def measure_m5(mask_points_m: NDArray[Any], aligned: AlignedCloud | None = None)
         The mask's pixels with a valid reading, deprojected
         (`measurement.cloud.masked_points`), metres.
     aligned : AlignedCloud, optional
-        The same points behind the gate, where that is known already.
+        The same points after the depth gate, if already computed.
 
     Returns
     -------

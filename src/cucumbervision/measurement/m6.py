@@ -47,35 +47,35 @@ _MARGIN_PX = 8
 
 _RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
 
-_MIN_PIECE = 0.02  # pieces of the mask below this share of it are specks
+_MIN_PIECE = 0.02  # smaller pieces, relative to the mask, are specks
 
 _QUANTUM_M = 0.001
 
-# Stereo noise and outline errors are smooth over some pixels: how many count as one reading.
+# Stereo noise and outline errors are correlated: pixels that count as one independent reading.
 _POINT_AREA_PX = 100.0
 
 _OUTLINE_RUN_PX = 6.0
 
-_CRACKS_A_PIXEL = 4 / np.pi  # of outline, averaged over its directions
+_CRACKS_A_PIXEL = 4 / np.pi  # cracks per pixel of outline, averaged over directions
 
-_NEARER_M, _NEARER_SD = 0.003, 2.0  # what across the outline is an occluder, and no noise
+_NEARER_M, _NEARER_SD = 0.003, 2.0  # depth step across the outline that indicates an occluder
 
 
 @dataclass(frozen=True, eq=False)
 class TubeView:
-    """One fruit's evidence.
+    """The depth and outline of one fruit in one view, for fitting a tube.
 
     Parameters
     ----------
     evidence : Evidence
-        Depth points off the outline, and rays through the fruit's own outline: not where something
-        nearer covers it, not at the picture's edge.
+        Depth points away from the outline, and rays through the fruit's own outline, without parts
+        at occluders and at the edge of the picture.
     grid_rays : ndarray of float64, shape (G, 3)
         Unit directions of a coarse grid over the fruit's window.
     grid_mask : ndarray of bool, shape (G,)
-        Which of them belong to the mask.
+        Whether each of them belongs to the mask.
     grid_depth_m : ndarray of float64, shape (G,)
-        The depth there; 0 where there is none.
+        Depth along each of them; 0 for no reading.
     fill : float
         Share of the mask's pixels with a depth reading.
     focal_px : float
@@ -96,7 +96,7 @@ class TubeView:
 
     @property
     def surface_m(self) -> NDArray[np.float64]:
-        """Points over the whole mask, to start from: where depth is missing, a plane's.
+        """Initial points over the whole mask; missing depth is filled by a plane.
 
         Shape (K, 3), camera coordinates, metres.
         """
@@ -124,7 +124,7 @@ def view_tube(
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour.
     mask : ndarray of bool, shape (H, W)
-        The fruit's pixels; pieces below 2 % of them are left out.
+        The fruit's pixels; pieces smaller than 2 % are ignored.
     intrinsics : Intrinsics
         The colour stream's.
 
@@ -169,7 +169,7 @@ def view_tube(
 
 @dataclass(frozen=True)
 class _Lens:
-    """The camera as seen from a window's corner."""
+    """Intrinsics relative to the corner of a window."""
 
     intrinsics: Intrinsics
     left_px: int
@@ -182,7 +182,7 @@ class _Lens:
 
 
 def _from_rim(part: NDArray[np.bool_]) -> NDArray[np.float32]:
-    # The picture's edge is no outline.
+    # The edge of the picture is not an outline.
     return distances_inside(np.pad(part, 1, mode="edge"))[1:-1, 1:-1]
 
 
@@ -204,7 +204,7 @@ def _points(
     import cv2
 
     size = 2 * _RIM_PX + 1
-    # The picture's edge is no outline: pixels there are as good as any.
+    # The edge of the picture is not an outline: pixels there are not eroded.
     kernel = np.ones((size, size), np.uint8)
     core = (cv2.erode(part.astype(np.uint8), kernel, borderValue=1) > 0) & (z > 0)
     area = int(np.count_nonzero(core))
@@ -223,7 +223,7 @@ def _rays(
     points, outward = outline_cracks(part)
     inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
     noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
-    # Comparisons with NaN are False: without a reading on both sides nothing is known to cover.
+    # Comparisons with NaN are False: without readings on both sides, no occluder is assumed.
     outline = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
     long_px = len(outline) / _CRACKS_A_PIXEL
     sample = np.linspace(0, len(outline) - 1, min(len(outline), _OUTLINE_POINTS)).astype(np.intp)
@@ -236,23 +236,29 @@ _MIN_RAYS = 20
 _BALLS = 128
 _RANGE_M = (0.02, 1.0)
 _OUTLINE_SD_PX = 0.7
-_MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
+_MIN_EXPLAINED = 0.5  # minimum share of the mask that a tube must cover
 _GOOD_EXPLAINED, _GOOD_OUTLINE = 0.9, 0.1
 _ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 _MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 # Two fruit in one outline overlap their tube by 0.72 to 0.82, 47 real fruit by 0.84 to 0.99.
 _LEAST_OVERLAP = 0.83
-_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
-_FULL_OVERLAP = 0.97  # less, and a middle line longer than the fit: a hook cut short
-_LEAST_SEEN = 6  # readings that such a start needs
-_SPARSE_FILL = 0.5  # below it most depth is missing: the fruit is nearer than the sensor sees
+_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = (
+    0.9,
+    0.004,
+    4.0,
+)  # outside these limits, other initial shapes are tried
+_FULL_OVERLAP = 0.97  # below it, with a middle line longer than the fit, a hook may be cut short
+_LEAST_SEEN = 6  # readings needed for these initial shapes
+_SPARSE_FILL = 0.5  # below it, most depth is missing: the fruit is nearer than the sensor's range
 
-# Then a few wrong readings make the misfit, and they decide less: shares of it, of the silhouette.
+# Then few wrong readings dominate the misfit, and count less: tolerances of misfit and silhouette.
 _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
-_STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
+_STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and too long for the girth
 PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
-_SMOOTH_PX = 1.5  # of the outline; a detector's mask of a bend whose hollow it fills has 5
+_SMOOTH_PX = (
+    1.5  # roughness of the outline; a detector's mask that fills the hollow of a bend has 5
+)
 
 
 def measure_m6(
@@ -262,8 +268,8 @@ def measure_m6(
 
     A smooth curve with a radius along it and round ends, fitted to the mask's depth points and
     to the rays through its outline at once (`geometry.tube_fit`), each weighted by its own
-    error: depth by the sensor's noise at that distance. Outline that borders something nearer
-    is left out, so a stretch behind a leaf is bridged; there is no depth gate.
+    error: depth by the sensor's noise at that distance. The outline along nearer objects is
+    ignored, so that a part behind a leaf is bridged; there is no depth gate.
 
     Parameters
     ----------
@@ -305,14 +311,14 @@ def measure_m6(
 
 
 def fits_well(measured: Measurement) -> bool:
-    """Return whether a tube fits its mask so well that no other mask of the fruit is needed.
+    """Return whether a tube fits the mask so well that no other mask is needed.
 
-    A mask whose outline is rough, or that no tube covers, has lost or added something.
+    A rough outline, or a mask that no tube covers, indicates missing or added parts.
 
     Parameters
     ----------
     measured : Measurement
-        Of `measure_m6`.
+        Result of `measure_m6`.
 
     Examples
     --------
@@ -334,7 +340,7 @@ def fits_well(measured: Measurement) -> bool:
 
 
 def fit_view(view: TubeView) -> TubeFitting | Reason:
-    """Return the tube that fits a view best, or why there is none."""
+    """Return the best-fitting tube of a view, or the reason why there is none."""
     if len(view.evidence.points_m) < _MIN_POINTS:
         return Reason.TOO_FEW_POINTS
     if len(view.evidence.rays) < _MIN_RAYS:
@@ -353,7 +359,7 @@ def _best_fit(view: TubeView) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
     level = near_depths(surface)
     fits = [fit_shape(evidence, guess_shape(surface, level))]
-    # What lies off the plane is background, or the far part of a hook.
+    # Points off the plane are background, or the far part of a hook.
     guesses = [guess_shape(surface)] if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT else []
     first = fits[0]
     overlap = _coverage(view, first.shape)[2]
@@ -373,15 +379,14 @@ def _best_fit(view: TubeView) -> TubeFitting:
         bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
         if bent is not None and (unsure or bent.length_m > first.shape.length_m):
             guesses.append(bent)
-    # A guess that runs into the background is longer than any fruit, and no step brings it back.
+    # A guess that extends into the background is longer than any fruit and does not converge.
     fits += [fit_shape(evidence, guess) for guess in guesses if guess.length_m <= _RANGE_M[1]]
     return _better(view, fits) if len(fits) > 1 else first
 
 
 def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
-    # A mask that is clearly better covered decides; then what fits better; and of two that fit
-    # alike the flatter one, which is what a hanging fruit is, or where most depth is missing the
-    # one that is more evenly thick.
+    # Clearly better coverage of the mask decides, then the misfit. Of two equal fits, the flatter
+    # one is taken, as fruit hang; if most depth is missing, the one of more even thickness.
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
     least_overlap = max(overlap) - (_SPARSE_BETTER if view.sparse else _CLEARLY_BETTER)
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
@@ -398,8 +403,8 @@ def _unevenness(fit: TubeFitting) -> float:
 
 
 def _runs_away(fit: TubeFitting) -> bool:
-    # Along the view, where the outline says nothing of the length, readings of what lies behind
-    # draw a body out; then only its girth tells that it is too long.
+    # Along the view, the outline does not constrain the length, and readings of the background
+    # extend the body; then only the girth shows that it is too long.
     if _depth_share(fit) < _STEEP:
         return False
     _, radii = fit.shape.balls()
@@ -413,7 +418,7 @@ def _depth_share(fit: TubeFitting) -> float:
 
 
 def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
-    # The outline's own middle line, with the depth of a plane that most readings lie along.
+    # The middle line of the outline, with the depth of a plane through most readings.
     rays = view.grid_rays[view.grid_mask]
     picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
     is_read = depth > 0
@@ -423,16 +428,16 @@ def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
 def judged_fit(
     view: TubeView, fitting: TubeFitting, ends: tuple[BeyondEnd, BeyondEnd]
 ) -> Measurement:
-    """Return what a fitted tube measures, or why it is none.
+    """Return the measurement of a fitted tube, or the reason why it is rejected.
 
     Parameters
     ----------
     view : TubeView
-        The view in whose coordinates it is.
+        The view that defines the coordinates.
     fitting : TubeFitting
         The tube.
-    beyond : tuple of BeyondEnd
-        What lies beyond its ends.
+    ends : tuple of BeyondEnd
+        The depth beyond its ends.
     """
     overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
     traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
@@ -489,15 +494,15 @@ def _fit(
 
 
 def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
-    # The window's own rays: which of them meet the tube, and what the picture shows there. The
-    # last figure is the overlap of tube and mask where nothing nearer hides the tube.
+    # Intersect the rays of the window with the tube, and compare with the picture. The last value
+    # is the overlap of tube and mask where no nearer object hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)
     inside = met.gap_m < 0
     fruit_mask = view.grid_mask
     common = int((inside & fruit_mask).sum())
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
     covered = int((inside & ~fruit_mask & nearer).sum())
-    # Where most depth is missing, a ray without a reading may well be covered.
+    # If most depth is missing, a ray without a reading may be covered.
     unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
     either = int((inside | fruit_mask).sum()) - covered - unread
     return (
@@ -508,7 +513,7 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
 
 
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
-    # Share of the depth points that lie on the tube, within what the sensor may err.
+    # Share of the depth points on the tube, within the error of the sensor.
     within = (
         np.abs(fitting.points.gap_m) <= _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
     )

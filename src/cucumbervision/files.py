@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 ModelT = TypeVar("ModelT")
 _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
-# Where a spreadsheet may part a cell of a CSV file, whatever the quotes say: Excel at semicolons
-# where commas are decimal, others at tabs and line ends; before the spaces and quotes of a formula.
+# Where a spreadsheet may split a cell of a CSV file in spite of quotes: Excel at semicolons
+# if commas are decimal, others at tabs and line ends; before spaces and quotes of a formula.
 _INNER_FORMULA = re.compile(r"([;\t\r\n\v\f\x85\u2028\u2029])(?=[\s\"']*[=+\-@＝＋－＠])")
 
 
@@ -175,16 +175,16 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write a table as CSV; texts are defused, None leaves a cell empty.
 
-    So are the parts of a text at which Excel parts cells where commas are decimal.
+    Parts of a text at which Excel may split the cell are defused, too.
 
     Parameters
     ----------
     path : Path
         The file: UTF-8 with a byte order mark, which Excel needs to read accents.
     columns : sequence of str
-        The head.
+        The header.
     rows : iterable of mapping
-        Each is written before the next is asked for.
+        The rows; each is written before the next is requested.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
     >>> path.read_text(encoding="utf-8-sig").split()
     ['name,length_cm', "'=1+1,12.5"]
     """
-    # A file's name may hold bytes that are no text.
+    # A file name may contain bytes that are not text.
     with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -207,7 +207,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
 
 
 def _csv_value(value: str | float | bool | None) -> str | int | float | None:
-    """Return what a cell of a CSV file holds: as `cell_value`, in every part of a text.
+    """Return the content of a CSV cell: as `cell_value`, for every part of a text.
 
     Examples
     --------
@@ -219,7 +219,7 @@ def _csv_value(value: str | float | bool | None) -> str | int | float | None:
 
 
 def cell_value(value: str | float | bool | None) -> str | int | float | None:
-    """Return what a spreadsheet's cell holds: texts defused, true and false as words.
+    """Return the content of a spreadsheet cell: texts defused, booleans as words.
 
     Examples
     --------
@@ -237,10 +237,10 @@ def write_json(path: Path, report: Mapping[str, Any]) -> None:
 
 
 def defused(text: str) -> str:
-    """Return a text that no spreadsheet runs as a formula.
+    """Return a text that no spreadsheet interprets as a formula.
 
     A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
-    injection), as do their full-width forms, which some spreadsheets read alike.
+    injection), as do their full-width forms, which some spreadsheets interpret in the same way.
 
     Examples
     --------
@@ -307,7 +307,7 @@ def parse_model(
 
 @lru_cache(maxsize=64)
 def adapter(model: Any) -> TypeAdapter[Any]:
-    """Return what validates values as a pydantic model or a dataclass."""
+    """Return a validator for a pydantic model or a dataclass."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(model)

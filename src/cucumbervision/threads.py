@@ -1,6 +1,6 @@
 """Limit BLAS to one thread for this package's matrices.
 
-They are small: with threads of its own, BLAS spends several times the processor time on them.
+The matrices are small: with several threads, BLAS needs several times the processor time.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ if TYPE_CHECKING:
 
 
 class OneThread(ContextDecorator):
-    """Holds BLAS to one thread inside a `with` block or a decorated function.
+    """Limits BLAS to one thread inside a `with` block or a decorated function.
 
-    The limit is the process's. Blocks may nest and run side by side: the first one to begin keeps
-    the process's own setting, and the last one to end restores it. Threads of networks are not
-    limited.
+    The limit applies to the process. Blocks may be nested and concurrent: the first block saves the
+    setting of the process, and the last one restores it. Threads of networks are not limited.
 
     Examples
     --------
@@ -43,7 +42,7 @@ class OneThread(ContextDecorator):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Restore what was set before, if no other block is left."""
+        """Restore the previous setting, if no other block is active."""
         cls = OneThread
         with cls._lock:
             cls._inside -= 1
@@ -54,7 +53,7 @@ class OneThread(ContextDecorator):
 
 @cache
 def _blas() -> Any:
-    # Only libraries that are loaded already are found: SciPy has a BLAS of its own.
+    # Only loaded libraries are limited, and SciPy has its own BLAS.
     import scipy.linalg  # noqa: F401
     from threadpoolctl import ThreadpoolController
 

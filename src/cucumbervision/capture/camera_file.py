@@ -143,11 +143,11 @@ class _FileModel(CameraModel):
 
 
 def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Path | None:
-    """Return the intrinsics file of a picture: in its folder, or the nearest above that has one.
+    """Return the intrinsics file of a picture, in its folder or the nearest parent folder.
 
-    A file whose name says whose it is (`cam1_intrinsics.json` beside `cam1_color_1.png` and
-    `cam2_color_1.png`) belongs to those pictures alone. Of several others the native name comes
-    first; the rest must hold the same camera.
+    A file whose name refers to certain pictures (`cam1_intrinsics.json` beside `cam1_color_1.png`
+    and `cam2_color_1.png`) belongs only to these. Of several other files, the native name has
+    priority; the others must contain the same camera.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Pat
     Raises
     ------
     IntrinsicsError
-        If several files could be the picture's and differ.
+        If several files could belong to the picture and differ.
 
     Examples
     --------
@@ -196,7 +196,7 @@ def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Pat
 
 
 def _only(folder: Path, names: list[str], picture: str) -> Path | None:
-    """Return the one file of these that holds a camera; None where there is no file."""
+    """Return the only file with a camera among these; None without a file."""
     if _OWN_NAME in names or len(names) < 2:
         return folder / (_OWN_NAME if _OWN_NAME in names else names[0]) if names else None
     cameras: dict[str, Intrinsics] = {}
@@ -224,7 +224,7 @@ def _stem_words(name: str) -> tuple[str, ...]:
 
 
 def _owner_words(name: str) -> tuple[str, ...]:
-    """Return the words of an intrinsics file's name that say whose it is."""
+    """Return the words of an intrinsics file's name that refer to certain pictures."""
     return tuple(word for word in _stem_words(name) if not _CAMERA_WORD.fullmatch(word))
 
 

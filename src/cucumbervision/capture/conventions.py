@@ -1,4 +1,4 @@
-"""What the numbers of a capture mean; light enough for the command line's options."""
+"""Conventions of captures, without slow imports for the options of the command line."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _STRIP_ROWS = 64
 
 
 class Doubt(StrEnum):
-    """What makes the data of a capture doubtful; a flag of every fruit in it has the same name."""
+    """Reasons to doubt the data of a capture; the flags of its fruit have the same names."""
 
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
@@ -48,7 +48,7 @@ class Stop:
         Raises
         ------
         NameRefusedError
-            If the row or the side is no name.
+            If the row or the side is not a valid name.
         """
         for what, name in (("row", self.row), ("side", self.side)):
             if name is not None:
@@ -88,11 +88,11 @@ class Capture:
     source : str
         The file or folder it was read from.
     provenance : mapping
-        What else the source says: camera name, serial number, software.
+        Further data of the source: camera name, serial number, software.
     gravity : tuple of float, optional
         Direction of gravity in camera coordinates, where the camera's pose is known.
     doubts : tuple of Doubt
-        What its reader found doubtful.
+        Doubts of the reader about the data.
 
     Raises
     ------
@@ -173,21 +173,21 @@ class Capture:
         depth_unit_m: float | None = None,
         name: str = "arrays",
     ) -> Self:
-        """Return a capture of arrays as other programs have them.
+        """Create a capture from arrays of other programs.
 
         Parameters
         ----------
         color : ndarray of uint8, shape (H, W, 3)
             RGB.
         depth : ndarray, shape (H, W)
-            Aligned to colour, one value a pixel, with 0 or NaN where there is no reading.
+            Aligned to colour, one value per pixel; 0 or NaN for no reading.
         intrinsics : Intrinsics or array_like, shape (3, 3)
             The colour camera's, or its matrix in pixels.
         depth_unit_m : float, optional
             Metres of one step of depth; by default 0.001 for whole numbers and 1 for floating
             point.
         name : str
-            What it is called.
+            Name of the capture.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class Capture:
         DepthError
             If depth has 8 bits, or its unit is not the declared one.
         IntrinsicsError
-            If the matrix is none of a camera, or belongs to another size of picture.
+            If the matrix is not a camera matrix, or belongs to another picture size.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Frames on disk without coding: one file a frame, and a ring of the newest.
+"""Uncompressed frames on disk, one file per frame, and a ring of the newest frames.
 
 A file is a JSON header and the arrays as they lie in memory. It is renamed into place when it is
 complete, so that a killed program leaves none that is cut off.
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 SUFFIX = ".frame"
 _MAGIC = b"cucumbervision frame 1\n"
-_UNIT_M = 0.001  # of almost every camera: depth then takes half the room
+_UNIT_M = 0.001  # of almost every camera; depth then needs half the space
 _HEADER_BYTES = 1 << 16
-_RESERVE_BYTES = 500_000_000  # of the disk, which the captures that are kept need
+_RESERVE_BYTES = 500_000_000  # free disk space reserved for saved captures
 _TEMPORARY = ".unfinished-"
 
 
 def write_frame(capture: Capture, path: Path) -> None:
-    """Write a capture without its masks as raw arrays; it is there whole or not at all.
+    """Write a capture without its masks as raw arrays, atomically.
 
-    Depth is written as 16-bit millimetres where that is exact, else as float32 metres.
+    Depth is written as 16-bit millimetres if that is exact, otherwise as float32 metres.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def write_frame(capture: Capture, path: Path) -> None:
 
 
 def read_frame(path: Path) -> Capture:
-    """Return a frame as it was written.
+    """Read a frame.
 
     Raises
     ------
@@ -166,13 +166,13 @@ class FrameRing:
     Parameters
     ----------
     folder : Path
-        Made with the first frame.
+        Folder; created with the first frame.
     kept_s : float
-        How long a frame stays.
+        Maximum age of a frame, seconds.
     dense_s, sparse_s : float
-        All frames stay so long, then one in so many seconds.
+        All frames are kept for `dense_s`, older ones one per `sparse_s`, seconds.
     most_bytes : int
-        Of all frames together, less where the disk is almost full; the oldest leave first.
+        Maximum size of all frames, less if the disk is almost full; the oldest are removed first.
 
     Examples
     --------
@@ -199,10 +199,10 @@ class FrameRing:
     ) -> None:
         self.folder, self.kept_s = folder, kept_s
         self._dense_s, self._sparse_s, self._most_bytes = dense_s, sparse_s, most_bytes
-        self._held: list[tuple[float, int]] | None = None  # moments and sizes, of who writes
+        self._held: list[tuple[float, int]] | None = None  # times and sizes, only in the writer
 
     def write(self, capture: Capture, at_s: float, *, now_s: float | None = None) -> None:
-        """Add a frame, and let those go whose time is over.
+        """Add a frame, and remove frames that are too old.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class FrameRing:
         last_s = -math.inf
         for at_s, size in held:
             is_new = now_s - at_s <= self._dense_s
-            # A clock that was set back leaves frames of the future, which would stay for long.
+            # After the clock is set back, frames with later times would be kept too long.
             is_current = abs(now_s - at_s) <= self.kept_s and free_bytes >= 0
             if is_current and (is_new or at_s - last_s >= self._sparse_s):
                 frames_kept.append((at_s, size))
@@ -249,7 +249,7 @@ class FrameRing:
         self._held = frames_kept
 
     def _room_bytes(self, held_bytes: int) -> int:
-        """Return how much more the ring may take; negative where it has to shrink."""
+        """Return how many bytes the ring may still use; negative if it must shrink."""
         disk_bytes = shutil.disk_usage(self.folder).free - _RESERVE_BYTES
         return min(self._most_bytes - held_bytes, disk_bytes)
 

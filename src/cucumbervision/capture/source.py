@@ -74,7 +74,7 @@ class ReadOptions:
             )
 
 
-# What macOS, Windows and network storage put beside pictures: copies of attributes, thumbnails.
+# Files that macOS, Windows and network storage add: copies of attributes, thumbnails.
 _SYSTEM_NAMES = frozenset(
     {*("__MACOSX", ".DS_Store", ".Spotlight-V100", ".Trashes"), *("@eaDir", "Thumbs.db")}
 )
@@ -109,7 +109,7 @@ class Folder:
     faults: list[CaptureError] = field(default_factory=list)
 
     def add(self, name: str) -> None:
-        """Add a file by its name relative to the path, unless a system put it there.
+        """Add a file by its name relative to the path, unless it is a system file.
 
         Examples
         --------
@@ -253,7 +253,7 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *
 
 
 def no_device(name: str) -> str:
-    """Return a file name that is no device on Windows, where `nul.png` takes all and keeps nothing.
+    """Return a file name that is not a device on Windows, where `nul.png` discards all data.
 
     Examples
     --------

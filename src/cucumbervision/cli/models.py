@@ -29,7 +29,7 @@ def list_models() -> None:
     for model in registry.models:
         size = f"{registry.size_bytes(model.name) / 1e6:.0f} MB"
         state = registry.state(model.name)
-        if model in registry.own and model == registry.default(model.task):
+        if model in registry.user_models and model == registry.default(model.task):
             state = "in use"
         table.add_row(model.name, model.task, model.licence, size, model.origin, state)
     plain_console().print(table)

@@ -40,7 +40,7 @@ SKELETON = ((0, 1), (1, 2), (2, 3), (3, 4))
 
 
 class MaskSource(StrEnum):
-    """Who drew a mask; 'segmenter' is one that is not SAM."""
+    """Source of a mask; 'segmenter' is any segmenter other than SAM."""
 
     SAM = "sam"
     SEGMENTER = "segmenter"
@@ -68,9 +68,9 @@ class Instance:
     class_name : str
         Class name.
     mask : ndarray of bool, shape (H, W), optional
-        The mask to measure: SAM's or the data set's own; 0/1 and 0/255 are taken too (`as_mask`).
+        The mask to measure, of a segmenter or a data set; 0/1 and 0/255 are converted (`as_mask`).
     mask_source : MaskSource, optional
-        Who drew `mask`.
+        Source of `mask`.
     detector_mask : ndarray of bool, shape (H, W), optional
         The detector's own mask, which `best` falls back on.
     keypoints : ndarray of float64, shape (5, 3), optional
@@ -105,19 +105,19 @@ class Instance:
 
     @classmethod
     def of_mask(cls, mask: NDArray[Any], source: MaskSource = MaskSource.DATASET) -> Self:
-        """Return a fruit of which the mask is all that is known.
+        """Create an instance from a mask alone.
 
         Parameters
         ----------
         mask : ndarray, shape (H, W)
             bool, 0/1 or 0/255.
         source : MaskSource
-            Who drew it: a person, or a network, whose outlines have wider intervals.
+            Source of the mask; lengths from masks of networks have wider intervals.
 
         Raises
         ------
         InstancesError
-            If it is no mask, or has no pixel.
+            If it is not a mask, or is empty.
 
         Examples
         --------
@@ -269,7 +269,7 @@ def apart(
     Parameters
     ----------
     instances : sequence of Instance
-        After `merge_instances`; `detector_mask` is shared out.
+        Result of `merge_instances`; the pixels of `detector_mask` are assigned.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres; 0 where there is no reading.
 
@@ -305,7 +305,7 @@ def with_keypoints(
     Parameters
     ----------
     instances : sequence of Instance
-        From a segmenting network, or from anywhere.
+        Instances of any source.
     poses : sequence of Instance
         With keypoints.
     min_iou : float
@@ -316,7 +316,7 @@ def with_keypoints(
     Returns
     -------
     tuple of Instance
-        The instances in their order; those without a match keep what they had.
+        The instances in their order; those without a match are unchanged.
 
     Examples
     --------

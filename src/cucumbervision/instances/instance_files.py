@@ -359,7 +359,7 @@ class InstanceFile:
         Parameters
         ----------
         captures : iterable of (sequence of str, int or None)
-            Names and number of each, as `for_capture` takes them.
+            Names and number of each capture, as for `for_capture`.
 
         Returns
         -------
@@ -582,7 +582,7 @@ _TAGS = (
     re.compile(r"_(png|jpe?g|bmp|tiff?|webp)\.rf\.[0-9A-Za-z]{16,}$", re.IGNORECASE),  # Roboflow
     re.compile(r"\.(png|jpe?g|bmp|tiff?|webp)$", re.IGNORECASE),  # Supervisely: color_1.png.json
 )
-# Folders of label tools and data sets, which are none of the capture's.
+# Folders of label tools and data sets, which are not part of a capture's path.
 _TOOL_FOLDERS = frozenset(
     {
         *("d", "data", "ds", "export", "image", "images", "img", "input", "label", "labels"),
@@ -593,7 +593,7 @@ _TOOL_FOLDERS = frozenset(
 
 
 def _untagged(name: str) -> str:
-    """Return a name without folder, extension and what label tools add to it.
+    """Return a name without folder, extension and the additions of label tools.
 
     Examples
     --------
@@ -609,9 +609,9 @@ def _untagged(name: str) -> str:
 
 
 def _in_folder(label: str, names: Sequence[str]) -> bool:
-    """Return whether the folder that a label names is one of the picture's own.
+    """Return whether the folder in a label's name is a folder of the picture.
 
-    Folders of label tools, and numbers, say nothing; nor does a picture without a folder.
+    Folders of label tools, numeric folders and pictures without a folder always match.
     """
     folders = PurePosixPath(label.replace("\\", "/")).parts[:-1]
     telling = [f for f in folders if f.lower() not in _TOOL_FOLDERS and not f.isdecimal()]

@@ -27,8 +27,8 @@ def from_supervision(detections: Any) -> tuple[Instance, ...]:
     Parameters
     ----------
     detections : supervision.Detections
-        Boxes; masks, confidences and class names where it has them. Its masks are measured as they
-        are; what has none is segmented.
+        Boxes, with optional masks, confidences and class names. Masks are measured unchanged;
+        instances without a mask are segmented.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def to_supervision(instances: Sequence[Instance], **data: Sequence[Any]) -> Any:
     instances : sequence of Instance
         All with a mask, or their masks are left out.
     **data
-        What else is known of each, such as `length_cm`.
+        Further data of each instance, such as `length_cm`.
 
     Raises
     ------
@@ -90,8 +90,8 @@ def from_ultralytics(result: Any) -> tuple[Instance, ...]:
     Parameters
     ----------
     result : Results
-        Of one picture. Its masks are measured as they are; what has none is segmented. Five
-        keypoints are taken for those from blossom to stem end.
+        Result of one picture. Masks are measured unchanged; instances without a mask are segmented.
+        Five keypoints are interpreted as those from blossom to stem end.
 
     Raises
     ------

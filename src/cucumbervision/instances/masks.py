@@ -136,7 +136,7 @@ def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
     import cv2
 
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    # OpenCV's square roots differ in the last bit between calls; the squares are whole numbers.
+    # OpenCV's square roots differ in the last bit between calls; the squares are integers.
     return np.sqrt(np.rint(np.square(inside)))
 
 
@@ -384,15 +384,15 @@ _BOX_SIDE_PX, _BOX_FILL, _BOX_CORNER = 12, 0.95, 0.08
 
 
 def is_box_mask(mask: NDArray[np.bool_]) -> bool:
-    """Return whether a mask is a rectangle, upright or turned: a box that was filled, no outline.
+    """Return whether a mask is a filled box, upright or rotated, instead of an outline.
 
-    A fruit leaves the corners of the rectangle around it empty, unless the picture's edge cuts it:
-    a mask that reaches the edge is no box.
+    A fruit leaves the corners of its bounding rectangle empty, unless the edge of the picture cuts
+    it: a mask that touches the edge does not count as a box.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-        Rectangles of fewer than 12 pixels across are not told from fruit.
+        Rectangles narrower than 12 pixels cannot be distinguished from fruit.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Whether two views show one fruit, by where they saw it, and the length that several views give.
+"""Compare the positions of two views of fruit, and combine the lengths of several views.
 
 The similarity is the log likelihood ratio of multi-target tracking (Blackman & Popoli 1999, ch. 6):
 the density of the difference between two views of one fruit, against the density of other fruit at
@@ -28,21 +28,24 @@ SURFACE_DEPTH_SD_M = 0.020
 SHARED = 0.5
 """Share of a view's variance that is of errors that all views of a fruit have in common."""
 
-_TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
+_TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors that are five times as large: unseen ends
 
-_UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
+_UNSEEN_END, _UNSEEN_END_M = (
+    0.15,
+    0.05,
+)  # share of ends that are hidden without a flag, and their shift
 
 
 @dataclass(frozen=True)
 class Crowd:
-    """The other fruit that a view may be mistaken for.
+    """The density of other fruit with which a view may be confused.
 
     Parameters
     ----------
     per_m : float
         Views of a capture per metre of row.
     up_m, depth_m : float
-        Width of the band in which they hang, upwards and into the row, metres.
+        Width of their distribution, upwards and into the row, metres.
     length_width, diameter_width : float
         Width of the logarithm of their lengths and diameters.
     """
@@ -60,7 +63,7 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     gap, variance : array_like of float
-        The gap, and the variance of its core.
+        Gap, and variance of the core of its distribution.
 
     Examples
     --------
@@ -77,21 +80,21 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
 def position_ratio(
     gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd
 ) -> NDArray[np.float64]:
-    """Return the log likelihood ratio of positions: of one fruit, against the crowd.
+    """Return the log likelihood ratio of positions: same fruit against other fruit.
 
     Parameters
     ----------
     gap_m, variance_m2 : ndarray of float64, shape (..., 3)
-        What separates two views, and its variance: along, up, into the row.
+        Difference of two views and its variance: along the row, up, into the row.
     crowd : Crowd
-        The other fruit.
+        Density of other fruit.
 
     Returns
     -------
     ndarray of float64, shape (...)
     """
     density = log_density(gap_m, variance_m2).sum(axis=-1)
-    # A hidden end that no flag names moves the middle up or down, by centimetres.
+    # A hidden end without a flag shifts the middle up or down by centimetres.
     up, variance = gap_m[..., UP], variance_m2[..., UP]
     end_variance = variance + _UNSEEN_END_M**2
     moved = -0.5 * (np.square(up) / end_variance + np.log(2 * np.pi * end_variance))
@@ -103,18 +106,18 @@ def position_ratio(
 def pooled_length(
     length_m: NDArray[np.float64], length_sd: NDArray[np.float64], partial: NDArray[np.bool_]
 ) -> tuple[float, float] | None:
-    """Return the length that all whole views of a fruit give together, and its standard deviation.
+    """Return the combined length of all whole views of a fruit, and its standard deviation.
 
-    Weighted by the inverse variance of the logarithm. Views of one camera share errors, so that
-    half of the variance does not become less however many there are; and where views differ by
-    more than they should (Birge's ratio above 1), the deviation is widened by that ratio.
+    Logarithms are weighted by the inverse variance. Views of one camera share errors, so that half
+    of the variance does not decrease with the number of views. If views differ more than expected
+    (Birge ratio above 1), the standard deviation is multiplied by that ratio.
 
     Parameters
     ----------
     length_m, length_sd : ndarray of float64, shape (M,)
         Lengths, NaN for none, and relative standard deviations.
     partial : ndarray of bool, shape (M,)
-        Lower bounds, which are left out.
+        Lower bounds, which are excluded.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Run the methods on one fruit, each with the fallback that it defines for itself."""
+"""Run the methods on one fruit, each with its own fallback."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ AVAILABLE = tuple(MethodName)
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """One fruit's part of a frame, with the clouds that several methods share.
+    """The data of one fruit in a frame, with point clouds shared by several methods.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Region:
 
     @cached_property
     def mask_near(self) -> AlignedCloud | None:
-        """The mask's points behind the gate with their principal axis; None without a mask."""
+        """The mask's points after the depth gate, with principal axis; None without a mask."""
         points = self.mask_points_m
         return None if points is None else align_near(points, GATE_M)
 

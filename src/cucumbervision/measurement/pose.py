@@ -38,11 +38,11 @@ CUT_BEYOND_M = 0.02
 
 _POINTS = 33
 
-# Of fruit that hang, nearly all have the stem above: the log-odds of an upright one.
+# Nearly all hanging fruit have the stem above: log-odds for an upright fruit.
 _HANGING = 6.0
 _SUREST = 0.9999
 
-# What the fit does not know: a stem end is no half ball, and a peduncle leaves the axis' line.
+# Not covered by the fit: a stem end is no hemisphere, and a peduncle deviates from the axis.
 _END_SD_M = 0.0025
 _PEDUNCLE_SD_RAD = 0.26
 
@@ -51,11 +51,11 @@ EndJudge: TypeAlias = Callable[
 ]
 """Tells which end of a fruit is the stem's, as `EndClassifier.log_odds`."""
 
-_NEARER_M = 0.01  # what lies as much before the place to cut is in the way
+_NEARER_M = 0.01  # an object nearer than the cut place by more is in the way
 
 
 def _array(digits: int, *shape: int | None) -> Any:
-    """Return what JSON makes of an array of that shape; None for any number."""
+    """Return the pydantic type of an array of that shape as JSON; None for any size."""
     schema: dict[str, Any] = {"type": "number"}
     for size in reversed(shape):
         limits = {} if size is None else {"minItems": size, "maxItems": size}
@@ -94,13 +94,13 @@ class FruitPose:
     Parameters
     ----------
     frame : str
-        Name of the coordinates: the source's own, as ROS gives one, else
+        Name of the coordinates: that of the source, as in ROS, otherwise
         'camera_color_optical_frame'.
     stem_m, blossom_m : ndarray of float64, shape (3,)
-        The two ends; of an end that is out of sight, where its visible part ends.
+        The two ends; for a hidden end, the end of the visible part.
     stem_confidence : float
-        Probability that `stem_m` is the stem's end, 0.5 to 1; 0.5 where nothing tells the ends
-        apart, and the upper one in the picture is taken.
+        Probability that `stem_m` is the stem end, 0.5 to 1. At 0.5 the ends are not distinguished,
+        and the upper end in the picture is taken.
     centre_m : ndarray of float64, shape (3,)
         The middle of the axis.
     axis_m : ndarray of float64, shape (33, 3)
@@ -110,12 +110,12 @@ class FruitPose:
     direction : ndarray of float64, shape (3,)
         Unit vector along the axis at the stem's end, out of the fruit.
     cut_m : ndarray of float64, shape (3,), optional
-        The place to cut, on the line of the axis beyond the stem's end; None where that end is
-        out of sight.
+        The place to cut, on the extension of the axis beyond the stem end; None if that end is
+        hidden.
     cut_covariance_m2 : ndarray of float64, shape (3, 3), optional
         Its covariance, square metres.
     covered : tuple of Part
-        What is out of sight: an end, more than a tenth of the body, the place to cut.
+        Hidden parts: an end, more than a tenth of the body, the place to cut.
 
     Examples
     --------
@@ -157,21 +157,21 @@ _POSE = TypeAdapter(FruitPose)
 def stem_first(
     measurement: Measurement, instance: Instance, capture: Capture
 ) -> tuple[Measurement, float]:
-    """Return a measurement whose line begins at the stem's end, and how sure that end is.
+    """Return a measurement whose line begins at the stem end, and the confidence of that end.
 
     Parameters
     ----------
     measurement : Measurement
-        One method's.
+        Measurement of one method.
     instance : Instance
-        The fruit: keypoints, and how sure their direction is, where there are some.
+        The fruit, with keypoints and the confidence of their direction, if there are any.
     capture : Capture
-        The frame, whose `gravity` tells what hangs above.
+        The frame; its `gravity` gives the upward direction.
 
     Returns
     -------
     measurement : Measurement
-        The same without a line.
+        Unchanged if it has no line.
     confidence : float
         0.5 to 1.
 
@@ -205,20 +205,21 @@ def stem_first(
 def with_tubes_ends(
     instance: Instance, tube: Measurement | None, capture: Capture, ends: EndJudge
 ) -> Instance:
-    """Return a fruit with its keypoints in the order that the picture along its tube says.
+    """Return a fruit with its keypoints ordered by the picture along its tube.
 
-    A tube's axis runs from end to end, where a network's keypoints may stop short or lie aside.
+    The axis of a tube extends from end to end, while keypoints of a network may stop short or lie
+    beside the fruit.
 
     Parameters
     ----------
     instance : Instance
-        The fruit; one without keypoints is returned as it is.
+        The fruit; without keypoints it is returned unchanged.
     tube : Measurement, optional
         M6's.
     capture : Capture
         The frame.
     ends : callable
-        Tells which end is the stem's, as `EndClassifier.log_odds`.
+        Returns the log-odds of the direction, as `EndClassifier.log_odds`.
     """
     points, path = instance.keypoints, None if tube is None else tube.path_m
     if points is None or path is None or (path[:, 2] <= 0).any():
@@ -237,7 +238,7 @@ def with_tubes_ends(
 
 
 def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:
-    """Return the log-odds by the keypoints that the first of two ends is the stem's."""
+    """Return the log-odds, from the keypoints, that the first of two ends is the stem end."""
     points = instance.keypoints
     if points is None or (ends_m[:, 2] <= 0).any():
         return 0.0
@@ -250,7 +251,7 @@ def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Cap
 
 
 def _gravity_odds(ends_m: NDArray[np.float64], capture: Capture) -> float:
-    """Return the same by gravity: nothing of a fruit that lies."""
+    """Return the same log-odds from gravity, near 0 for a horizontal fruit."""
     if capture.gravity is None:
         return 0.0
     down = np.array(capture.gravity) / np.linalg.norm(capture.gravity)
@@ -285,22 +286,22 @@ def fruit_pose(
     cut_beyond_m: float = CUT_BEYOND_M,
     scale_known: bool = False,
 ) -> FruitPose | None:
-    """Return the pose of a fruit to which a tube was fitted; None for any other.
+    """Return the pose of a fruit with a fitted tube; None for other fruit.
 
     Parameters
     ----------
     measurement : Measurement
-        From the stem's end (`stem_first`).
+        Measurement that begins at the stem end (`stem_first`).
     stem_confidence : float
-        How sure that is.
+        Confidence of the stem end.
     hidden : tuple of bool
         Whether keypoints say that the blossom's and the stem's end are hidden.
     capture : Capture
         The frame.
     cut_beyond_m : float
-        How far beyond the stem's end to cut, metres.
+        Distance of the cut beyond the stem end, metres.
     scale_known : bool
-        Whether the camera's depth scale was measured; if not, its uncertainty counts.
+        Whether the camera's depth scale was measured; otherwise its uncertainty is included.
     """
     fit = measurement.fit
     if fit is None:
@@ -347,10 +348,11 @@ def _cut_covariance(
     beyond_m: float,
     scale_sd: float,
 ) -> NDArray[np.float64]:
-    """Return the covariance of a point on the line beyond an end.
+    """Return the covariance of a point on the extension beyond an end.
 
-    That of the end and of its direction, as they were fitted; along the line what an end's shape
-    adds, across it what a peduncle turns aside, and along the view the camera's depth scale.
+    The sum of the fitted covariance of the end and its direction, the variation of the end's shape
+    along the line, that of the peduncle's direction across it, and that of the depth scale along
+    the view.
     """
     reach = np.hstack([np.eye(3), beyond_m * np.eye(3)])
     along = np.outer(direction, direction)
@@ -362,7 +364,7 @@ def _cut_covariance(
 
 
 def _is_behind(point_m: NDArray[np.float64], capture: Capture) -> bool:
-    """Return whether something is seen before a point."""
+    """Return whether an object is in front of a point."""
     if point_m[2] <= 0:
         return False
     u, v = np.rint(capture.intrinsics.project(point_m[None])[0]).astype(int).tolist()

@@ -43,7 +43,7 @@ class LengthDefinition(StrEnum):
 
 
 class LengthKind(StrEnum):
-    """What a method's raw length is the length of."""
+    """Quantity that a method's raw length measures."""
 
     BOX_CHORD = "box-chord"
     SURFACE_CHORD = "surface-chord"
@@ -53,14 +53,14 @@ class LengthKind(StrEnum):
 
 
 class IntervalBasis(StrEnum):
-    """What the interval of a length was learnt from."""
+    """Data from which the interval of a length was learnt."""
 
     SIMULATED = "simulated"
     OWN_TRUTH = "own truth"
 
 
 class Reason(StrEnum):
-    """Why a method gives no length; stable codes for tables."""
+    """Reason why a method gives no length; stable codes for tables."""
 
     OK = "ok"
     NO_MASK = "no-mask"
@@ -77,10 +77,10 @@ class Reason(StrEnum):
 
 
 class Selector(StrEnum):
-    """How one measurement is chosen.
+    """Rule for choosing one measurement.
 
     `PAPER` follows the paper's decisions and counts only SAM's or the data set's own masks;
-    `BEST` lets the detector's mask stand in, and takes M6 first where it was run.
+    `BEST` also uses the detector's mask, and prefers M6 if it was run.
     """
 
     BEST = "best"
@@ -88,7 +88,7 @@ class Selector(StrEnum):
 
 
 class Choice(StrEnum):
-    """Which decision the selector took; stable codes for tables."""
+    """Decision of the selector; stable codes for tables."""
 
     DENSE_MASK = "mask-points-ge-100"
     SPARSE_MASK = "mask-points-lt-100"
@@ -107,24 +107,24 @@ INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % 
 
 @dataclass(frozen=True)
 class Length:
-    """A length, with the interval that it is known to, which always holds the length.
+    """A length with its interval, which always contains the length.
 
-    The models of intervals know how far a method reads short, above all of a fruit that goes on
-    out of sight or of a box's diagonal: what they expect may lie beyond the length as measured.
-    The interval then begins or ends at the length.
+    Interval models correct for methods that read short, such as the diagonal of a box, and for
+    fruit that continue out of sight. The corrected interval may not contain the measured length; it
+    is then extended to begin or end at the length.
 
     Parameters
     ----------
     value_m : float
         Metres.
     kind : LengthDefinition or LengthKind
-        What it is the length of.
+        Measured quantity.
     low_m, high_m : float, optional
-        The 90 % interval, metres; None where none is known.
+        The 90 % interval, metres; None if unknown.
     interval_of : LengthDefinition, optional
-        Which length the interval is about: `kind` itself, or for a raw length the centreline.
+        Quantity of the interval: `kind` itself, or the centreline for a raw length.
     basis : IntervalBasis, optional
-        What the interval was learnt from.
+        Data from which the interval was learnt.
 
     Examples
     --------
@@ -150,9 +150,9 @@ class Length:
     def sides(self) -> tuple[float, float, float] | None:
         """The median, and the standard deviations of the logarithm below and above it.
 
-        The ends of the interval are taken as quantiles and the length as the median (the middle of
-        the interval's logarithm if it is one of the ends); each side is half a normal distribution
-        of the logarithm. None where no interval is known.
+        The ends of the interval are taken as quantiles and the length as the median (or the middle
+        of the logarithmic interval if the length is one of the ends). Each side is half a normal
+        distribution of the logarithm. None without an interval.
 
         Examples
         --------
@@ -168,7 +168,7 @@ class Length:
 
     @property
     def relative_sd(self) -> float | None:
-        """Standard deviation of the logarithm by the interval; None where that is not known.
+        """Standard deviation of the logarithm from the interval; None without an interval.
 
         Examples
         --------
@@ -180,17 +180,17 @@ class Length:
 
 @dataclass(frozen=True, eq=False)
 class TubeFit:
-    """A tube fitted to one fruit: its traits, and how far to trust them.
+    """A tube fitted to one fruit: its traits and their quality.
 
     Parameters
     ----------
     traits : TubeTraits
         Lengths, bend, diameters, volume, tilt.
     centreline_sd_m, thread_sd_m : float
-        Standard deviations from the sensor's noise and the outline's error, scaled by what
-        remains after the fit, metres. The camera's unknown depth scale is not in them.
+        Standard deviations from the sensor's noise and the outline's error, scaled by the residuals
+        of the fit, metres. They exclude the error of the camera's depth scale.
     hidden_share : float
-        Share of the tube's silhouette that something nearer covers, 0 to 1.
+        Share of the tube's silhouette that is hidden by nearer objects, 0 to 1.
     explained : float
         Share of the mask's pixels that the tube's silhouette covers, 0 to 1.
     fill : float
@@ -203,15 +203,15 @@ class TubeFit:
     ends_covariance : ndarray of float64, shape (2, 6, 6)
         Covariance of each end's place (metres) and of the unit vector out of the fruit there.
     ends_open : tuple of float
-        Share of what lies just beyond either end that is clearly behind it, 0 to 1.
+        Share of the readings just beyond each end that are clearly behind it, 0 to 1.
     flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
     hidden_length : HiddenLength, optional
-        The whole fruit's centreline, where one end is hidden by something in the picture;
-        `traits` are those of what is seen.
+        Length of the whole centreline if one end is hidden by an object in the picture; `traits`
+        describe the visible part.
     looks : tuple of EndLook, optional
-        What the first and the last end look like, where a network looked at them.
+        Evaluation of the first and the last end, if a network evaluated them.
     """
 
     traits: TubeTraits
@@ -237,22 +237,22 @@ class Measurement:
     Parameters
     ----------
     method : MethodName
-        The method that was asked.
+        The requested method.
     length_m : float, optional
-        Its length in metres; None when it gave none.
+        Length in metres; None if the method failed.
     kind : LengthKind, optional
-        What that is the length of.
+        Quantity that the length measures.
     reason : Reason
         'ok', or why there is no length.
     fallback : tuple of str
-        What was tried before, as 'M3:too-few-points'; empty when the method itself measured.
+        Failed methods, such as 'M3:too-few-points'; empty if the method itself succeeded.
     path_m : ndarray of float64, shape (K, 3), optional
-        The line that was measured, camera coordinates in metres; of a measured fruit it begins
-        at the stem end.
+        The measured line, camera coordinates in metres; in the result of a fruit it begins at the
+        stem end.
     measured_by : MethodName, optional
-        The method that stood in, where this one fell back on another.
+        The method that was used instead, after a fallback.
     fit : TubeFit, optional
-        The tube, where one was fitted.
+        The fitted tube, if any.
     """
 
     method: MethodName
@@ -266,47 +266,47 @@ class Measurement:
 
     @property
     def own(self) -> bool:
-        """Whether the method itself measured, without falling back on another."""
+        """Whether the method itself succeeded, without a fallback."""
         return self.length_m is not None and self.measured_by is None
 
     @property
     def source(self) -> MethodName:
-        """The method whose length this is."""
+        """The method that measured the length."""
         return self.measured_by or self.method
 
     @property
     def tube(self) -> TubeLengths | None:
-        """The three lengths, where a tube was fitted."""
+        """The three lengths of the fitted tube, or None."""
         return None if self.fit is None else self.fit.traits.lengths
 
 
 @dataclass(frozen=True, eq=False)
 class FruitMeasurement:
-    """Everything that is known of one fruit of one capture.
+    """The complete result of one fruit in one capture.
 
     Parameters
     ----------
     instance : Instance
-        Where it is in the picture.
+        The detection in the picture.
     measurements : mapping of MethodName to Measurement
-        Every method that was run.
+        Measurements of all methods that were run.
     selected : Measurement, optional
-        The one that the selector took; None when nothing could be measured.
+        The chosen measurement; None if nothing could be measured.
     reason : Choice
-        Why that one, or why none.
+        Reason for the choice, or why nothing was chosen.
     fallback : tuple of str
-        The path of fallbacks that led there.
+        Methods that failed before, with their reasons.
     flags : tuple of Flag
-        What else to know, in the order in which it was found.
+        Flags, in the order of detection.
     mask : ndarray of bool, shape (H, W), optional
-        The mask that was measured.
+        The measured mask.
     mask_source : MaskSource, optional
-        Who drew it.
+        Source of the mask.
     length : Length, optional
-        The fruit's length with its interval, calibrated where a site's calibration covers it;
-        None when nothing could be measured.
+        The fruit's length with its interval, corrected by the calibration of the site if it
+        applies; None if nothing could be measured.
     raw_length : Length, optional
-        The length before the calibration, where one was applied.
+        The length before the correction, if one was applied.
     calibration : str, optional
         Name and hash of the site's calibration that was applied to depth or length.
     distance_m : float, optional
@@ -314,10 +314,10 @@ class FruitMeasurement:
     fill : float, optional
         Share of these pixels with a valid depth reading, 0 to 1.
     pose : FruitPose, optional
-        Where it is in space, and where to cut; None where no tube was fitted.
+        Pose and cut place; None without a fitted tube.
     lengths : mapping of str to Length
-        Every method's length with its interval, as `calibration_key` names them: 'M1' to 'M6', and
-        'M6 thread' and 'M6 chord'. Without a site's calibration.
+        Length and interval of every method, uncorrected, by `calibration_key`: 'M1' to 'M6',
+        'M6 thread' and 'M6 chord'.
     """
 
     instance: Instance
@@ -344,12 +344,12 @@ class FruitMeasurement:
 
     @property
     def method(self) -> MethodName | None:
-        """The method whose length stands."""
+        """The method of the chosen length."""
         return None if self.selected is None else self.selected.source
 
     @property
     def fit(self) -> TubeFit | None:
-        """The fitted tube, where that method fits one."""
+        """The fitted tube of the chosen measurement, or None."""
         return None if self.selected is None else self.selected.fit
 
     @property
@@ -359,17 +359,17 @@ class FruitMeasurement:
 
     @property
     def at_least(self) -> bool:
-        """Whether the fruit goes on out of sight, so that its length is a lower bound."""
+        """Whether the fruit continues out of sight, so that its length is a lower bound."""
         return is_lower_bound(self.flags)
 
     def flagged(self, *flags: Flag) -> Self:
-        """Return the same with further flags."""
+        """Return a copy with additional flags."""
         new = tuple(flag for flag in flags if flag not in self.flags)
         return replace(self, flags=(*self.flags, *new))
 
 
 def calibration_key(method: MethodName, kind: LengthDefinition | LengthKind) -> str:
-    """Return what calibrations and interval models call a method's length.
+    """Return the key of a method's length in calibrations and interval models.
 
     Examples
     --------

@@ -46,29 +46,28 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.pose import EndJudge
 
-# Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
+# Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.
 _IN_SIGHT = 0.40
 
-_BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by at an end
+_BEYOND = 0.10  # of the fruit's length: several times the error of a pose network at an end
 
 
 def end_flags(
     mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
 ) -> tuple[Flag, ...]:
-    """Return what keypoints tell of a fruit's ends.
+    """Return the flags of a fruit's ends from its keypoints.
 
-    An end is hidden when its keypoint is seen badly (visibility below 0.40), or lies
-    more than 10 % of the fruit's length beyond the mask: the network knows that the fruit goes on
-    behind what covers it. Where the mask goes on beyond a keypoint by as much, one of the two is
-    wrong.
+    An end is hidden if its keypoint has a visibility below 0.40, or lies more than 10 % of the
+    fruit's length beyond the mask, because the network expects the fruit to continue behind an
+    occluder. If the mask extends beyond a keypoint by as much, one of the two is wrong.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W), optional
         The fruit's visible pixels.
     keypoints : ndarray of float, shape (5, 3), optional
-        u, v in pixels and visibility, KP0 (blossom end) to KP4 (stem end). Those of which none is
-        visible tell nothing.
+        u, v in pixels and visibility, KP0 (blossom end) to KP4 (stem end). They are ignored if
+        none is visible.
 
     Returns
     -------
@@ -96,7 +95,7 @@ def end_flags(
 def hidden_ends(
     mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
 ) -> tuple[bool, bool]:
-    """Return whether keypoints say that the blossom's and the stem's end are hidden.
+    """Return whether the blossom end and the stem end are hidden, according to the keypoints.
 
     Parameters as those of `end_flags`.
 
@@ -114,27 +113,27 @@ def hidden_ends(
 
 def _hidden(keypoints: NDArray[np.float64], reaches: list[float]) -> tuple[bool, bool]:
     unseen = keypoints[[0, -1], 2] < _IN_SIGHT
-    # A mask without pixels, or keypoints at one place, reach nowhere.
+    # No reaches for an empty mask or coincident keypoints.
     is_short = [reach < -_BEYOND for reach in reaches] or [False, False]
     first, last = (bool(u) or b for u, b in zip(unseen, is_short, strict=True))
     return first, last
 
 
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
-    """Return how far the mask goes beyond each end's keypoint, as a share of the line."""
+    """Return how far the mask extends beyond each end's keypoint, relative to the line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     pixels = np.empty((0, 2)) if mask is None else mask_pixels(mask)
     if not len(pixels) or not steps.all():
         return []
-    # Each pixel belongs to the part of the line that it is nearest to: a bent fruit's other end
-    # does not count.
+    # Each pixel belongs to its nearest part of the line, so that the other end of a bent fruit is
+    # ignored.
     middles = (line[:-1] + line[1:]) / 2
     nearest = ((middles**2).sum(axis=1) - 2 * pixels @ middles.T).argmin(axis=1)
     reaches = []
     for tip, inner, part in ((0, 1, 0), (-1, -2, len(middles) - 1)):
         ahead = (line[tip] - line[inner]) / np.linalg.norm(line[tip] - line[inner])
         part_pixels = pixels[nearest == part]
-        # No pixel at all near this part: the mask ends before it.
+        # Without a pixel near this part, the mask ends before it.
         reach = (
             float(((part_pixels - line[tip]) @ ahead).max())
             if len(part_pixels)
@@ -155,7 +154,7 @@ def choose(
     box: NDArray[np.float64],
     selector: Selector = Selector.BEST,
 ) -> tuple[Measurement | None, Choice, tuple[str, ...]]:
-    """Walk the paper's decision tree over measurements already taken.
+    """Choose among measurements by the paper's decision tree.
 
     A mask with at least 100 valid points (counted before the gate): M5, then M4 if it measured
     by itself, then M3. A mask with fewer: M3. No mask, or all of these failed: M1 then M2 for a
@@ -165,22 +164,22 @@ def choose(
     Parameters
     ----------
     measurements : mapping of MethodName to Measurement
-        What was run; a method that was not is passed over.
+        The measurements; methods that were not run are skipped.
     mask_points : int, optional
         Valid depth readings in the mask; None without a mask.
     box : ndarray of float, shape (4,)
         Edges x1, y1, x2, y2 in pixels.
     selector : Selector
-        How to choose.
+        Rule of the choice.
 
     Returns
     -------
     measurement : Measurement or None
-        The one chosen; None when nothing measured.
+        The chosen measurement; None if no method succeeded.
     choice : Choice
-        The decision that set the order.
+        The decision that determined the order.
     fallback : tuple of str
-        Each method that was tried before and why it gave nothing, in order.
+        Each method that failed before, with its reason, in order.
 
     Examples
     --------
@@ -199,7 +198,7 @@ def choose(
         if method is MethodName.M6 and selector is Selector.PAPER:
             continue
         result = measurements.get(method)
-        # M4 that fell back is M3 by another name, and M3 has its own turn.
+        # M4 after a fallback is the same as M3, which follows in the order.
         if result is None or (method is MethodName.M4 and result.measured_by is not None):
             continue
         if result.length_m is not None:

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.m6 import TubeView
 
-_SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
-_ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
+_SAME_PLACE = 0.10  # of the distance: cameras closer to each other share their errors
+_ALIGNED_SD_M = 0.015  # of a shift, after the middles of two whole views are aligned
 
 # Flags of a single view, which are determined again from several views.
 _BY_VIEW = LOWER_BOUND | {
@@ -60,9 +60,9 @@ class FruitView:
     instance : Instance
         The fruit in it, with its mask.
     pose : ndarray of float64, shape (4, 4)
-        From camera coordinates to those that all views share.
+        Transform from camera coordinates to the common coordinates of all views.
     shift_sd_m, turn_sd_rad : float
-        How well that is known.
+        Standard deviations of the pose.
     """
 
     capture: Capture
@@ -74,18 +74,17 @@ class FruitView:
 
 @dataclass(frozen=True, eq=False)
 class JointFruit:
-    """What several views of one fruit say together.
+    """The joint result of several views of one fruit.
 
     Parameters
     ----------
     fruit : FruitMeasurement
-        By M6 alone, in the camera coordinates of the view `first`, whose instance and mask it has;
-        its flags are those that hold for all views together.
+        Measurement of M6 in the camera coordinates of the view `first`, with the instance and mask
+        of that view; flags apply to all views together.
     first : int
-        Number of the view that shows the fruit best, from 0.
+        Index of the view that shows the fruit best.
     poses : mapping of int to ndarray of float64, shape (4, 4)
-        From that camera's coordinates to those of each view that the tube was fitted to, as
-        refined.
+        Refined transforms from the coordinates of that camera to those of each fitted view.
     """
 
     fruit: FruitMeasurement
@@ -103,25 +102,25 @@ def measure_views(
 ) -> JointFruit | None:
     """Fit one swept tube to a fruit's depth and outlines in all views.
 
-    Poses are refined along. Of views from one place (nearer to each other than a tenth of the
-    distance) only the best counts, since their errors are the same. An end that any view shows
-    counts as seen.
+    Poses are refined simultaneously. Of views from one place (closer together than a tenth of the
+    distance), only the best is used, since they share their errors. An end that is visible in any
+    view counts as visible.
 
     Parameters
     ----------
     views : sequence of FruitView
-        All of one fruit.
+        Views of one fruit.
     definition : LengthDefinition
-        Which length.
+        Definition of length.
     scale_known : bool
         As in `measure_fruit`.
     models : IntervalModels, optional
-        The package's own if not given.
+        Interval models; by default those of the package.
 
     Returns
     -------
     JointFruit or None
-        None where M6 measures the fruit in no view alone.
+        None if M6 cannot measure the fruit in any single view.
 
     Examples
     --------
@@ -174,7 +173,7 @@ def measure_views(
 def _joint(
     chosen: Sequence[_Alone],
 ) -> tuple[FruitMeasurement, tuple[NDArray[np.float64], ...]] | None:
-    """Return the fruit with one tube for all views, and the cameras' poses; None if none fits."""
+    """Return the fruit with one tube for all views, and the camera poses; None if it fails."""
     first = chosen[0]
     cameras = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
     cameras += [_relative(first, fitted_view) for fitted_view in chosen[1:]]
@@ -186,7 +185,7 @@ def _joint(
     one_tube, sure = stem_first(
         judged_fit(first.tube, fitted.body, ends), first.view.instance, first.view.capture
     )
-    # What is known of the fruit beside its length.
+    # Properties of the fruit other than its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
     return _together(alone, one_tube, sure, chosen, fitted.poses), fitted.poses
 
@@ -194,7 +193,7 @@ def _joint(
 def _beyond_ends(
     chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], shape: TubeShape
 ) -> tuple[BeyondEnd, BeyondEnd]:
-    # What is seen behind an end by any view is not hidden by what covers it in another.
+    # Background seen beyond an end in any view outweighs an occluder in another view.
     centres, radii = shape.balls()
     by_view = [
         beyond_ends(
@@ -217,7 +216,7 @@ def _together(
     chosen: Sequence[_Alone],
     poses: Sequence[NDArray[np.float64]],
 ) -> FruitMeasurement:
-    """Return the fruit with the tube of all views, flagged with what holds for all of them."""
+    """Return the fruit with the tube of all views, and the flags that apply to all views."""
     fit = one_tube.fit
     flags: list[Flag] = []
     if fit is not None:
@@ -250,7 +249,7 @@ def _is_cut(view: FruitView) -> bool:
 def _hidden_share(
     chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
 ) -> float:
-    # Of the axis: what lies in no view's mask.
+    # Share of the axis that is in no mask.
     is_shown = np.zeros(len(axis_m), bool)
     for fitted, pose in zip(chosen, poses, strict=True):
         points = axis_m @ pose[:3, :3].T + pose[:3, 3]
@@ -297,8 +296,8 @@ def _apart(first: _Alone, second: _Alone) -> bool:
 
 
 def _relative(first: _Alone, second: _Alone) -> SeenFrom:
-    # Where the other camera sees the first one's body, laid onto its own: a stop's place is known
-    # to centimetres only. Of part of a fruit the middle says nothing along the axis.
+    # Align the body of the first view with that of the second, because the position of a stop is
+    # known only to centimetres. For a partly visible fruit, the middle is unknown along the axis.
     view, fitting = second.view, second.fitting
     turn = view.pose[:3, :3].T @ first.view.pose[:3, :3]
     shift = view.pose[:3, :3].T @ (first.view.pose[:3, 3] - view.pose[:3, 3])

@@ -1,4 +1,4 @@
-"""A small network with one logit a picture."""
+"""A small network with one logit per picture."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PictureClassifier:
     size_px : tuple of int
         Height and width of a picture.
     takes : str
-        What the pictures are, for the error.
+        Description of the pictures, for the error.
     command : str
         The command that trains such a network, for the error.
 
@@ -52,7 +52,7 @@ class PictureClassifier:
 
     @property
     def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
+        """The runtime, as `Network.runtime`."""
         return self._network.runtime
 
     def mean_logits(

@@ -1,4 +1,4 @@
-"""Look at each detection alone by a small network, which may lower its confidence.
+"""Classify the crop around each detection, which may lower its confidence.
 
 The detector sees a whole picture at once and takes some stalks, leaves and other fruit for
 cucumbers. A classifier trained on its mistakes, on the crop around a single box, knows many of
@@ -87,14 +87,14 @@ def crop_square(
 
 
 def lowered(confidence: float, log_odds: float) -> float:
-    """Return a detection's confidence after the second look.
+    """Return a detection's confidence after the classification of its crop.
 
     Parameters
     ----------
     confidence : float
-        Of the detector, 0 to 1.
+        Confidence of the detector, 0 to 1.
     log_odds : float
-        Of the network, for a cucumber; positive ones change nothing.
+        Log-odds of the network for a cucumber; positive values change nothing.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def lowered(confidence: float, log_odds: float) -> float:
 
 
 class CropClassifier(PictureClassifier):
-    """Tells cucumbers from what a detector takes for one.
+    """Classifies crops as cucumbers or false detections.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class CropClassifier(PictureClassifier):
         Returns
         -------
         ndarray of float64, shape (N,)
-            The mean of the crop's and its mirror image's.
+            Mean of the crop and its mirror image.
         """
         if not boxes:
             return np.zeros(0)

@@ -1,4 +1,4 @@
-"""A look at each end of a fruit: whether it is the true one, and how far off it may be.
+"""Evaluate each end of a fruit by a network: whether it is the true end, and the missing length.
 
 Depth tells that something lies beside an end, not whether the fruit goes on behind it: leaves and
 stems hang at nearly the fruit's own distance. A network of a few layers looks at the picture around
@@ -30,7 +30,7 @@ ERROR_SCALE = 0.02
 
 
 class EndLooker:
-    """Looks at the ends of fruit.
+    """Evaluates the ends of fruit.
 
     Parameters
     ----------
@@ -58,16 +58,16 @@ class EndLooker:
 
     @property
     def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
+        """The runtime, as `Network.runtime`."""
         return self._network.runtime
 
     def look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
-        """Return what ends look like, all in one batch.
+        """Return the evaluation of ends, computed in one batch.
 
         Parameters
         ----------
         crops : sequence of EndCrop
-            Of `end_crop`. Each is looked at with its mirror image, of which the mean counts.
+            Results of `end_crop`. The outputs of each crop and its mirror image are averaged.
         """
         if not crops:
             return []
@@ -82,7 +82,7 @@ class EndLooker:
 
 
 def looked_at(row: NDArray[np.float64]) -> EndLook:
-    """Return the look that the network's output for one end is.
+    """Convert the network's output for one end.
 
     Parameters
     ----------

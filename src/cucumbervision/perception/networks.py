@@ -84,9 +84,9 @@ class Detectors:
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
         depth_m : ndarray of float32, shape (H, W), optional
-            Metres, aligned to colour: shows which fruit is in front, and votes.
+            Metres, aligned to colour; separates overlapping fruit, and rescores detections.
         focal_px : float, optional
-            The colour camera's focal length, pixels; without it depth has no vote.
+            Focal length of the colour camera, pixels; without it depth does not rescore.
 
         Returns
         -------
@@ -134,8 +134,8 @@ def each_fruit_once(
     looks : int
         As for `with_pose_votes`.
     focal_px : float, optional
-        The colour camera's focal length, pixels: where given, depth votes on each detection that
-        it shows, instead of the pose network.
+        Focal length of the colour camera, pixels. If given, depth rescores each detection with
+        enough readings, instead of the pose network.
 
     Returns
     -------
@@ -215,7 +215,7 @@ class Segmenter(Protocol):
 
     @property
     def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
+        """The runtime, as `Network.runtime`."""
         ...
 
     def segment(
@@ -246,11 +246,11 @@ def open_segmenter(
     runtime : str
         As in `open_network`.
     prompt : str
-        What it is prompted with: 'box+point', 'box' or 'point'.
+        Kind of prompt: 'box+point', 'box' or 'point'.
     full_precision : bool
-        Compute in float32 where results must reproduce.
+        Compute in float32 for reproducible results.
     registry : Registry, optional
-        The package's own if not given.
+        Registry of named networks; by default that of the package.
 
     Raises
     ------
@@ -290,11 +290,11 @@ class NetworkLoader:
     registry : Registry, optional
         The named networks; the package's registry if not given.
     runtime : str
-        What runs them, as in `open_network`.
+        Runtime, as in `open_network`.
     confidence : float
         Detections below it are omitted.
     prompt : str
-        What SAM is shown.
+        Kind of prompt for SAM.
     full_precision : bool
         Compute in float32.
     most_fruit : int, optional
@@ -341,12 +341,12 @@ class NetworkLoader:
 
     @property
     def ends(self) -> EndClassifier | None:
-        """The classifier of stem ends, which the loaded pose network holds; None without one."""
+        """The classifier of stem ends of the loaded pose network, or None."""
         return None if self._with_ends is None else self._with_ends.ends
 
     @property
     def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
-        """What the registry's network says of crops of ends; None without one.
+        """The function that evaluates crops of ends by the registry's network; None without one.
 
         The network is loaded with the first crops, which raises ModelError or ModelHashError if its
         file is missing, damaged, or another kind of network.

@@ -1,4 +1,4 @@
-"""What an ONNX file names outside itself, and whether it loops, by its protocol buffer."""
+"""Find external files and loops in an ONNX file by parsing its protocol buffer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 _Kind: TypeAlias = Literal[
     "model", "training", "graph", "node", "attribute", "tensor", "sparse", "function", "entry"
 ]
-# Messages within messages by field number (onnx.proto, IR version 13): the ways to a tensor.
+# Nested messages by field number (onnx.proto, IR version 13) on the path to a tensor.
 _PARTS: dict[_Kind, dict[int, _Kind]] = {
     "model": {7: "graph", 20: "training", 25: "function"},
     "training": {1: "graph", 2: "graph"},
@@ -29,7 +29,7 @@ _DEEPEST = 64
 def external_files(network: bytes) -> list[str]:
     r"""Return the files that an ONNX network's tensors are stored in, beside itself.
 
-    The runtimes would read each file that is named so, wherever it lies.
+    The runtimes would read each of these files, at any location.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def external_files(network: bytes) -> list[str]:
 
 
 def has_loop(network: bytes) -> bool:
-    """Return whether an ONNX network has a node `Loop`, whose end may depend on its input.
+    """Return whether an ONNX network has a node `Loop`, which may run without end.
 
     Raises
     ------

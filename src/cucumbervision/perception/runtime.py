@@ -39,7 +39,7 @@ _PROVIDERS = {
 # Two threads may each open a network.
 _STARTING_OPENVINO = threading.RLock()
 _GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
-_ONNX_FLOATS = {"float": "float32", "double": "float64"}  # the others have NumPy's names
+_ONNX_FLOATS = {"float": "float32", "double": "float64"}  # other types have the names of NumPy
 
 
 @dataclass(frozen=True)
@@ -222,10 +222,10 @@ def open_network(
 
 
 def _inspected(network: bytes, source: str) -> bool:
-    """Refuse weights in another file; return whether a network holds a loop."""
+    """Reject weights in another file; return whether a network contains a loop."""
     try:
         outside, loops = external_files(network), has_loop(network)
-    except ValueError:  # what is no ONNX file the runtimes refuse
+    except ValueError:  # the runtimes reject files that are not ONNX
         return False
     if outside:
         raise ModelError(
@@ -357,13 +357,15 @@ def _open_onnxruntime(
     )
 
 
-_LONGEST_RUN_S = 300.0  # SAM takes 10 s on a slow processor; a loop in a network may never end
+_LONGEST_RUN_S = (
+    300.0  # SAM takes 10 s on a slow processor; a network with a loop may run without end
+)
 
 
 def _run_for(
     longest_s: float, ort: Any, session: Any, names: list[str], feeds: dict[str, Array]
 ) -> list[Array]:
-    """Run a session, and end it after a time: a network may hold a loop that never ends."""
+    """Run a session with a time limit, because a loop in a network may run without end."""
     settings = ort.RunOptions()
     timer = threading.Timer(longest_s, setattr, (settings, "terminate", True))
     timer.daemon = True

@@ -34,7 +34,8 @@ class Sam2(Sam):
     files : mapping of str to Path
         The file 'checkpoint', under its published name, such as 'sam2.1_hiera_tiny.pt'.
     runtime, full_precision, verified
-        Taken for the other segmenters' sake: PyTorch computes in float32, on a GPU if there is one.
+        Ignored; for the same interface as other segmenters. PyTorch uses float32, and a GPU if
+        there is one.
     prompt : str
         As in `Sam`.
 
@@ -43,7 +44,7 @@ class Sam2(Sam):
     MissingExtraError
         If PyTorch or sam2 is not installed.
     ModelError
-        If the checkpoint's name or content is none of SAM 2.
+        If the checkpoint is not one of SAM 2.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Sam2(Sam):
 
     @property
     def runtime(self) -> str:
-        """What runs it."""
+        """The runtime."""
         return self._runtime
 
     def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:

@@ -371,7 +371,7 @@ class YoloDetector:
 
     @property
     def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
+        """The runtime, as `Network.runtime`."""
         return self._network.runtime
 
     @OneThread()
@@ -401,7 +401,7 @@ class YoloDetector:
         """
         confidence = self._confidence if confidence is None else confidence
         least_confidence = detector_floor(confidence, votes=len(self._sizes_px) > 1)
-        # A network's mistakes on the mirror image are others, those at another size are often not.
+        # Mistakes on a mirror image are independent, those at another size often are not.
         by_size = [
             self._detect_mirrored(color_rgb, size_px, least_confidence)
             if number % 2

@@ -1,4 +1,4 @@
-"""The rows of a YOLO network's output: which layout they have, and those that count."""
+"""Determine the layout of a YOLO network's output rows, and select the detections."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ def row_kind(
     input_px: tuple[int, int],
     end_to_end: bool,
 ) -> tuple[RowKind, int] | None:
-    """Return the layout of an output and its number of classes; None where it is none of them.
+    """Return the layout of an output and its number of classes; None for an unknown layout.
 
-    The number of rows tells layouts apart whose columns are equal: a raw output has one row for
-    each cell of the three grids, YOLOv5's three for each, and final rows are no more than 1,000.
+    The number of rows distinguishes layouts with equal columns: a raw output has one row for each
+    cell of the three grids, YOLOv5 has three, and final rows are at most 1,000.
 
     Parameters
     ----------
     shape : tuple of int
         Shape of the detections without the batch.
     classes : int
-        How many classes the file names; 0 where it names none.
+        Number of class names in the file; 0 if it has none.
     extra : int
         Numbers per detection beside box and classes.
     input_px : tuple of int
         Height and width of the input.
     end_to_end : bool
-        Whether the file says that its rows are final.
+        Whether the rows are final according to the file.
 
     Examples
     --------
@@ -88,7 +88,7 @@ def row_kind(
 
 
 def raw_of(output: NDArray[np.floating], kind: RowKind, classes: int) -> NDArray[np.floating]:
-    """Return an output that is not final as `RowKind.RAW`: objectness times scores are scores.
+    """Convert an output that is not final to `RowKind.RAW`; objectness is multiplied into scores.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def choose_raw(
     output : ndarray, shape (4 + classes + extra, N)
         Centre x, centre y, width, height, scores, extras.
     classes : int
-        How many classes.
+        Number of classes.
     confidence : float
         0 to 1; a score must exceed it.
     one_to_one : bool

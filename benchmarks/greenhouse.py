@@ -31,7 +31,7 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.geometry.curve import points_along, polyline_length
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.input_sizes import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
@@ -88,7 +88,7 @@ def judge(result: CaptureResult, marks: dict[str, Any]) -> Judged:
 def _marked_m(
     capture: Capture, marks: dict[str, Any], fruit: FruitMeasurement | None
 ) -> tuple[float, float]:
-    tube = None if fruit is None else fruit.measurements.get(Method.M6)
+    tube = None if fruit is None else fruit.measurements.get(MethodName.M6)
     if "ends" not in marks or tube is None or tube.fit is None:
         return float("nan"), float("nan")
     traits = tube.fit.traits

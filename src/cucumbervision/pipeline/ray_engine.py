@@ -47,8 +47,8 @@ class RayEngine:
     ) -> Iterator[Outcome[Any]]:
         """Process the items; Ray Data limits the number of captures in memory.
 
-        If a worker is killed, its captures are measured again. A capture whose worker is killed twice
-        becomes a failure.
+        If a worker is killed, its captures are measured again. A capture whose worker is killed
+        twice becomes a failure.
 
         Raises
         ------

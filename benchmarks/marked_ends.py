@@ -26,9 +26,10 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.instances.end_crops import EndCrop, end_crop
 from cucumbervision.instances.masks import distances_inside
 from cucumbervision.measurement.end_looks import DOUBTFUL
-from cucumbervision.perception.end_look import EndCrop, EndLooker, end_crop
+from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.keypoint_axis import axis_line
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.measurer import Measurer
@@ -70,7 +71,7 @@ def marked_ends(photo: dict[str, Any], capture: Capture, measurer: Measurer) -> 
     """Yield the marked ends of a photo at which a mask of today ends."""
     masks = [
         instance.mask
-        for instance in measurer.detect(capture).found.instances
+        for instance in measurer.detect(capture).detections.instances
         if instance.mask is not None
     ]
     drawn = [(mask, line) for mask in masks if (line := axis_line(mask)) is not None]

@@ -108,6 +108,19 @@ def store(house: Path) -> Iterator[Store]:
         yield opened
 
 
+@pytest.fixture
+def asked(house: Path, fresh_caches: None) -> Iterator[Any]:
+    """A client of the routes of both applications, without their guard."""
+    from starlette.applications import Starlette
+    from starlette.testclient import TestClient
+
+    from cucumbervision_greenhouse.capture_page.routes import routes as capture_routes
+    from cucumbervision_greenhouse.dashboard.routes import routes
+
+    with TestClient(Starlette(routes=[*routes(), *capture_routes()])) as client:
+        yield client
+
+
 def long_round(store: Store, template: StopRecord, stops: int) -> None:
     """Save a round of many stops, each with five fruit of drawn lengths, in four rows."""
     rng = np.random.default_rng(5)

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.errors import CucumberVisionError, StoreError
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import cameras, resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.fruit_pictures import mask_outline, stop_layers
 from cucumbervision_greenhouse.backend.words import (
     action_words,
@@ -52,7 +52,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     """
     every = resources.rounds()
     if source not in ("camera", "replay"):
-        source = "replay" if resources.replay_named() else "camera"
+        source = "replay" if cameras.replay_named() else "camera"
     one = next((x for x in every if round_key in ("", x.key)), None)
     shown = _preview_of(source)
     home = DEMONSTRATION if shown is not None and shown.simulated else one.key if one else ""
@@ -60,7 +60,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
     aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
-    progress = resources.progress(home)
+    progress = tasks.progress(home)
     return {
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
@@ -75,11 +75,11 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "sides": sides_of(stops),
         "work": progress.told,
         "first": progress.first_words,
-        "doubts": [line for x in every if x.key == home for line in resources.doubts_of(x)],
+        "doubts": [line for x in every if x.key == home for line in round_caches.doubts_of(x)],
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."
         if aside
-        else resources.measuring_fault(),
+        else tasks.measuring_fault(),
         "last": _last_stop(one, last) if one and last else None,
         "done": _done(store, home),
     }
@@ -99,7 +99,7 @@ def _done(store: Store, home: str) -> dict[str, Any] | None:
 
 def _preview_of(source: str) -> Any:
     try:
-        return resources.feed(source).preview().capture
+        return cameras.feed(source).preview().capture
     except CucumberVisionError:
         return None
 
@@ -190,7 +190,7 @@ def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
         home, pressed_s = _round_and_time(store, asked.stop)
     action = _last_action(store, home)
     if action is not None and action.at_s > (asked.at_s or pressed_s):
-        resources.undo(store, home, number=action.number)
+        tasks.undo(store, home, number=action.number)
         return {"words": f"Taken back: {action_words(action)}", "action": action.number}
     if asked.stop is None:
         raise StoreError("nothing to undo", remedy="delete a stop on the row map")
@@ -226,7 +226,7 @@ def _delete_stop(store: Store, key: str) -> str:
         time.sleep(0.05)
     stop = store.stop(key)
     store.delete_stop(key, taken_back=True)
-    resources.merge(stop.round_key)
+    tasks.merge(stop.round_key)
     return "The last stop was deleted. 'Undo' on the row map brings it back"
 
 

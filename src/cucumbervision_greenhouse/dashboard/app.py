@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import tasks
 from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
@@ -44,7 +44,7 @@ def main() -> None:
         pages = _pages()
         st.session_state["pages"] = {page.url_path or "today": page for page in pages}
         chosen = st.navigation(pages, position="hidden")
-        resources.prepare()
+        tasks.prepare()
         page_elements.keep_address()
         read_address()
         _draw_navigation(pages, chosen)

@@ -14,10 +14,11 @@ from starlette.middleware import Middleware
 
 from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import round_caches, tasks
 from cucumbervision_greenhouse.backend.access import AccessGuard, Login
-from cucumbervision_greenhouse.capture_page.routes import routes
+from cucumbervision_greenhouse.capture_page.routes import routes as capture_routes
 from cucumbervision_greenhouse.dashboard.callbacks import finish_callbacks
+from cucumbervision_greenhouse.dashboard.routes import routes
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 
 # Without `server.serve`, which decides on the login, nobody is admitted.
@@ -37,10 +38,10 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
 
     def prepare() -> None:
         with suppress(CucumberVisionError, ImportError):  # a page says why
-            resources.prepare()
+            tasks.prepare()
             for name in _FIRST_USED:
                 import_module(name)
-            resources.read_ahead()
+            round_caches.read_ahead()
 
     threading.Thread(target=prepare, name="preparing", daemon=True).start()
     yield {}
@@ -48,5 +49,8 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
 
 finish_callbacks()
 app = st.App(
-    Path(__file__).with_name("app.py"), middleware=[_GUARD], routes=routes(), lifespan=_prepared
+    Path(__file__).with_name("app.py"),
+    middleware=[_GUARD],
+    routes=[*routes(), *capture_routes()],
+    lifespan=_prepared,
 )

@@ -12,7 +12,7 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import hours_words
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.backend.words import action_words, plain, sentence, step_words
 from cucumbervision_greenhouse.dashboard.round_choice import choose_round, missing_round
@@ -61,7 +61,7 @@ def draw_undo(round_key: str) -> None:
 
     def undo() -> None:
         try:
-            action = resources.undo(resources.store(), round_key)
+            action = tasks.undo(resources.store(), round_key)
         except CucumberVisionError as error:
             st.session_state["fault"] = str(error)
         else:
@@ -119,7 +119,7 @@ def pictures(
     with st.container(horizontal=True):
         for view in views:
             with st.container(width=_PICTURE_PX):
-                if (cut := resources.cutout_of(view, joint)) is not None:
+                if (cut := round_caches.cutout_of(view, joint)) is not None:
                     st.image(cut, width="stretch", alt=f"Fruit at {step_words(view.step).lower()}")
                 st.caption(words(view))
                 if act is not None:
@@ -259,7 +259,7 @@ def finished_job(key: str) -> Job | None:
 def live() -> None:
     """Show the work that goes on, and draw the page anew whenever its round changes."""
     opened = st.session_state.get("round") or ""
-    data = {"round": opened, "version": resources.news(opened)["version"]}
+    data = {"round": opened, "version": round_caches.news(opened)["version"]}
     component("live")(key="live", data=data, on_changed_change=lambda: None)
 
 

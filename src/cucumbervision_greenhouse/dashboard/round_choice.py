@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.words import plain, round_name, sentence
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
@@ -143,11 +143,11 @@ def _rename(key: str) -> None:
 
 def _delete(key: str) -> None:
     for after in delete_round(resources.store(), key, resources.waiting()):
-        resources.merge(after)
+        tasks.merge(after)
     st.session_state["round"] = None  # the newest of the others
 
 
 def _bring_back(key: str) -> None:
     resources.store().restore_round(key)
-    resources.merge(key)  # its fruit and those of its neighbours were linked past it
+    tasks.merge(key)  # its fruit and those of its neighbours were linked past it
     st.session_state["round"] = key

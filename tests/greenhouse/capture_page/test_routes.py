@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import io
 import json
 import random
-import struct
 import threading
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,18 +16,14 @@ import pytest
 pytest.importorskip("streamlit")
 pytest.importorskip("httpx2")
 
-from starlette.applications import Starlette
 from starlette.testclient import TestClient
 from tests.greenhouse.conftest import ThreadRecorder
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.quality import depth_quality
 from cucumbervision.capture.raw_frames import FrameRing
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.access import DEVICE, AccessGuard
-from cucumbervision_greenhouse.backend.camera_feed import CameraFeed, Preview
-from cucumbervision_greenhouse.capture_page.routes import Shown, routes
+from cucumbervision_greenhouse.backend.camera_feed import CameraFeed
 from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
@@ -39,12 +32,6 @@ from cucumbervision_greenhouse.store.views import Verdict
 WALK = key_of("walk")
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
-
-
-@pytest.fixture
-def asked(house: Path) -> Iterator[TestClient]:
-    with TestClient(Starlette(routes=list(routes()))) as client:
-        yield client
 
 
 def sent(number: str, at_s: float, position_m: float = 9.0, **other: Any) -> dict[str, Any]:
@@ -70,7 +57,7 @@ def test_a_press_sent_again_is_the_same_stop_and_is_measured(
     asked: TestClient, store: Store
 ) -> None:
     resources.change_settings(fruit_from="dataset")
-    resources.feed("replay").preview()
+    cameras.feed("replay").preview()
     first = sent("a", time.time() + 0.01)
     (saved,) = press(asked, first)
     assert saved["state"] == "saved"
@@ -103,18 +90,6 @@ def test_a_press_is_refused_where_its_picture_or_its_round_is_gone(
     assert "no picture of that moment" in old["words"]
     assert lost["words"] == "the round was deleted"
     assert resources.waiting().captures() == []
-
-
-def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
-    answer = asked.get(f"/api/files/{WALK}", params={"formats": ["xlsx", "csv", "html"]})
-    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''morning.zip"
-    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        names = set(archive.namelist())
-        lines = archive.read("fruit.csv").decode("utf-8-sig").splitlines()
-    assert {"round.xlsx", "fruit.csv", "round.html"} < names
-    assert len(lines) == 9  # eight fruit and the head
-    assert asked.get(f"/api/files/{key_of('gone')}?formats=csv").status_code == 404
-    assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
 
 
 @pytest.mark.parametrize(
@@ -166,8 +141,8 @@ def test_a_body_that_is_too_large_is_refused_while_it_is_read(
 def test_the_last_stop_is_taken_back_measured_or_not(
     asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resources, "wake", lambda: None)  # nothing is measured
-    resources.feed("replay").preview()
+    monkeypatch.setattr(tasks, "wake", lambda: None)  # nothing is measured
+    cameras.feed("replay").preview()
     (saved,) = press(asked, sent("a", time.time() + 0.01))
     answer = asked.post("/api/undo", json={"stop": saved["stop"]}).json()
     assert answer == {"words": "Stop 1: row 1, left, 9.00 m: deleted"}
@@ -249,30 +224,6 @@ def test_a_walk_says_where_each_row_goes_on(asked: TestClient, store: Store) -> 
     assert "10" not in walk["rows"]
 
 
-def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:
-    resources.change_settings(upload_limit_mb=1)
-    files = [{"name": "odd.png", "size": 13, "changed": 1.5}]
-    begun = asked.post("/api/uploads", json={"round": WALK, "files": files}).json()
-    assert begun["received"] == [0]
-    place = f"/api/uploads/{begun['upload']}/0"
-    assert asked.post(f"{place}?offset=0", content=b"MZ no").json() == {"received": 5}
-    assert asked.post("/api/uploads", json={"round": WALK, "files": files}).json() == {
-        **begun,
-        "received": [5],
-    }
-    assert asked.post(f"{place}?offset=5", content=b" picture").json() == {"received": 13}
-    wait_for_jobs()
-    (upload,) = resources.uploads().all(WALK)
-    assert upload.done
-    assert [(one.name, one.saved) for one in upload.outcomes] == [("odd.png", False)]
-    files[0]["size"] = 1_000_001
-    refused = asked.post("/api/uploads", json={"round": WALK, "files": files})
-    assert refused.status_code == 409
-    assert "more than the 1 MB" in refused.json()["error"]
-    for path in ("/api/uploads/..%2F..%2Fhouse/0?offset=0", f"{place}?offset=-1"):
-        assert asked.post(path, content=b"x").status_code in (400, 404)
-
-
 def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
     asked: TestClient, store: Store
 ) -> None:
@@ -303,67 +254,6 @@ def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Sto
     assert not store.detection(view.key).view.corrected
 
 
-def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:
-    with asked.websocket_connect(f"/api/news?round={WALK}") as line:
-        first = line.receive_json()
-        assert first["work"] == {"words": "", "done": 0, "total": 0, "waiting": 0}
-        line.send_text("next")
-        again = line.receive_json()  # the same after a while: the line is not dead
-        assert {**again, "now_s": 0} == {**first, "now_s": 0}
-        assert again["now_s"] - first["now_s"] >= 2.0
-        store.pick([store.detections(WALK)[0].key])
-        line.send_text("next")
-        while line.receive_json()["version"] == first["version"]:
-            line.send_text("next")  # until the test's own limit
-
-
-def test_a_preview_is_sent_when_it_changes_and_not_before_it_was_shown(
-    asked: TestClient,
-) -> None:
-    with asked.websocket_connect("/api/preview?source=replay") as line:
-        while (header := read(line.receive_bytes())[0])["state"] != "replay":
-            line.send_text("next")
-        assert header["simulated"]
-        assert header["quality"]["seen"] == "100 %"
-        line.send_text("next")
-        press(asked, sent("a", time.time()))
-        name = header["name"]
-        while header["name"] == name:
-            header, color, depth = read(line.receive_bytes())
-            line.send_text("next")
-        assert color[:2] == depth[:2] == b"\xff\xd8"
-    wait_for_jobs()
-
-
-def read(message: bytes) -> tuple[dict[str, Any], bytes, bytes]:
-    """A message of the preview: header, colour, depth."""
-    (length,) = struct.unpack("<I", message[:4])
-    header = json.loads(message[4 : 4 + length])
-    at = 4 + length + header.get("color_bytes", 0)
-    return header, message[4 + length : at], message[at:]
-
-
-def test_a_picture_that_shows_nothing_new_is_not_sent() -> None:
-    rng, camera = np.random.default_rng(3), Intrinsics(320, 180, 230.0, 230.0, 160.0, 90.0)
-    color = rng.integers(0, 256, (180, 320, 3)).astype(np.uint8)
-
-    def preview(picture: Any, number: int) -> Preview:
-        depth_m = np.full((180, 320), 0.5, np.float32)
-        capture = Capture(picture, depth_m, camera, "a")
-        return Preview("live", capture, depth_quality(capture), number)
-
-    shown = Shown()
-    assert shown.changes(preview(color, 1))
-    assert not shown.changes(preview(color, 2))
-    noise = rng.integers(-2, 3, color.shape)
-    assert not shown.changes(preview((color + noise).clip(0, 255).astype(np.uint8), 3))
-    moved = preview(np.roll(color, 40, axis=1), 4)
-    assert shown.changes(moved)
-    assert not shown.changes(replace(moved, number=5))
-    assert shown.changes(Preview("absent", message="no camera"))
-    assert not shown.changes(Preview("absent", message="no camera"))
-
-
 @pytest.mark.parametrize("name", ["../routes.py", "%2e%2e%2froutes.py", "none.js", ""])
 def test_only_the_page_s_own_files_are_given(asked: TestClient, name: str) -> None:
     assert asked.get(f"/capture/{name}", follow_redirects=False).status_code in (307, 404)
@@ -392,9 +282,9 @@ def test_each_of_1000_presses_is_one_stop_with_its_own_picture(
     """Pressed by four hands at once; some are told late, twice, or in a lot after a gap."""
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(make_recording(tmp_path / "walk.db3", 200)))
-    monkeypatch.setattr(resources, "wake", lambda: None)  # what is kept is looked at here
+    monkeypatch.setattr(tasks, "wake", lambda: None)  # what is kept is looked at here
     resources.change_settings(burst=1)
-    feed, taken, write = resources.feed("replay"), list[tuple[float, float]](), FrameRing.write
+    feed, taken, write = cameras.feed("replay"), list[tuple[float, float]](), FrameRing.write
     assert isinstance(feed, CameraFeed)
     feed._start = ThreadRecorder
 

@@ -19,7 +19,7 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.capture_page.state import walk
 from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, move_stop, settle
@@ -489,10 +489,10 @@ def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None
         walked = walk(store, empty.key, "camera")
         assert walked["first"].startswith(told)
         work = {"words": "Measuring: 0 of 3 captures; 2 of other rounds wait too"}
-        assert walked["work"] == resources.news(empty.key)["work"]
+        assert walked["work"] == round_caches.news(empty.key)["work"]
         assert walked["work"] == {**work, "done": 0, "total": 3, "waiting": 3}
         assert "2 captures are still being measured" in said(app("today", round=WALK))
-        assert resources.news(WALK)["work"]["waiting"] == 2
+        assert round_caches.news(WALK)["work"]["waiting"] == 2
         for one in resources.waiting().captures():
             resources.waiting().done(one)
         busy.set()
@@ -509,7 +509,7 @@ def test_why_nothing_is_measured_is_told_on_every_page(house: Path, tmp_path: Pa
     resources.waiting().put(replace(capture, stop=place), key_of("lost"), WALK, time.time())
     assert app("today", round=WALK).exception == []
     wait_for_jobs()
-    words = resources.news(WALK)["work"]["words"]
+    words = round_caches.news(WALK)["work"]["words"]
     assert words.startswith("1 capture waits to be measured: ")
     assert "lost.json" in words
 

@@ -17,7 +17,7 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.backend.words import length_words, metres_words, plain
 from cucumbervision_greenhouse.dashboard import page_elements
@@ -231,7 +231,7 @@ _LENGTHS = 0.5, 100.0  # that can be typed, in the unit of the page
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    graded = resources.graded_round(one)
+    graded = round_caches.graded_round(one)
     fruit = [view for view in graded.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
@@ -320,7 +320,7 @@ def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict
     at = metres_words(view.along_m) if view.along_m is not None else ""
     return {
         "key": view.key,
-        "picture": resources.thumbnail_of(view),
+        "picture": round_caches.thumbnail_of(view),
         "saved": ["" if x is None else f"{units.value(x):.5g}" for x in known],
         "program": units.text(view.record.length_m),
         "name": f"fruit {view.record.number}, {at or view.capture}",
@@ -352,7 +352,7 @@ def typed_m(cell: str, units: Units) -> float | None:
 
 
 def _scores(one: RoundView, path: Path) -> None:
-    measured = measured_round(resources.store(), one.key, resources.methods_of(one))
+    measured = measured_round(resources.store(), one.key, round_caches.methods_of(one))
     truth = read_truth(path)
     found: OwnTruth = evaluate_lengths(measured, truth)
     st.subheader("Errors")

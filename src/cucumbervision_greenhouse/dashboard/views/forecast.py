@@ -9,7 +9,7 @@ import streamlit as st
 
 from cucumbervision.agronomy.classes import UNDECIDED, class_name, class_of
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.words import (
     counted,
     hours_span_words,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    found = resources.forecast_of(one)
+    found = round_caches.forecast_of(one)
     if not found.fruit:
         st.info(
             "Nothing to forecast: this round has no measured fruit left on the plant.",

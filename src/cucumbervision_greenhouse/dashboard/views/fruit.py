@@ -12,7 +12,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import painted_mask
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.fruit_pictures import (
     as_data_url,
     depth_picture,
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 def show(one: RoundView, graded: GradedRound, key: str) -> None:
     """Draw a fruit in place of the list."""
-    detail = resources.fruit_detail(one, key)
+    detail = round_caches.fruit_detail(one, key)
     _head(graded, key)
     left, right = page_elements.halves()
     # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
@@ -66,7 +66,7 @@ def show(one: RoundView, graded: GradedRound, key: str) -> None:
         _figures(graded, detail)
     with right.container():
         _verdict(one, detail)
-    line = next((x for x in resources.fruit_of(one) if x.view.group == detail.view.group), None)
+    line = next((x for x in round_caches.fruit_of(one) if x.view.group == detail.view.group), None)
     joint = _joint_of(one, line)
     with left:
         _pictures(detail, joint)
@@ -359,7 +359,7 @@ def _show_stops(
     joint : JointRecord, optional
         One tube in all of them.
     """
-    content, units = resources.content_of(one), resources.settings().units
+    content, units = round_caches.content_of(one), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
     if len(views) < 2:
         return
@@ -382,7 +382,7 @@ def _joint_of(one: RoundView, line: RoundFruit | None) -> JointRecord | None:
     if line is None or line.joint is None:
         return None
     try:
-        return resources.joint_of(one.key, line.joint.key)
+        return round_caches.joint_of(one.key, line.joint.key)
     except CucumberVisionError:  # merged anew meanwhile
         return None
 

@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend import round_tables as tables
 from cucumbervision_greenhouse.backend.round_tables import GradedRound
 from cucumbervision_greenhouse.backend.words import (
@@ -64,8 +64,8 @@ _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ 
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    graded = resources.graded_round(one)
-    groups = {view.key: view.group for view in resources.content_of(one).views}
+    graded = round_caches.graded_round(one)
+    groups = {view.key: view.group for view in round_caches.content_of(one).views}
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
         fruit_page.show(one, graded, opened)
@@ -87,7 +87,7 @@ def page(one: RoundView) -> None:
 
 
 def _empty(one: RoundView) -> None:
-    if not one.stops and (words := resources.progress(one.key).first_words):
+    if not one.stops and (words := tasks.progress(one.key).first_words):
         st.info(words, icon=":material/hourglass_empty:")
     elif one.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
@@ -101,7 +101,7 @@ def _classes(one: RoundView, graded: GradedRound) -> None:
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
-    if resources.today_of(one).age_days:
+    if round_caches.today_of(one).age_days:
         says.caption("As measured. 'What is ready today' includes the growth expected since then.")
     if is_demonstration(one.key):
         says.caption("A computer-made example.")
@@ -164,11 +164,11 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
 
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
-    shown = page_elements.page_of(fruit, "list_page", resources.LINES)
+    shown = page_elements.page_of(fruit, "list_page", round_caches.LINES)
     lines = [_line(graded, view) for view in shown]
     words = f"{len(fruit)} fruit: tap one to open it"
     page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
-    page_elements.choose_page(fruit, "list_page", resources.LINES)
+    page_elements.choose_page(fruit, "list_page", round_caches.LINES)
 
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
@@ -184,4 +184,4 @@ def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
         ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
         remarks(record, units),
     ]
-    return {"key": view.key, "picture": resources.thumbnail_of(view), "says": says}
+    return {"key": view.key, "picture": round_caches.thumbnail_of(view), "says": says}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
 from cucumbervision_greenhouse.backend.words import (
     count_words,
@@ -57,7 +57,7 @@ def page(one: RoundView) -> None:
 
 def _maps(one: RoundView, opened: FruitContext | None) -> None:
     units = resources.settings().units
-    graded = resources.graded_round(one)
+    graded = round_caches.graded_round(one)
     lines = map_lines(graded, units)
     if not lines:
         st.info(
@@ -76,7 +76,7 @@ def _maps(one: RoundView, opened: FruitContext | None) -> None:
         format_func=plain,
         selection_mode="multi",
     )
-    for report in resources.rows_of(one):
+    for report in round_caches.rows_of(one):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
     named = None if opened is None else row_and_side(opened.fruit)
     drawn = [row for row in rows if row in chosen or row == named]
@@ -137,7 +137,7 @@ def _answer(graded: GradedRound, found: FruitContext) -> dict[str, Any]:
     }
     return {
         "key": fruit.key,
-        "picture": resources.thumbnail_of(fruit),
+        "picture": round_caches.thumbnail_of(fruit),
         "says": map_words(fruit, graded, units) + marked[fruit.verdict],
         "verdict": fruit.verdict,
     }

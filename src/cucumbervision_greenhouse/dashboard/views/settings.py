@@ -10,7 +10,7 @@ from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
 from cucumbervision_greenhouse.backend.words import plain, told_apart
 from cucumbervision_greenhouse.dashboard import page_elements
@@ -150,7 +150,7 @@ def _camera() -> None:
         usual = now.exposure_us or _USUAL_US
         exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
     resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
-    resources.camera().configure(resources.settings().camera)
+    cameras.camera().configure(resources.settings().camera)
 
 
 def _how() -> None:

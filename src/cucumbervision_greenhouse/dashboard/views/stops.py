@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.words import counted, stop_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
@@ -92,4 +92,4 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
 def _do(round_key: str, act: Callable[[], int]) -> None:
     """Do it, and find the round's fruit anew."""
     if do(act):
-        resources.merge(round_key)
+        tasks.merge(round_key)

@@ -11,7 +11,7 @@ import streamlit as st
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.backend.words import (
     counted,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    today = resources.today_of(one)
+    today = round_caches.today_of(one)
     _age(one, today)
     _next(one, today)
     if not today.rows:
@@ -71,10 +71,10 @@ def _age(one: RoundView, today: Today) -> None:
 
 def _next(one: RoundView, today: Today) -> None:
     """Say what to do next, with a way to where it is done."""
-    progress = resources.progress(one.key)
+    progress = tasks.progress(one.key)
     steps: list[tuple[str, str, str]] = []
     if progress.waiting:
-        resources.wake()
+        tasks.wake()
     if not one.stops and progress.first_words:
         steps.append((progress.first_words, "capture", "Capture"))
     elif progress.waiting:
@@ -88,7 +88,7 @@ def _next(one: RoundView, today: Today) -> None:
         steps.append(("Start a new round and walk again.", "capture", "Capture"))
     elif one.stops and not today.rows and not progress.waiting:
         steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
-    if unsure := len(doubtful(resources.content_of(one).views)):
+    if unsure := len(doubtful(round_caches.content_of(one).views)):
         steps.append(
             (
                 f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with low "
@@ -189,7 +189,7 @@ def _lines(
     one: RoundView, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
-    views = {view.key: view for view in resources.graded_round(one).fruit}
+    views = {view.key: view for view in round_caches.graded_round(one).fruit}
     lines = []
     for pick in picks:
         key = pick.fruit.fruit_id
@@ -201,7 +201,7 @@ def _lines(
             "" if view is None else height_words(view.record, units),
             "computer-made" if key in simulated else "",
         ]
-        picture = None if view is None else resources.thumbnail_of(view)
+        picture = None if view is None else round_caches.thumbnail_of(view)
         picked_now = _is_picked(pick, picked)
         lines.append({"key": key, "picture": picture, "says": says, "picked": picked_now})
     return lines

@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.progress import progress_of
 from cucumbervision_greenhouse.backend.uploading import CAMERAS
 from cucumbervision_greenhouse.backend.uploads import SentPlace
@@ -53,7 +53,7 @@ def page(one: RoundView) -> None:
                 "accept": ",".join(f".{ending}" for ending in _ENDINGS),
             },
         )
-    if doubts := resources.doubts_of(one):
+    if doubts := round_caches.doubts_of(one):
         words = f"Check the data of this round. {'. '.join(doubts)}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(one.key)[:_SHOWN]:

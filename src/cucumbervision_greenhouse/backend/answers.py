@@ -1,0 +1,122 @@
+"""Routes of both applications: what a function returns as an answer, changes by WebSocket, news."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from contextlib import suppress
+from functools import wraps
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+from starlette.websockets import WebSocketDisconnect
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.access import device_of
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from starlette.requests import Request
+    from starlette.websockets import WebSocket
+
+
+Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
+"""Key of a round, stop or upload."""
+
+_NEWS_S = 0.3  # how often is looked for news
+_BEAT_S = 2.0
+
+
+class Sent(BaseModel):
+    """The content of a request, with nothing but what is asked for."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def answer(
+    work: Callable[[Request, Any], Any],
+) -> Callable[[Request], Awaitable[Response]]:
+    """Make a route of a function of a request and its content; what it returns is sent as JSON.
+
+    An error of ours is answered in one line for people, by the status 409.
+    """
+
+    @wraps(work)
+    async def route(request: Request) -> Response:
+        try:
+            content = await request.body() if request.method == "POST" else b""
+        except HTTPException as error:  # too large, or it does not come on: `AccessGuard` says so
+            return JSONResponse({"error": error.detail}, error.status_code, error.headers)
+        try:
+            found = await run_in_threadpool(work, request, content)
+        except CucumberVisionError as error:
+            return JSONResponse({"error": str(error)}, 409)
+        except ValidationError:
+            return JSONResponse({"error": "the request is damaged; reload the page"}, 400)
+        if isinstance(found, Response):
+            return found
+        return JSONResponse(found, headers={"cache-control": "no-store"})
+
+    return route
+
+
+def store_of(request: Request) -> Any:
+    """Return the store, signed by the one who sent a request."""
+    name = request.scope.get("viewer") or "dashboard"
+    return resources.store().signed(name, device_of(request.cookies))
+
+
+async def news(socket: WebSocket) -> None:
+    """Send the news of a round as they come, for as long as a page looks.
+
+    The same ones are sent again every `_BEAT_S`, by which a page knows that its line is not dead.
+    """
+    known: dict[str, Any] = {}
+
+    def look() -> str | None:
+        found = round_caches.news(socket.query_params.get("round", ""))
+        now_s = found.pop("now_s")
+        is_due = abs(now_s - known.get("at_s", 0.0)) >= _BEAT_S
+        if known.get("last") == found and not is_due:
+            return None
+        known.update(last=found, at_s=now_s)
+        return json.dumps({**found, "now_s": now_s})
+
+    await send_changes(socket, look, _NEWS_S)
+
+
+async def send_changes(
+    socket: WebSocket, look: Callable[[], str | bytes | None], every_s: float
+) -> None:
+    """Send what `look` finds whenever the browser has shown what came before, until it leaves."""
+    await socket.accept()
+    ready = asyncio.Event()
+    ready.set()
+
+    async def listen() -> None:
+        with suppress(WebSocketDisconnect):
+            while True:
+                await socket.receive_text()
+                ready.set()
+
+    gone = asyncio.create_task(listen())
+    try:
+        while not gone.done():
+            found = await run_in_threadpool(look) if ready.is_set() else None
+            if found is not None:
+                ready.clear()
+                await (
+                    socket.send_bytes(found)
+                    if isinstance(found, bytes)
+                    else socket.send_text(found)
+                )
+            await asyncio.wait({gone}, timeout=every_s)
+    except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
+        pass
+    finally:
+        gone.cancel()

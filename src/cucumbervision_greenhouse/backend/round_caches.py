@@ -1,0 +1,185 @@
+"""What pages show of a round, read again only when something of it changed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import streamlit as st
+
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision_greenhouse.agronomy.forecast import Forecast
+from cucumbervision_greenhouse.backend.fruit_pictures import as_data_url, crop, drawn_on, joint_tube
+from cucumbervision_greenhouse.backend.resources import (
+    KEPT,
+    profile_of,
+    rounds,
+    store,
+    uploads,
+    worker,
+)
+from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_round
+from cucumbervision_greenhouse.backend.tasks import mergings, progress
+from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
+from cucumbervision_greenhouse.rounds.forecasting import (
+    Today,
+    forecast_today,
+    midnight_s,
+    read_today,
+)
+from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
+from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, fruit_table
+from cucumbervision_greenhouse.rounds.merge_and_link import RowReport, row_reports
+from cucumbervision_greenhouse.store.records import JointRecord, MethodRecord
+from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionView, RoundView
+
+_CUT_PX, _CUT_SHARE = 320, 0.8
+LINES = 20  # fruit on one page of the list
+
+
+def news(round_key: str) -> dict[str, Any]:
+    """Return what open pages must know at once: what waits, what is done, and the round's version.
+
+    Parameters
+    ----------
+    round_key : str
+        The round that is looked at; its `version` changes whenever a page of it would.
+    """
+    one = next((x for x in store().rounds() if x.key == round_key), None)
+    counts = worker().finished + uploads().changes, 0 if one is None else hash(_version(one))
+    return {
+        "version": f"{counts[0]}-{counts[1]}",
+        "now_s": time.time(),
+        "work": progress(round_key).told,
+    }
+
+
+def _version(one: RoundView) -> tuple[object, ...]:
+    """Return what changes whenever a page of the round would."""
+    return (*_measured_version(one), store().newest_action(one.key))
+
+
+def _measured_version(one: RoundView) -> tuple[object, ...]:
+    counts = one.stops, one.fruit, one.last_s
+    return (one.key, *counts, mergings()[one.key], profile_of(one)[0])
+
+
+_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
+_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
+    DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px),
+    JointRecord: lambda joint: joint.key,
+}
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def content_of(one: RoundView) -> RoundContent:
+    """Return what the store holds of a round; read again only when something changed."""
+    return read_round(store(), one.key)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def graded_round(one: RoundView) -> GradedRound:
+    """Return a round's fruit and grades; read again only when something changed."""
+    return grade_round(content_of(one), fruit_of(one), profile_of(one)[1])
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def methods_of(one: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
+    """Return every method's length by the fruit's keys, for what few look at."""
+    return store().measurements(one.key)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def rows_of(one: RoundView) -> list[RowReport]:
+    """Return a round's rows with their counts; read again only when something changed."""
+    return row_reports(content_of(one))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def doubts_of(one: RoundView) -> list[str]:
+    """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
+    return round_doubts(store(), content_of(one).views)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def fruit_of(one: RoundView) -> list[RoundFruit]:
+    """Return a round's fruit with the lengths by all their views; read again when that changed."""
+    return fruit_table(content_of(one))
+
+
+@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def forecast_of(one: RoundView) -> Forecast:
+    """Return a round's forecast from today on; computed again only when something changed."""
+    return forecast_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
+
+
+def _unpicked_version(one: RoundView) -> tuple[object, ...]:
+    """Return what changes whenever a round's list of picks would, but for what is picked of it."""
+    newest = store().newest_action(one.key, without=("pick", "unpick"))
+    return (*_measured_version(one), newest, midnight_s(time.time()))
+
+
+@st.cache_resource(
+    show_spinner="Forecasting …",
+    max_entries=KEPT,
+    ttl=3600,
+    hash_funcs={RoundView: _unpicked_version},
+)
+def today_of(one: RoundView) -> Today:
+    """Return what a round says of today; fruit that are picked today stay in it."""
+    return read_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
+    """Return one fruit with everything."""
+    return store().detection(fruit_key)
+
+
+@st.cache_resource(show_spinner=False, max_entries=2000)
+def _capture_widths(stop_key: str) -> dict[str, int]:
+    return {one.name: one.width_px for one in store().stop(stop_key).captures}
+
+
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
+def thumbnail_of(view: DetectionView) -> str | None:
+    """Return a fruit's thumbnail as a data URL; None where none was kept."""
+    if view.thumbnail is None:
+        return None
+    small = store().images.read_color(view.thumbnail)
+    return as_data_url(crop(small, view.record, _capture_widths(view.stop_key)[view.capture]))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600)
+def joint_of(round_key: str, key: str) -> JointRecord:
+    """Return the tube in all views of a fruit, with its path and the cameras' poses."""
+    return store().joint_drawing(round_key, key)
+
+
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
+def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | None:
+    """Return a fruit cut out of its picture as a data URL; None where none was kept.
+
+    `joint` is drawn on it where it was fitted to this view.
+    """
+    captures = {one.name: one for one in store().stop(view.stop_key).captures}
+    taken = captures[view.capture]
+    if taken.color is None:
+        return None
+    color = store().images.read_color(taken.color)
+    tube = None if joint is None else joint_tube(joint, view.key)
+    if tube is not None:
+        camera = CameraModel.model_validate(dict(taken.camera)).intrinsics
+        color = drawn_on(color, tube, camera)
+    return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
+
+
+def read_ahead() -> None:
+    """Read the newest round, so that the first page that is opened need not wait for it."""
+    for one in rounds()[:1]:
+        for view in graded_round(one).fruit[:LINES]:
+            thumbnail_of(view)
+        rows_of(one)
+        forecast_of(one)
+        today_of(one)

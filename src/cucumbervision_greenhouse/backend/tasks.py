@@ -1,0 +1,178 @@
+"""Work beside the pages: what waits is measured, uploads are, and views of one fruit are merged."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+
+import streamlit as st
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import StoreError
+from cucumbervision_greenhouse.backend.jobs import Job
+from cucumbervision_greenhouse.backend.measuring import measure_waiting
+from cucumbervision_greenhouse.backend.progress import Progress, progress_of
+from cucumbervision_greenhouse.backend.resources import (
+    measurer,
+    profile_of,
+    settings,
+    store,
+    uploads,
+    waiting,
+    worker,
+)
+from cucumbervision_greenhouse.backend.uploading import measure_upload
+from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION, add_captures, round_for_capture
+from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
+from cucumbervision_greenhouse.rounds.merge_and_link import settle
+from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.views import ActionView
+
+
+@st.cache_resource(show_spinner=False)
+def _measuring() -> list[Job]:
+    return []
+
+
+def wake() -> Job | None:
+    """Start measuring what waits; return the job that does so, None where nothing waits."""
+    jobs = _measuring()
+    if jobs and not jobs[0].finished:
+        return jobs[0]
+    if not waiting().captures():
+        return jobs[0] if jobs else None
+    parts = waiting(), measurer(), store(), settings().options, _settle
+    # With these it is no page's function any more, and may run when no page is open.
+    jobs[:] = [worker().submit("Measuring", partial(measure_waiting, *parts), None)]
+    return jobs[0]
+
+
+def measuring_fault() -> str:
+    """Return why what waits cannot be measured: a network or the calibration; empty if it can."""
+    jobs = _measuring()
+    return jobs[0].error if jobs else ""
+
+
+@st.cache_resource(show_spinner=False)
+def _uploading() -> set[str]:
+    return set()
+
+
+def measure_uploads() -> None:
+    """Start measuring the uploads that are there and not measured; each once."""
+    for key in uploads().to_measure():
+        if key not in _uploading():
+            _uploading().add(key)
+            worker().submit("Measuring", partial(_measure_upload, key), None)
+
+
+def _measure_upload(key: str, _: Job) -> None:
+    try:
+        measure_upload(uploads(), key, measurer(), store(), settings().options)
+    finally:
+        _uploading().discard(key)
+    for round_key in {one.sending.round for one in uploads().all() if one.sending.key == key}:
+        merge(round_key)
+
+
+def _settle(round_key: str) -> str:
+    one = next((x for x in store().rounds() if x.key == round_key), None)
+    fault = settle(store(), round_key, profile_of(one)[1] if one else None)
+    mergings()[round_key] += 1
+    work = partial(_measure_all_views, round_key)
+    worker().submit("Measuring fruit by all their views", work, round_key)
+    return fault
+
+
+def _measure_all_views(round_key: str, job: Job) -> None:
+    def report(done: int, total: int) -> None:
+        job.done, job.total = done, total
+
+    # A capture that comes meanwhile is measured first; merged with it, the round goes on here.
+    done = measure_jointly(store(), round_key, report, lambda: bool(waiting().captures()))
+    job.notes += (failure.message for failure in done.failures)
+    if done.fruit:
+        mergings()[round_key] += 1
+
+
+@st.cache_resource(show_spinner=False)
+def mergings() -> Counter[str]:
+    """Return how often the views of each round were merged, by the rounds' keys."""
+    return Counter()
+
+
+def merge(round_key: str) -> None:
+    """Find the views of a round that are one fruit, beside the pages."""
+
+    def work(job: Job) -> None:
+        job.notes += filter(None, [_settle(round_key)])
+
+    worker().submit("Merging views of the same fruit", work, round_key)
+
+
+def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
+    """Take back the last thing that the viewer did in a round, and only that; return it.
+
+    A round one of whose stops was moved is merged anew.
+
+    Parameters
+    ----------
+    of : Store
+        Signed by the viewer.
+    round_key : str
+        The round.
+    number : int, optional
+        Of that action in the log instead.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to undo, or a later action depends on it.
+    """
+    actions = of.own_actions(round_key)
+    action = next((x for x in actions if number in (None, x.number)), None)
+    if action is None:
+        raise StoreError("nothing to undo", remedy="see the log")
+    moved = undo_in(of, number=action.number)
+    if moved:
+        merge(moved)
+    return action
+
+
+def progress(round_key: str) -> Progress:
+    """Return what waits and is measured of a round, for every page alike."""
+    going_on = [uploads().read(key) for key in sorted(_uploading())]
+    measured = next((job.measured for job in _measuring() if not job.finished), None)
+    there = [one for one in going_on if one is not None and not one.done]
+    queue = waiting().captures(), waiting().set_aside()
+    jobs = worker().unfinished()
+    return progress_of(round_key, *queue, there, measured, jobs, measuring_fault())
+
+
+@st.cache_resource(show_spinner=False)
+def prepare() -> Job | None:
+    """Load the networks before the first capture; measure the bundled ones into an empty store."""
+    waiting().clean()
+    measure_uploads()
+    if wake() is not None:
+        return None
+    if store().rounds() or store().rounds(deleted=True):
+        return worker().submit("Loading the networks", _warm_up)
+    round_for_capture(store(), "", simulated=True, profile=settings().profile)
+    return worker().submit("Measuring the bundled captures", _demonstrate, DEMONSTRATION)
+
+
+def _demonstrate(job: Job) -> None:
+    options = settings().options
+    places = [example_captures()]
+    job.total = open_source(places[0]).total or 0
+    done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
+    job.notes += (one.failure.message for one in done if one.failure is not None)
+    merge(DEMONSTRATION)
+    worker().submit("Loading the networks", _warm_up)
+
+
+def _warm_up(_: Job) -> None:
+    measurer().warm_up(settings().options)

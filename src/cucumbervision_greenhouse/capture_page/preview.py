@@ -1,0 +1,112 @@
+"""The camera's picture by WebSocket: each when the one before was shown, where it changed."""
+
+from __future__ import annotations
+
+import json
+import struct
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse.backend import cameras, resources
+from cucumbervision_greenhouse.backend.answers import send_changes
+from cucumbervision_greenhouse.backend.fruit_pictures import as_jpeg, depth_picture, scale_bar
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from starlette.websockets import WebSocket
+
+    from cucumbervision_greenhouse.backend.camera_feed import Preview
+
+
+_LOOK_S = 0.03  # how often is looked for a new picture
+_PREVIEW_PX = 640
+_STILL_PX, _STILL_LEVELS = (64, 36), 3  # a camera's noise is less, in blocks of so many
+
+
+async def preview(socket: WebSocket) -> None:
+    """Send a feed's pictures, each when the one before was shown, and only where they change."""
+    kind: Any = "replay" if socket.query_params.get("source") == "replay" else "camera"
+    shown = Shown()
+
+    def look() -> bytes | None:
+        try:
+            seen = cameras.feed(kind).preview()
+        except CucumberVisionError as error:
+            return _framed({"state": "absent", "message": str(error)}) if shown.fails() else None
+        return encoded(seen) if shown.changes(seen) else None
+
+    await send_changes(socket, look, _LOOK_S)
+
+
+class Shown:
+    """What a viewer saw last, to tell whether a new picture shows anything else."""
+
+    def __init__(self) -> None:
+        self._state: tuple[object, ...] = ()
+        self._small: NDArray[np.uint8] | None = None
+
+    def fails(self) -> bool:
+        """Return whether it is news that there is nothing to see."""
+        before, self._state = self._state, ("failed",)
+        return before != self._state
+
+    def changes(self, seen: Preview) -> bool:
+        """Return whether a picture differs from the one before by more than a camera's noise."""
+        words = None if seen.quality is None else seen.quality.advice
+        state = seen.state, words, seen.message
+        if seen.capture is None:
+            changed = state != self._state
+        else:
+            size = _STILL_PX
+            small = cv2.resize(seen.capture.color[::4, ::4], size, interpolation=cv2.INTER_AREA)
+            before, changed = self._small, state != self._state
+            if before is None or before.shape != small.shape:
+                changed = True
+            elif not changed:
+                levels = np.abs(small.astype(np.int16) - before.astype(np.int16)).max()
+                changed = int(levels) > _STILL_LEVELS
+            if changed:
+                self._small = np.asarray(small, np.uint8)
+        self._state = state
+        return changed
+
+
+@lru_cache(maxsize=4)  # one for all viewers
+def encoded(seen: Preview) -> bytes:
+    """Return a preview as a message: the header's length, the header as JSON, colour, depth.
+
+    Two JPEGs follow the header where there is a picture; it gives the first one's length.
+    """
+    header: dict[str, Any] = {"state": seen.state, "message": seen.message}
+    capture, quality = seen.capture, seen.quality
+    if capture is None:
+        return _framed(header)
+    color = as_jpeg(capture.color, _PREVIEW_PX)
+    units = resources.settings().units
+    depth, words = depth_picture(capture.depth_m[::2, ::2], units)
+    near = None if quality is None else quality.distance_m
+    header |= {
+        "color_bytes": len(color),
+        "size": [capture.width, capture.height],
+        "name": capture.name,
+        "simulated": capture.simulated,
+        "depth": words,
+        "bar": scale_bar(capture.intrinsics, near, units),
+    }
+    if quality is not None:
+        header["quality"] = {
+            "seen": f"{100 * quality.fill:.0f} %",
+            "distance": units.text(quality.distance_m),
+            "verdict": quality.verdict,
+            "advice": quality.advice,
+        }
+    return _framed(header, color, as_jpeg(depth, _PREVIEW_PX))
+
+
+def _framed(header: dict[str, Any], *parts: bytes) -> bytes:
+    words = json.dumps(header).encode()
+    return b"".join((struct.pack("<I", len(words)), words, *parts))

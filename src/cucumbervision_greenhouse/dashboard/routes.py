@@ -1,0 +1,111 @@
+"""Routes beside Streamlit's pages: its first page, uploads, files of a round."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import quote
+
+import streamlit
+from pydantic import Field
+from starlette.exceptions import HTTPException
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from cucumbervision.capture.source import safe_name
+from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend.answers import Key, Sent, answer
+from cucumbervision_greenhouse.backend.uploads import Sending
+from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.exports.build import round_tables
+from cucumbervision_greenhouse.exports.writers import write_exports
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+
+PAGES = ("", "upload", "results", "map", "forecast", "accuracy", "settings", "about")
+"""Addresses of Streamlit's pages."""
+
+
+class UploadPart(Sent):
+    """A part of a file: the file's number in its upload, and where the part begins."""
+
+    upload: Key
+    number: int
+    offset: Annotated[int, Field(ge=0)]
+
+
+@answer
+def _begin_upload(request: Request, content: bytes) -> Any:  # noqa: ARG001
+    sending = Sending.model_validate_json(content)
+    received = resources.uploads().begin(sending, resources.settings().upload_limit_mb * 1_000_000)
+    return {"upload": sending.key, "received": received}
+
+
+@answer
+def _receive(request: Request, content: bytes) -> Any:
+    part = UploadPart.model_validate({**request.path_params, **request.query_params})
+    uploads = resources.uploads()
+    try:
+        there = uploads.append(part.upload, part.number, part.offset, content)
+    except OSError as error:  # a full disk: it is sent again until there is room
+        words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
+        return JSONResponse({"error": words}, 507)
+    if uploads.is_whole(part.upload):
+        tasks.measure_uploads()
+    return {"received": there}
+
+
+@answer
+def _files(request: Request, _: bytes) -> Response:
+    """Answer with a round's files in a zip, made anew."""
+    one = next((x for x in resources.rounds() if x.key == request.path_params["round"]), None)
+    if one is None:
+        raise HTTPException(404)
+    try:
+        formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
+    except ValueError:
+        raise HTTPException(404) from None
+    profile_name, profile = resources.profile_of(one)
+    rates = resources.settings().rates
+    tables = round_tables(
+        resources.store(), one.key, profile, profile_name=profile_name, rates=rates
+    )
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
+        write_exports(tables, Path(folder) / "files", formats)
+        packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
+        content = packed.read_bytes()
+    name = safe_name(one.record.name or "round")
+    told = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
+    return Response(content, media_type="application/zip", headers=told)
+
+
+@lru_cache(maxsize=1)
+def _index() -> str:
+    """Return Streamlit's own first page, told where its server is.
+
+    It would look for it below the page's address first: requests that fail in the console.
+    """
+    text = (Path(streamlit.__file__).parent / "static/index.html").read_text(encoding="utf-8")
+    told = "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"
+    title = "<title>CucumberVision</title>"
+    return text.replace("<title>Streamlit</title>", title).replace("<head>", f"<head>{told}", 1)
+
+
+async def _streamlit_page(_: Request) -> Response:
+    return HTMLResponse(_index(), headers={"cache-control": "no-cache"})
+
+
+def routes() -> list[Route]:
+    """Return the routes, which come before Streamlit's own."""
+    post = ["POST"]
+    return [
+        *(Route(f"/{page}", _streamlit_page) for page in PAGES),
+        Route("/api/uploads", _begin_upload, methods=post),
+        Route("/api/uploads/{upload}/{number}", _receive, methods=post),
+        Route("/api/files/{round}", _files),
+    ]

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import io
+import zipfile
+
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("httpx2")
+
+from starlette.testclient import TestClient
+from tests.greenhouse.capture_page.test_routes import WALK, wait_for_jobs
+
+from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.store.records import key_of
+
+
+def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
+    answer = asked.get(f"/api/files/{WALK}", params={"formats": ["xlsx", "csv", "html"]})
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''morning.zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        lines = archive.read("fruit.csv").decode("utf-8-sig").splitlines()
+    assert {"round.xlsx", "fruit.csv", "round.html"} < names
+    assert len(lines) == 9  # eight fruit and the head
+    assert asked.get(f"/api/files/{key_of('gone')}?formats=csv").status_code == 404
+    assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
+
+
+def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:
+    resources.change_settings(upload_limit_mb=1)
+    files = [{"name": "odd.png", "size": 13, "changed": 1.5}]
+    begun = asked.post("/api/uploads", json={"round": WALK, "files": files}).json()
+    assert begun["received"] == [0]
+    place = f"/api/uploads/{begun['upload']}/0"
+    assert asked.post(f"{place}?offset=0", content=b"MZ no").json() == {"received": 5}
+    assert asked.post("/api/uploads", json={"round": WALK, "files": files}).json() == {
+        **begun,
+        "received": [5],
+    }
+    assert asked.post(f"{place}?offset=5", content=b" picture").json() == {"received": 13}
+    wait_for_jobs()
+    (upload,) = resources.uploads().all(WALK)
+    assert upload.done
+    assert [(one.name, one.saved) for one in upload.outcomes] == [("odd.png", False)]
+    files[0]["size"] = 1_000_001
+    refused = asked.post("/api/uploads", json={"round": WALK, "files": files})
+    assert refused.status_code == 409
+    assert "more than the 1 MB" in refused.json()["error"]
+    for path in ("/api/uploads/..%2F..%2Fhouse/0?offset=0", f"{place}?offset=-1"):
+        assert asked.post(path, content=b"x").status_code in (400, 404)

@@ -53,8 +53,8 @@ def as_path(place: Path | str) -> Path:
     --------
     >>> as_path("house/a") == Path("house/a"), is_remote(as_path("house/a"))
     (True, False)
-    >>> far = as_path("memory://house/a")
-    >>> (far / "capture.json").name, is_remote(far)
+    >>> folder = as_path("memory://house/a")
+    >>> (folder / "capture.json").name, is_remote(folder)
     ('capture.json', True)
     """
     if not isinstance(place, str) or "://" not in place:

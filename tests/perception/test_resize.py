@@ -35,21 +35,21 @@ def test_wide_picture_by_hand() -> None:
 def test_odd_padding_puts_the_smaller_half_first() -> None:
     # 5x10 to 10x10: no resizing, five spare rows: two above, three below.
     box = fit(5, 10, (10, 10))
-    assert (box.top, box.inner_height) == (2, 5)
+    assert (box.top_px, box.inner_height) == (2, 5)
 
 
 def test_rounded_sides_have_gains_of_their_own() -> None:
     # 427x640 to 320: gain 1/2, 213.5 rows become 214, so rows scale by 214/427.
     box = fit(427, 640, (320, 320))
     assert box.inner_height == 214
-    corner = box.points_back(np.array([320.0, box.top + 214.0]))
+    corner = box.points_back(np.array([320.0, box.top_px + 214.0]))
     assert corner.tolist() == pytest.approx([639.5, 426.5])
 
 
 def test_minimal_padding_reaches_the_next_stride() -> None:
     # 300x640 to 640: 300 rows, the next multiple of 32 is 320.
     box = fit(300, 640, (640, 640), minimal=True)
-    assert (box.input_height, box.input_width, box.top) == (320, 640, 10)
+    assert (box.input_height, box.input_width, box.top_px) == (320, 640, 10)
 
 
 def test_boxes_and_points_are_clipped_to_the_picture() -> None:
@@ -65,8 +65,8 @@ def test_corners_come_back_exactly(height: int, width: int, size: int) -> None:
     box = fit(height, width, (size, size))
     corners = np.array(
         [
-            [box.left, box.top],
-            [box.left + box.inner_width, box.top + box.inner_height],
+            [box.left_px, box.top_px],
+            [box.left_px + box.inner_width, box.top_px + box.inner_height],
         ]
     )
     expected = [[-0.5, -0.5], [width - 0.5, height - 0.5]]

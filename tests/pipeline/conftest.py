@@ -64,7 +64,7 @@ def own_networks(row_a: Capture, tmp_path_factory: pytest.TempPathFactory) -> di
     folder = tmp_path_factory.mktemp("networks")
     box = fit(row_a.height, row_a.width, (640, 640), minimal=True)
     gain = np.array([box.inner_width / box.width, box.inner_height / box.height])
-    corner = np.array([box.left, box.top])
+    corner = np.array([box.left_px, box.top_px])
     rows, poses = np.zeros((1, 300, 38)), np.zeros((1, 300, 21))
     prototypes = np.full((1, 32, box.input_height // 4, box.input_width // 4), -1.0)
     half = row_a.masks[0].copy()
@@ -72,7 +72,7 @@ def own_networks(row_a: Capture, tmp_path_factory: pytest.TempPathFactory) -> di
     for k, mask in enumerate([*row_a.masks, half]):
         edges = ((box_of_mask(mask).reshape(2, 2) + 0.5) * gain + corner).ravel()
         placed = box.apply(np.repeat(mask[..., None].astype(np.uint8) * 255, 3, axis=2))[..., 0]
-        placed[: box.top] = placed[box.top + box.inner_height :] = 0
+        placed[: box.top_px] = placed[box.top_px + box.inner_height :] = 0
         size = prototypes.shape[3], prototypes.shape[2]
         prototypes[0, k] = cv2.resize(placed, size, interpolation=cv2.INTER_AREA) / 127.5 - 1
         score = 0.9 - 0.05 * k

@@ -161,8 +161,8 @@ def estimate(
 
     Examples
     --------
-    >>> found = estimate([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
-    >>> found.value, found.low, found.high, found.count, found.groups
+    >>> error = estimate([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
+    >>> error.value, error.low, error.high, error.count, error.groups
     (5.0, 1.0, 9.0, 4, 2)
     >>> estimate([3.0, 1.0, 2.0], ["a", "a", "a"], quantile=0.5)
     Estimate(value=2.0, low=nan, high=nan, count=3, groups=1)
@@ -202,8 +202,8 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
 
     Examples
     --------
-    >>> found = share([True] * 6, ["a", "b", "c", "d", "e", "e"])
-    >>> found.value, round(found.low, 3), found.high
+    >>> hit_rate = share([True] * 6, ["a", "b", "c", "d", "e", "e"])
+    >>> hit_rate.value, round(hit_rate.low, 3), hit_rate.high
     (1.0, 0.478, 1.0)
     """
     hit_rate = estimate(np.asarray(hits, float), groups)

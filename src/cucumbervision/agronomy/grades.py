@@ -268,8 +268,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
-    >>> found = grade(GradingTraits(centreline_m=0.234), profile)
-    >>> found.words, found.rules[0]
+    >>> graded = grade(GradingTraits(centreline_m=0.234), profile)
+    >>> graded.words, graded.rules[0]
     ('class II (by length)', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse ...')
     >>> grade(GradingTraits(centreline_m=0.13, flags="end-hidden"), profile).words
     'undecided (only part of it is seen)'

@@ -46,10 +46,10 @@ class CalibratedCamera(_Frozen):
         Examples
         --------
         >>> from cucumbervision.capture.intrinsics import Intrinsics
-        >>> one = CalibratedCamera.of(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), "841")
-        >>> one.difference(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), None)
+        >>> camera = CalibratedCamera.of(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), "841")
+        >>> camera.difference(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), None)
         ''
-        >>> one.difference(Intrinsics(1280, 720, 924.6, 924.6, 640.0, 360.0), "841")
+        >>> camera.difference(Intrinsics(1280, 720, 924.6, 924.6, 640.0, 360.0), "841")
         'its intrinsics are 848x480 fx 616.400 px, here 1280x720 fx 924.600 px'
         """
         if self.serial and serial and self.serial != serial:

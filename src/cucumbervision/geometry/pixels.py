@@ -152,15 +152,19 @@ def sample_color(
     import cv2
 
     height, width = color_rgb.shape[:2]
-    low = np.clip(np.floor(points_px.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(int)
-    high = np.clip(np.ceil(points_px.max(axis=(0, 1))) + 3, low + 1, (width, height)).astype(int)
-    part = color_rgb[low[1] : high[1], low[0] : high[0]]
+    first_px = np.clip(np.floor(points_px.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(
+        int
+    )
+    end_px = np.clip(np.ceil(points_px.max(axis=(0, 1))) + 3, first_px + 1, (width, height)).astype(
+        int
+    )
+    part = color_rgb[first_px[1] : end_px[1], first_px[0] : end_px[0]]
     before = np.array([part.shape[1], part.shape[0]])
     after = before
     if step_px > 1:
         after = np.maximum(np.rint(before / step_px), 1).astype(int)
         part = np.asarray(cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
-    places = ((points_px - low + 0.5) * (after / before) - 0.5).astype(np.float32)
+    places = ((points_px - first_px + 0.5) * (after / before) - 0.5).astype(np.float32)
     sampled = cv2.remap(
         part,
         places[..., 0],

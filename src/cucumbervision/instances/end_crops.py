@@ -123,10 +123,10 @@ def end_crop(
     step_px = _RADII * radius_px / END_PX
     offsets = (np.arange(END_PX) - (END_PX - 1) / 2) * step_px
     aside = np.array([-ahead[1], ahead[0]])
-    at = tip_px + offsets[None, :, None] * ahead + offsets[:, None, None] * aside
+    sample_px = tip_px + offsets[None, :, None] * ahead + offsets[:, None, None] * aside
     planes = np.zeros((END_PX, END_PX, PLANES), np.uint8)
-    planes[..., :3] = sample_color(color_rgb, at, step_px)
-    columns, rows = np.moveaxis(np.rint(at).astype(np.intp), -1, 0)
+    planes[..., :3] = sample_color(color_rgb, sample_px, step_px)
+    columns, rows = np.moveaxis(np.rint(sample_px).astype(np.intp), -1, 0)
     height, width = mask.shape
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     z = np.zeros(inside.shape, np.float32)

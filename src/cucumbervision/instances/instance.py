@@ -188,8 +188,8 @@ def mirrored(instance: Instance, width: int) -> Instance:
     --------
     >>> mask = np.zeros((20, 60), bool)
     >>> mask[5:15, 10:50] = True
-    >>> one = mirrored(Instance.of_mask(mask), 60)
-    >>> one.box.tolist(), one.mask[10].nonzero()[0][[0, -1]].tolist()
+    >>> mirror = mirrored(Instance.of_mask(mask), 60)
+    >>> mirror.box.tolist(), mirror.mask[10].nonzero()[0][[0, -1]].tolist()
     ([9.5, 4.5, 49.5, 14.5], [10, 49])
     """
     x1, y1, x2, y2 = instance.box
@@ -238,13 +238,14 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     Examples
     --------
     >>> from cucumbervision.instances.masks import box_of_mask
-    >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
-    >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
-    >>> found = [
+    >>> whole, part, separate = (np.zeros((20, 60), bool) for _ in range(3))
+    >>> whole[5:15, 5:45] = part[5:15, 5:25] = separate[5:15, 46:56] = True
+    >>> detections = [
     ...     Instance(box_of_mask(m), c, detector_mask=m)
-    ...     for m, c in ((part, 0.8), (whole, 0.6), (other, 0.7))
+    ...     for m, c in ((part, 0.8), (whole, 0.6), (separate, 0.7))
     ... ]
-    >>> [(one.confidence, one.box.tolist()) for one in merge_instances(found)]
+    >>> merged = merge_instances(detections)
+    >>> [(detection.confidence, detection.box.tolist()) for detection in merged]
     [(0.8, [4.5, 4.5, 44.5, 14.5]), (0.7, [45.5, 4.5, 55.5, 14.5])]
     """
     regions = sorted((_Region.of(instance) for instance in instances), key=_best_first)

@@ -277,8 +277,8 @@ def hidden_length(
 
     Examples
     --------
-    >>> found = hidden_length(0.20, 0.045, 0.06)
-    >>> 0.20 < found.low_m + 0.01 < found.median_m < found.high_m < 0.28
+    >>> hidden = hidden_length(0.20, 0.045, 0.06)
+    >>> 0.20 < hidden.low_m + 0.01 < hidden.median_m < hidden.high_m < 0.28
     True
     """
     from scipy.special import ndtr

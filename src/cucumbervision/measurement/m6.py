@@ -328,7 +328,7 @@ def fits_well(measured: Measurement) -> bool:
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     >>> depth, bar = np.full((480, 640), 0.5, np.float32), np.zeros((480, 640), bool)
     >>> bar[220:260, 200:440] = True
-    >>> [fits_well(measure_m6(seen, bar, camera)) for seen in (depth, 0 * depth)]
+    >>> [fits_well(measure_m6(readings, bar, camera)) for readings in (depth, 0 * depth)]
     [True, False]
     """
     fit = measured.fit

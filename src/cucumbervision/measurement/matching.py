@@ -126,9 +126,9 @@ def pooled_length(
 
     Examples
     --------
-    >>> found = pooled_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
+    >>> pooled = pooled_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
     ...     np.array([False, False, True]))
-    >>> [round(x, 4) for x in found]
+    >>> [round(x, 4) for x in pooled]
     [0.305, 0.0061]
     """
     used = np.isfinite(length_m) & ~partial

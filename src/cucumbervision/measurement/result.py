@@ -128,8 +128,8 @@ class Length:
 
     Examples
     --------
-    >>> seen = Length(0.171, low_m=0.198, high_m=0.248)
-    >>> seen.low_m, seen.high_m
+    >>> length = Length(0.171, low_m=0.198, high_m=0.248)
+    >>> length.low_m, length.high_m
     (0.171, 0.248)
     """
 
@@ -156,7 +156,7 @@ class Length:
 
         Examples
         --------
-        >>> [round(one, 4) for one in Length(0.252, low_m=0.246, high_m=0.258).sides]
+        >>> [round(side, 4) for side in Length(0.252, low_m=0.246, high_m=0.258).sides]
         [0.252, 0.0147, 0.0143]
         """
         if not (self.low_m and self.high_m and 0 < self.low_m <= self.high_m < math.inf):

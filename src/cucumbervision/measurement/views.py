@@ -139,8 +139,8 @@ def measure_views(
     ...     blank = np.zeros((480, 640, 3), np.uint8)
     ...     capture = Capture(blank, scene.depth_m.astype(np.float32), camera, "drawn")
     ...     return FruitView(capture, Instance(box_of_mask(mask), mask=mask), pose)
-    >>> found = measure_views([seen_from(0.0), seen_from(0.2)])
-    >>> round(found.fruit.traits.lengths.centreline_m, 3), sorted(found.poses)
+    >>> joint = measure_views([seen_from(0.0), seen_from(0.2)])
+    >>> round(joint.fruit.traits.lengths.centreline_m, 3), sorted(joint.poses)
     (0.2, [0, 1])
     """
     fitted_views = [

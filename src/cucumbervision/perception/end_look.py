@@ -93,7 +93,7 @@ def looked_at(row: NDArray[np.float64]) -> EndLook:
     Examples
     --------
     >>> look = looked_at(np.array([0.0, 0, 0, -1, 0, 0, 1, 5, 0]))
-    >>> round(look.covered, 2), [round(one, 3) for one in look.missing], look.stem
+    >>> round(look.covered, 2), [round(share, 3) for share in look.missing], look.stem
     (0.33, [-0.024, 0.0, 0.0, 0.024, 1.484], 0.5)
     """
     states = np.exp(row[:3] - row[:3].max())

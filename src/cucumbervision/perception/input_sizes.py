@@ -87,12 +87,12 @@ def merge_sizes(by_size: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
 
     Examples
     --------
-    >>> one = Instance(np.array([0.0, 0, 100, 20]), 0.6, input_size_px=640)
-    >>> two = Instance(np.array([0.0, 0, 96, 20]), 0.9, input_size_px=896)
-    >>> (best,) = merge_sizes([[one], [two]])
+    >>> small = Instance(np.array([0.0, 0, 100, 20]), 0.6, input_size_px=640)
+    >>> large = Instance(np.array([0.0, 0, 96, 20]), 0.9, input_size_px=896)
+    >>> (best,) = merge_sizes([[small], [large]])
     >>> best.confidence, best.box.round(1).tolist(), best.input_size_px
     (0.75, [0.0, 0.0, 97.6, 20.0], 640)
-    >>> merge_sizes([[one], []])[0].confidence
+    >>> merge_sizes([[small], []])[0].confidence
     0.3
     """
     if len(by_size) < 2:

@@ -57,8 +57,8 @@ def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
     >>> mask[19:22, 91:101] = True  # the stalk
     >>> points = np.column_stack([np.linspace(14, 94, 5), np.full(5, 22.0), np.ones(5)])
     >>> box = np.array([9.5, 9.5, 100.5, 29.5])
-    >>> found = Instance(box, 0.9, mask=mask, keypoints=points, input_size_px=640)
-    >>> (placed,) = place_keypoints([found])
+    >>> instance = Instance(box, 0.9, mask=mask, keypoints=points, input_size_px=640)
+    >>> (placed,) = place_keypoints([instance])
     >>> placed.keypoints[:, 0].round().tolist()
     [10.0, 30.0, 50.0, 70.0, 90.0]
     """

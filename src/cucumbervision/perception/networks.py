@@ -184,9 +184,10 @@ def with_pose_votes(
     Examples
     --------
     >>> from cucumbervision.instances.instance import Instance
-    >>> seen, alone = (Instance(np.array([x, 0.0, x + 9, 40]), 0.6) for x in (0, 50))
+    >>> confirmed, alone = (Instance(np.array([x, 0.0, x + 9, 40]), 0.6) for x in (0, 50))
     >>> pose = Instance(np.array([0.0, 0, 9, 38]), 0.9)
-    >>> [round(one.confidence, 2) for one in with_pose_votes([alone, seen], [pose], looks=2)]
+    >>> voted = with_pose_votes([alone, confirmed], [pose], looks=2)
+    >>> [round(detection.confidence, 2) for detection in voted]
     [0.7, 0.4]
     """
     free = list(posed)
@@ -263,8 +264,8 @@ def open_segmenter(
     >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
     >>> picture[40:80, 30:130] = (40, 140, 50)
     >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))
-    >>> (found,) = open_segmenter("mobile-sam").segment(picture, [fruit])
-    >>> found.mask_source.value, found.mask[60, 80], found.mask[100, 80]
+    >>> (segmented,) = open_segmenter("mobile-sam").segment(picture, [fruit])
+    >>> segmented.mask_source.value, segmented.mask[60, 80], segmented.mask[100, 80]
     ('sam', np.True_, np.False_)
     """
     registry = registry or load_registry()

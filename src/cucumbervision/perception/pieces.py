@@ -70,9 +70,9 @@ def join_pieces_by_depth(
     >>> from cucumbervision.instances.instance import Instance
     >>> upper, lower = np.zeros((200, 60), bool), np.zeros((200, 60), bool)
     >>> upper[10:100, 20:40] = lower[104:180, 20:40] = True
-    >>> found, weak = (Instance(box_of_mask(m), detector_mask=m) for m in (upper, lower))
+    >>> upper_part, weak = (Instance(box_of_mask(m), detector_mask=m) for m in (upper, lower))
     >>> depth = np.full((200, 60), 0.5, np.float32)
-    >>> join_pieces_by_depth([found], [weak], depth)[0].box.tolist()
+    >>> join_pieces_by_depth([upper_part], [weak], depth)[0].box.tolist()
     [19.5, 9.5, 39.5, 179.5]
     """
     masks = [

@@ -42,13 +42,13 @@ class Letterbox:
         The network input's size.
     inner_height, inner_width : int
         The resized picture's size inside it.
-    top, left : int
+    top_px, left_px : int
         Grey rows above and columns to the left.
 
     Examples
     --------
     >>> box = fit(720, 1280, (640, 640))
-    >>> (box.inner_height, box.inner_width, box.top, box.left)
+    >>> (box.inner_height, box.inner_width, box.top_px, box.left_px)
     (360, 640, 140, 0)
     >>> box.boxes_back(np.array([[0.0, 140, 320, 320]])).tolist()
     [[-0.5, -0.5, 639.5, 359.5]]
@@ -60,8 +60,8 @@ class Letterbox:
     input_width: int
     inner_height: int
     inner_width: int
-    top: int
-    left: int
+    top_px: int
+    left_px: int
 
     def apply(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Resize linearly and pad with grey.
@@ -81,7 +81,7 @@ class Letterbox:
         inner = cv2.resize(color_rgb, size, interpolation=cv2.INTER_LINEAR)
         out = np.full((self.input_height, self.input_width, 3), _GREY, np.uint8)
         rows, columns = self.inner_height, self.inner_width
-        out[self.top : self.top + rows, self.left : self.left + columns] = inner
+        out[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = inner
         return out
 
     def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -131,7 +131,7 @@ class Letterbox:
         """
         # Each side has its own gain, since each was rounded to whole pixels.
         gain = self.inner_width / self.width, self.inner_height / self.height
-        original = (np.asarray(points, np.float64) - (self.left, self.top)) / gain
+        original = (np.asarray(points, np.float64) - (self.left_px, self.top_px)) / gain
         return np.clip(original, 0.0, (self.width, self.height)) - 0.5
 
     def mask_back(
@@ -199,7 +199,7 @@ def fit(
     Examples
     --------
     >>> box = fit(720, 1280, (640, 640), minimal=True)
-    >>> (box.input_height, box.input_width, box.top)
+    >>> (box.input_height, box.input_width, box.top_px)
     (384, 640, 12)
     """
     gain = min(size[0] / height, size[1] / width)
@@ -215,8 +215,8 @@ def fit(
         inner_height=inner_height,
         inner_width=inner_width,
         # The smaller half goes above and left: round(x.5 - 0.1) is x.
-        top=spare_rows // 2,
-        left=spare_columns // 2,
+        top_px=spare_rows // 2,
+        left_px=spare_columns // 2,
     )
 
 
@@ -226,8 +226,8 @@ def _mask_weights(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the matrices that interpolate the prototypes' rows and columns to the picture's."""
     return (
-        _linear_weights(rows, box.input_height, box.top, box.inner_height, box.height),
-        _linear_weights(columns, box.input_width, box.left, box.inner_width, box.width),
+        _linear_weights(rows, box.input_height, box.top_px, box.inner_height, box.height),
+        _linear_weights(columns, box.input_width, box.left_px, box.inner_width, box.width),
     )
 
 

@@ -399,7 +399,7 @@ def measure_all(
     >>> from cucumbervision.pipeline.inputs import list_captures
     >>> worker = ResultWorker(Measurer(MeasureOptions(instances="dataset", methods=("M1",))))
     >>> listed = list_captures([example_captures()], worker.measurer.options.reading)
-    >>> [(one.name, len(outcome.value.fruit)) for one, outcome in measure_all(listed, worker)]
+    >>> [(ref.name, len(outcome.value.fruit)) for ref, outcome in measure_all(listed, worker)]
     [('simulated-bench', 3), ('simulated-row-a', 3), ('simulated-row-b', 2)]
     """
     begun_items: deque[ItemT] = deque()

@@ -72,8 +72,8 @@ def find_pictures(
     >>> folder = Path(tempfile.mkdtemp())
     >>> for name in ("b.JPG", "a.png", "notes.txt"):
     ...     _ = (folder / name).write_bytes(b"")
-    >>> found, skipped = find_pictures([folder, folder / "b.JPG"])
-    >>> [picture.name for picture in found], skipped
+    >>> pictures, skipped = find_pictures([folder, folder / "b.JPG"])
+    >>> [picture.name for picture in pictures], skipped
     (['a.png', 'b.JPG'], 1)
     """
     apart = leave_out.resolve() if leave_out is not None else None

@@ -135,8 +135,8 @@ def measure(
 
     Of arrays:
 
-    >>> one = results.captures[0].capture
-    >>> measure(one.color, one.depth_m, one.intrinsics.matrix, masks=one.masks)
+    >>> capture = results.captures[0].capture
+    >>> measure(capture.color, capture.depth_m, capture.intrinsics.matrix, masks=capture.masks)
     <Results: 3 fruit in 1 captures, 0 failures>
     """
     if masks is not None:

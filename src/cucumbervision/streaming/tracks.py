@@ -334,8 +334,8 @@ def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
 
     Examples
     --------
-    >>> far = np.array([0.0, 0.0, 0.5])
-    >>> same_place(far, far + [0.02, 0, 0]), same_place(far, far + [0.08, 0, 0])
+    >>> centre_m = np.array([0.0, 0.0, 0.5])
+    >>> same_place(centre_m, centre_m + [0.02, 0, 0]), same_place(centre_m, centre_m + [0.08, 0, 0])
     (True, False)
     """
     away = float(np.linalg.norm(a_m - b_m))
@@ -390,11 +390,11 @@ class TrackLength:
     --------
     Frames from one place, then from others:
 
-    >>> known = TrackLength()
-    >>> one = Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158)
-    >>> def width(far):
-    ...     known.add(one, np.array([far, 0.0, 0.5]))
-    ...     length = known.length
+    >>> track = TrackLength()
+    >>> frame_length = Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158)
+    >>> def width(along_m):
+    ...     track.add(frame_length, np.array([along_m, 0.0, 0.5]))
+    ...     length = track.length
     ...     return round(100 * (length.high_m - length.low_m), 1)
     >>> width(0.0), [width(0.0) for _ in range(50)][-1], [width(x) for x in (0.1, 0.2, 0.3)][-1]
     (3.1, 3.0, 2.5)
@@ -459,10 +459,10 @@ class TrackLength:
 
         Examples
         --------
-        >>> known = TrackLength()
-        >>> known.add(Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158), np.zeros(3))
-        >>> other = Length(0.22, LengthDefinition.THREAD, 0.21, 0.23)
-        >>> known.contradicts(other), known.contradicts(other, partial=True)
+        >>> track = TrackLength()
+        >>> track.add(Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158), np.zeros(3))
+        >>> shorter = Length(0.22, LengthDefinition.THREAD, 0.21, 0.23)
+        >>> track.contradicts(shorter), track.contradicts(shorter, partial=True)
         (True, False)
         """
         log, sd, _ = _log_length(length)

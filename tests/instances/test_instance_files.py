@@ -10,7 +10,6 @@ import pytest
 from cucumbervision.errors import InstancesError
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.instance_files import FileInstances, read_instances
-from cucumbervision.instances.mask_codes import decode_rle, fill_polygon
 
 WIDTH, HEIGHT = 20, 10
 
@@ -74,33 +73,6 @@ def compress(runs: list[int]) -> str:
     return text
 
 
-def test_compressed_runs_by_hand() -> None:
-    # 1, 2, 3 are '1', '2', '3'; the fourth, 18, is 18 - 2 = 16 = 0b10000: its bit 4 would be read
-    # as a sign, so a second character follows: 16 + 32 + 48 = '`', then '0'. Sum 24 = 6 x 4.
-    assert np.array_equal(decode_rle("123`0", 4, 6), decode_rle([1, 2, 3, 18], 4, 6))
-    # A falling run is negative: 1, 5, 1, 2 has 2 - 5 = -3 = 0b11101 = 29, so 29 + 48 = 'M'.
-    assert np.array_equal(decode_rle("151M", 3, 3), decode_rle([1, 5, 1, 2], 3, 3))
-
-
-@pytest.mark.parametrize(("counts", "fault"), [([1, 2], "fill"), ("1h", "end within"), ("é", "is")])
-def test_broken_runs_are_named(counts: Any, fault: str) -> None:
-    with pytest.raises(ValueError, match=fault):
-        decode_rle(counts, 3, 3)
-
-
-def test_polygon_takes_pixels_by_their_centres() -> None:
-    # The diagonal of a 4x4 square: centres below it have x < y.
-    triangle = np.array([[0.0, 0.0], [4, 4], [0, 4]])
-    expected = np.tri(4, k=-1, dtype=bool)
-    inside = fill_polygon(triangle, 4, 4)
-    assert np.array_equal(inside[expected], np.ones(6, bool))
-    assert not inside[np.triu_indices(4, 1)].any()
-
-
-def test_polygon_reaching_beyond_the_picture_is_cut() -> None:
-    assert fill_polygon(np.array([[-5.0, -5], [50, -5], [50, 50], [-5, 50]]), 3, 4).all()
-
-
 def test_coco_keypoints(tmp_path: Path) -> None:
     points = [v for i in range(5) for v in (i + 1, 2, i % 3)]
     annotation = {"bbox": [0, 0, 9, 9], "keypoints": points}
@@ -130,14 +102,6 @@ def test_names_as_windows_writes_them(name: str, tmp_path: Path) -> None:
     path.write_text(json.dumps([{"file_name": name, "category_id": 0, "bbox": [1, 1, 2, 2]}]))
     assert len(get(path, "a.png").instances) == 1
     assert get(path, "b.png").instances == ()
-
-
-@pytest.mark.parametrize(("left", "top"), [(-3, -3), (0, 0), (2, 1), (7, 3)])
-def test_a_polygons_pixels_are_the_same_anywhere_in_the_picture(left: int, top: int) -> None:
-    diamond = np.array([[2.0, 0], [4, 2], [2, 4], [0, 2]])
-    wide = fill_polygon(diamond + 10, 30, 40)
-    inside = fill_polygon(diamond + np.array([left, top]), 6, 10)
-    assert inside.tolist() == wide[10 - top : 16 - top, 10 - left : 20 - left].tolist()
 
 
 def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
@@ -288,27 +252,6 @@ def test_yolo_boxes_beyond_the_edge_are_cut_and_bad_lines_named(tmp_path: Path) 
     assert "outside 0 to 1" in told[0]
     assert "not finite" in told[2]
     assert len(told) == 6
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "fault"),
-    [
-        ("a.json", "{", "is not JSON"),
-        ("a.json", "{}", "no annotations"),
-        ("a.json", '[{"bbox": [0, 0, 1, 1]}]', "names no picture"),
-        ("a.csv", "1,2", "unknown kind"),
-        ("a.txt", None, "no such file"),
-        ("folder", None, "no such file"),
-    ],
-)
-def test_other_files_are_refused(
-    tmp_path: Path, name: str, content: str | None, fault: str
-) -> None:
-    path = tmp_path / name
-    if content is not None:
-        path.write_text(content, encoding="utf-8")
-    with pytest.raises(InstancesError, match=fault):
-        read_instances(path)
 
 
 def test_same_name_twice_is_refused(tmp_path: Path) -> None:

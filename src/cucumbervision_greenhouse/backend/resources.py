@@ -25,7 +25,7 @@ from cucumbervision_greenhouse.backend.settings import (
     write_settings,
 )
 from cucumbervision_greenhouse.backend.uploads import Uploads
-from cucumbervision_greenhouse.rounds.adding import is_demonstration
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import RoundView
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder

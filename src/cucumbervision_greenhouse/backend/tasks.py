@@ -23,7 +23,8 @@ from cucumbervision_greenhouse.backend.resources import (
     worker,
 )
 from cucumbervision_greenhouse.backend.uploading import measure_upload
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION, add_captures, round_for_capture
+from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
 from cucumbervision_greenhouse.rounds.merge_and_link import settle
 from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in

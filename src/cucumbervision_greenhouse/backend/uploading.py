@@ -17,7 +17,8 @@ from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
-from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, round_for_capture
+from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all
+from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import last_step, refuse_taken
 
 if TYPE_CHECKING:

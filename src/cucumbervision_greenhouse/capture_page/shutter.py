@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.errors import CameraError, CucumberVisionError
 from cucumbervision_greenhouse.backend.camera_feed import PictureGoneError
 from cucumbervision_greenhouse.backend.jobs import fault_of, give_way
-from cucumbervision_greenhouse.rounds.adding import round_for_capture
+from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import last_step, unless_taken
 from cucumbervision_greenhouse.store.records import key_of
 

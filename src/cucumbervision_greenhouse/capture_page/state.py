@@ -18,7 +18,7 @@ from cucumbervision_greenhouse.backend.words import (
     round_name,
     stop_name,
 )
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
 from cucumbervision_greenhouse.store.corrections import TAKE_BACK

@@ -125,8 +125,9 @@ def add(
 
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
     from cucumbervision.pipeline.inputs import count_captures
-    from cucumbervision_greenhouse.rounds.adding import Place, add_captures
+    from cucumbervision_greenhouse.rounds.adding import add_captures
     from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
+    from cucumbervision_greenhouse.rounds.placing import Place
     from cucumbervision_greenhouse.rounds.poses import read_poses
 
     if higher_to not in (None, "left", "right"):

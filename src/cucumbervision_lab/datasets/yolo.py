@@ -17,7 +17,7 @@ from cucumbervision.errors import (
 )
 from cucumbervision.files import read_bytes, read_json, read_text
 from cucumbervision.instances.instance import KEYPOINT_NAMES
-from cucumbervision.instances.instance_files import parse_yolo_line
+from cucumbervision.instances.label_files import parse_yolo_line
 from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (

@@ -26,7 +26,7 @@ from cucumbervision_greenhouse.backend.uploads import (
     UploadOutcome,
     Uploads,
 )
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import DetectionRecord, Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 

@@ -24,7 +24,7 @@ from cucumbervision.capture.raw_frames import FrameRing
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.access import DEVICE, AccessGuard
 from cucumbervision_greenhouse.backend.camera_feed import CameraFeed
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.views import Verdict

@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.backend.jobs import Job
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer, measure_waiting
 from cucumbervision_greenhouse.backend.replay_feed import Replay
 from cucumbervision_greenhouse.capture_page.shutter import Press, Shutter
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures

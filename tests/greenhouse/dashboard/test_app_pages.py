@@ -21,7 +21,7 @@ from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.capture_page.state import walk
-from cucumbervision_greenhouse.rounds.adding import DEMONSTRATION, round_for_capture
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, move_stop, settle
 from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key

@@ -23,7 +23,7 @@ from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
 from cucumbervision_greenhouse.exports import ExportFormat
-from cucumbervision_greenhouse.rounds.adding import is_demonstration
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 

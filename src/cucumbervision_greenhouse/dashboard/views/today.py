@@ -25,7 +25,7 @@ from cucumbervision_greenhouse.backend.words import (
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button
-from cucumbervision_greenhouse.rounds.adding import is_demonstration
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_words
 
 if TYPE_CHECKING:

@@ -158,7 +158,7 @@ class RoundError(CucumberVisionError):
 
 
 class NameRefusedError(CucumberVisionError):
-    """A name that cannot be read as it was given: control characters, turned writing."""
+    """A name that is not readable: control characters, changes of the writing direction."""
 
 
 class UploadError(CaptureError):

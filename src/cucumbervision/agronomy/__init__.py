@@ -1,1 +1,1 @@
-"""What a crop is: its profile, and the classes that it is sold by."""
+"""Crop profiles, and the classes by which a crop is sold."""

@@ -145,7 +145,7 @@ class CropProfile(_Strict):
     weights, diameters : tuple
         Further classes; empty if the crop has none.
     cut_cm : float
-        How far beyond the stem end a fruit is cut, cm.
+        Distance of the cut beyond the stem end, cm.
     density : Density
         For the mass from the fitted volume.
     growth : GrowthFigures

@@ -37,7 +37,7 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
     Parameters
     ----------
     capture : Capture
-        The frame as it was read.
+        The frame, before calibration.
     site : SiteCalibration
         The calibration.
 
@@ -69,7 +69,7 @@ def calibrated_fruit(
     site: SiteCalibration,
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
 ) -> FruitMeasurement:
-    """Return a fruit with its length corrected; the single methods stay as they were read.
+    """Return a fruit with a corrected length; the measurements of the methods are unchanged.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def calibrated_fruit(
     Returns
     -------
     FruitMeasurement
-        With `calibration`, `raw_length` as read, the corrected `length` and, where the calibration
-        carries one, its interval. Where it does not cover the method, mask or length, the fruit is
-        unchanged but for a flag.
+        The fruit with `calibration`, the uncorrected `raw_length`, the corrected `length` and, if
+        the calibration has one, its interval. If the calibration does not apply to the method, mask
+        or length, only a flag is added.
     """
     if site.depth_scale is not None:
         fruit = replace(fruit, calibration=site.tag)
@@ -100,7 +100,7 @@ def calibrated_fruit(
     value_m = float(corrected(raw.value_m, entry.scale, entry.offset_m))
     if value_m <= 0:
         return fruit.flagged(Flag.OUTSIDE_RANGE)
-    # An interval from before belongs to the length as it was read.
+    # The previous interval belongs to the uncorrected length.
     length = raw if entry.form is Form.NONE else Length(value_m, entry.truth_kind)
     done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
     low_m, high_m = entry.raw_range_m

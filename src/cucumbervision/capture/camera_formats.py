@@ -257,7 +257,7 @@ def _of_rows(values: list[float]) -> list[float]:
 
 
 def _stream_of(data: dict[str, Any], path: Path) -> str:
-    """Return the stream: by the frame's name where that tells it, else by the camera's and file's.
+    """Return the stream by the name of the frame, otherwise by those of the camera and the file.
 
     Depth that is aligned to colour has the colour camera's intrinsics and frame, and 'depth' in the
     name of its file and topic.

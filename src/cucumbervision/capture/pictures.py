@@ -176,7 +176,7 @@ def read_depth(path: Path) -> NDArray[Any]:
 
 
 def _require_one_page(path: Path, suffix: str) -> None:
-    """Refuse a picture of several pages or frames: nothing tells which of them is the capture's."""
+    """Reject a picture of several pages or frames, because the correct one is unknown."""
     data = read_bytes(path)
     pages = 1
     if suffix in {".tif", ".tiff"}:
@@ -295,7 +295,7 @@ def check_array_head(stream: IO[bytes], size: int) -> None:
     shape, _, dtype = read(stream, max_header_size=4000)
     if dtype.itemsize > _MOST_ITEM_BYTES or dtype.names or dtype.subdtype:
         raise _TooLargeError(f"an array of {dtype.itemsize} bytes an item, which is no number")
-    # Objects have no size of their own: they are refused as they are read.
+    # Arrays of Python objects have no fixed size; they are rejected when they are read.
     room = math.prod(shape) * dtype.itemsize
     if not dtype.hasobject and stream.tell() + room > size:
         raise ValueError("the array is longer than the file")

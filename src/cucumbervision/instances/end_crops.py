@@ -27,24 +27,24 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Levels of `EndLook.missing`."""
 
 _RADII = 8.0  # side of a crop
-_DEPTH_RADII = 4.0  # depth that is nearer or farther than the surface by more is cut to this
+_DEPTH_RADII = 4.0  # depth relative to the surface is clipped to this range
 _INNER_RADII = 1.5  # the direction of an end is that of the axis this far inside
 _LEAST_RADIUS_PX = 1.0
 
 
 @dataclass(frozen=True)
 class EndLook:
-    """What one end of a fruit looks like.
+    """Evaluation of one end of a fruit.
 
     Parameters
     ----------
     true, covered, running_on : float
-        Probabilities, 1 together: that the fruit ends there, that more than 5 % of its length is
-        missing (something covers it, or the picture ends), and that what was measured goes on
-        beyond the fruit by as much, into a stem, a flower or a leaf.
+        Probabilities, with the sum 1: the fruit ends there; more than 5 % of its length is missing
+        (covered, or outside the picture); the measured axis extends beyond the fruit by as much,
+        into a stem, a flower or a leaf.
     missing : tuple of float, length 5
-        Quantiles (`QUANTILES`) of what is missing there, as a share of the fruit's length; negative
-        where too much was measured.
+        Quantiles (`QUANTILES`) of the missing length, relative to the fruit's length; negative if
+        too much was measured.
     stem : float
         Probability that it is the stem end.
     """
@@ -93,7 +93,7 @@ def end_crop(
     intrinsics : Intrinsics
         The colour stream's.
     axis_m : ndarray of float64, shape (K, 3)
-        The measured axis, from the end to look at to the other one, camera coordinates.
+        The measured axis, from the end of the crop to the other end, camera coordinates.
     diameter_m : float
         The fruit's largest diameter, metres.
 
@@ -142,7 +142,7 @@ def end_crop(
 
 
 def _direction(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a unit vector along the first of two vectors that is no point."""
+    """Return a unit vector along the first of two vectors that is not zero."""
     for vector in (first, second):
         norm = float(np.linalg.norm(vector))
         if norm > 1e-3:

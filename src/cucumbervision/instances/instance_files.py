@@ -210,7 +210,7 @@ def read_instances(path: Path | str) -> InstanceFile:
     Raises
     ------
     InstancesError
-        If there is no such file, or it is none of these.
+        If the file is missing, or has none of these formats.
     """
     path = Path(path)
     return InstanceFile(str(path), tuple(read_labels(path)))

@@ -55,7 +55,7 @@ DOUBTFUL_END = {
 
 
 class Effect(StrEnum):
-    """What a flag does to the length."""
+    """Effect of a flag on the length."""
 
     NONE = "none"
     LOWER_BOUND = "lower bound"
@@ -71,16 +71,16 @@ class FlagMeaning:
     Parameters
     ----------
     meaning : str
-        What the documentation says of it.
+        Description in the documentation.
     remark : str
-        What a remark beside a fruit says; empty for what no length depends on.
+        Remark beside a fruit; empty if the length does not depend on the flag.
     effect : Effect
-        What it does to the length.
+        Effect on the length.
     shows_less : bool
         Whether a view with it shows its fruit less well than one without.
     data_fault, remedy : str
-        What the run says once where fruit have it: what the data make doubtful, and what to do.
-        Empty where the data are not at fault.
+        Doubt about the data and its remedy, reported once per run if fruit have the flag. Empty if
+        the data are not the cause.
     """
 
     meaning: str
@@ -244,7 +244,7 @@ SHOWS_LESS = frozenset(flag for flag, line in FLAGS.items() if line.shows_less)
 
 
 def is_lower_bound(flags: Iterable[str]) -> bool:
-    """Return whether flags say that a fruit goes on out of sight, so that it is at least as long.
+    """Return whether flags mark a length as a lower bound: the fruit continues out of sight.
 
     Examples
     --------
@@ -256,14 +256,14 @@ def is_lower_bound(flags: Iterable[str]) -> bool:
 
 
 def flag_remarks(flags: str, at_least: str = "") -> str:
-    """Return a measurement's flags as short sentences, without those that no length depends on.
+    """Return the flags of a measurement that affect its length, as short sentences.
 
     Parameters
     ----------
     flags : str
-        As the store has them, separated by blanks.
+        Flags separated by blanks, as in the store.
     at_least : str
-        The length as a lower bound, in words, where it is one.
+        Text for a length that is a lower bound.
 
     Examples
     --------
@@ -276,14 +276,14 @@ def flag_remarks(flags: str, at_least: str = "") -> str:
 
 
 def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
-    """Return what the data of a batch makes doubtful, a line a flag, with the remedy.
+    """Return the doubts about the data of a batch, one line per flag, with the remedy.
 
     Parameters
     ----------
     flags : mapping of str to int
-        How many fruit have each flag.
+        Number of fruit with each flag.
     fruit : int
-        How many there are.
+        Number of fruit.
 
     Examples
     --------

@@ -155,7 +155,7 @@ def _normal_quantile(level: float) -> float:
 
 _STEEP_DEG = 35.0
 _ENDS_OPEN = 0.5  # of `closed`: below it most of what lies beyond both ends is behind the fruit
-_LEAST_MEASURED = 0.1  # share of a fruit's length, by the look at its ends
+_LEAST_MEASURED = 0.1  # minimum measured share of a fruit's length, by the evaluation of its ends
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:
@@ -164,7 +164,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
     Parameters
     ----------
     measurement : Measurement
-        By M6, with its fit.
+        Measurement of M6, with its fit.
 
     Returns
     -------

@@ -84,7 +84,7 @@ def run_methods(
     region : Region
         The fruit.
     methods : iterable of MethodName
-        Which to run; each is computed once, in the order M1 to M6.
+        Methods to run; each is computed once, in the order M1 to M6.
 
     Returns
     -------

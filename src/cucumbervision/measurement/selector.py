@@ -159,7 +159,7 @@ def choose(
     A mask with at least 100 valid points (counted before the gate): M5, then M4 if it measured
     by itself, then M3. A mask with fewer: M3. No mask, or all of these failed: M1 then M2 for a
     box at least 1.8 times as long as wide (lying or hanging), M2 then M1 otherwise. `BEST` puts
-    M6 first where it was run and measured; `PAPER` never takes it.
+    M6 first if it was run and succeeded; `PAPER` never takes it.
 
     Parameters
     ----------
@@ -245,25 +245,25 @@ def measure_fruit(
     capture : Capture
         The frame.
     instance : Instance
-        Where the fruit is in it.
+        The detection of the fruit.
     methods : iterable of MethodName
-        Which to run; the selector chooses among these.
+        Methods to run; the selector chooses among these.
     selector : Selector
         How to choose.
     definition : LengthDefinition
-        Which length, where a tube could be fitted; elsewhere it is the method's raw length.
+        Definition of length for a fitted tube; other methods give their raw length.
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length; if not, the
         interval holds the scale's own uncertainty.
     models : IntervalModels, optional
-        The package's own if not given.
+        Interval models; by default those of the package.
     cut_beyond_m : float
-        How far beyond the stem end the place to cut is, metres.
+        Distance of the cut beyond the stem end, metres.
     ends : callable, optional
         Tells once more which end is the stem's, along the tube (`EndClassifier.log_odds`); the
         keypoints of the result are in its order.
     tube : Measurement, optional
-        M6 of the instance's mask in this capture, where it is known: it is not measured again.
+        M6 of the instance's mask in this capture, if it was already measured.
 
     Returns
     -------

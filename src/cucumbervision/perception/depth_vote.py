@@ -68,7 +68,7 @@ class DepthShape:
     far_share : float
         Share of its readings more than 6 cm from the median.
     relief : float
-        Standard deviation of depth about the middle line, in half widths; 2 where it is larger or
+        Standard deviation of depth about the middle line, in half widths; at most 2, and 2 if
         unknown.
     """
 
@@ -190,7 +190,7 @@ def with_depth_votes(
     Parameters
     ----------
     detections : sequence of Instance
-        Of the shipped detector, with its confidence and masks.
+        Detections of the shipped detector, with confidences and masks.
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned; 0 where unknown.
     focal_px : float

@@ -1,8 +1,8 @@
 """Evaluate each end of a fruit by a network: whether it is the true end, and the missing length.
 
-Depth tells that something lies beside an end, not whether the fruit goes on behind it: leaves and
-stems hang at nearly the fruit's own distance. A network of a few layers looks at the picture around
-each end of a measured axis, turned along it, so that the fruit always comes from the left.
+Depth shows an object beside an end, but not whether the fruit continues behind it: leaves and
+stems hang at nearly the same distance as the fruit. A network of a few layers evaluates the picture
+around each end of a measured axis, rotated so that the fruit always comes from the left.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Detectors:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The detector's class names, in its order; empty where it names none."""
+        """The detector's class names, in its order; empty if it has none."""
         return tuple(name for _, name in sorted(self._detector.names.items()))
 
     @property
@@ -168,7 +168,7 @@ def with_pose_votes(
     Parameters
     ----------
     detected : sequence of Instance
-        Of the detector.
+        Detections of the detector.
     posed : sequence of Instance
         The pose network's detections. Each votes for at most one detection, with a box IoU of more
         than 0.5.

@@ -61,7 +61,7 @@ class ModelSource:
     size_bytes : int
         Its size.
     url : str
-        Where the publisher offers it; 'pip:NAME==VERSION' for a Python distribution.
+        Address of the publisher's file; 'pip:NAME==VERSION' for a Python distribution.
     member : str
         Its path inside the archive at `url`; empty if it is not in an archive.
     """
@@ -88,11 +88,11 @@ class Model:
     title : str
         A one-line description.
     origin : str
-        Who published it.
+        Publisher.
     files : tuple of ModelFile
-        What the runtimes load; none where a segmenter has no weights.
+        Files that the runtimes load; empty for a segmenter without weights.
     source : ModelSource, optional
-        What the files were exported from.
+        The published file from which they were exported.
     architecture : str
         Its name in the exporter.
     embedded : bool
@@ -147,7 +147,7 @@ class Registry:
 
     @property
     def models(self) -> tuple[Model, ...]:
-        """All of them, the package's own first."""
+        """All models, those of the package first."""
         return self.shipped + self.user_models
 
     def get(self, name: str) -> Model:

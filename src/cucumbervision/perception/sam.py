@@ -115,7 +115,7 @@ class Sam:
 
     @property
     def runtime(self) -> str:
-        """What runs the encoder, with the precision."""
+        """The runtime of the encoder, with the precision."""
         return self._encoder.runtime
 
     @OneThread()

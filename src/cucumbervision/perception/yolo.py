@@ -59,7 +59,7 @@ _LARGEST_STRIDE_PX = 1024
 
 @dataclass(frozen=True)
 class YoloLayout:
-    """How to feed a YOLO network and read its outputs.
+    """Layout of the inputs and outputs of a YOLO network.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class YoloLayout:
     def rows_of(
         self, shape: tuple[int, ...], input_px: tuple[int, int] | None = None
     ) -> tuple[RowKind, int]:
-        """Return how an output's detections are written, and how many classes they have.
+        """Return the layout of an output's detections, and the number of classes.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class YoloLayout:
         Raises
         ------
         ModelError
-            If the shape fits no layout that is read.
+            If the shape matches no supported layout.
         """
         kind = row_kind(
             shape,

@@ -18,7 +18,7 @@ _ANCHORS_A_CELL = 3
 
 
 class RowKind(StrEnum):
-    """How an output's detections are written.
+    """Layout of an output's detections.
 
     `FINAL`: (N, 6 + extra), x1, y1, x2, y2, score, class, extras; `RAW`: (4 + classes + extra, N),
     centre, size, scores, extras; `RAW_ROWS`: the same transposed; `OBJECT_ROWS`: YOLOv5's and

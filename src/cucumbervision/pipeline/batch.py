@@ -52,7 +52,7 @@ class Outcome(Generic[T]):
         The worker's result. None without a failure: the capture needed no work, or the loop was
         cancelled before its turn.
     failures : tuple of Failure
-        What went wrong.
+        The failures.
     """
 
     value: T | None = None

@@ -234,7 +234,7 @@ def detect_inputs(
     report : callable, optional
         Called with the number of pictures done and their total; for progress bars.
     registry : Registry, optional
-        Where networks with a name lie; the package's own if not given.
+        Registry of named networks; by default that of the package.
 
     Returns
     -------

@@ -152,7 +152,7 @@ _SEGMENTS_HELD = 8
 
 
 def place_of(address: str, name: str) -> str:
-    """Return the key of a capture's place: where it was read from, and its name in the tables.
+    """Return the journal key of a capture: a hash of its location and its name in the tables.
 
     Examples
     --------
@@ -171,7 +171,7 @@ class JournalRecord:
     Parameters
     ----------
     place : str
-        From `place_of`.
+        Key from `place_of`.
     content : str
         Hash of the files that it was read from.
     stages : tuple of str
@@ -183,7 +183,7 @@ class JournalRecord:
     failures : tuple of Failure
         Rejected instances, and files that could not be written.
     models : list of dict
-        The networks that took part.
+        The networks that were used.
     picture : str, optional
         Its annotated picture in the output folder; None if it could not be written, so that the
         capture counts as incomplete.

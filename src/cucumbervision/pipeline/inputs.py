@@ -150,7 +150,7 @@ def each_once(
     Parameters
     ----------
     listed : iterable of Listed or Failure
-        From `list_captures`.
+        Result of `list_captures`.
     say : callable
         Called with a line at the end of an input that repeats earlier captures.
     """

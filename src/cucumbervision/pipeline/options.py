@@ -62,8 +62,8 @@ class MeasureOptions:
         then depend on its result.
     segmenter : str, optional
         A segmenter's name or the path of a checkpoint of SAM 2, which draws all masks, or 'none'.
-        With None the default one draws what has no mask and what the detector's mask fits badly
-        (`measurement.m6.fits_well`).
+        With None, the default segmenter draws masks for instances without a mask, and for those
+        whose detector mask does not fit a tube well (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     methods : tuple of MethodName

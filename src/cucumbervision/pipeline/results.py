@@ -102,11 +102,11 @@ def measure(
         Captures in memory; folders, files and URLs that `open_source` reads; or a picture, red
         first.
     depth, intrinsics, depth_unit_m
-        With a picture: as `Capture.from_arrays` takes them.
+        For a picture, as in `Capture.from_arrays`.
     masks : iterable of ndarray, shape (H, W), optional
         The fruit of one capture, one mask each, as people drew them.
     instances : str, Path, sequence of Instance or callable, optional
-        Where the fruit come from: as `MeasureOptions.instances`; those of one capture; or a
+        Source of the fruit: as in `MeasureOptions.instances`; the instances of one capture; or a
         detector, which is called with each `Capture` and returns its instances.
     options : MeasureOptions, optional
         How to measure.

@@ -64,7 +64,7 @@ class Step:
     before : bool
         Whether an earlier run measured it.
     failures : tuple of Failure
-        What went wrong.
+        The failures.
     """
 
     name: str

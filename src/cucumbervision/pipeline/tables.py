@@ -328,7 +328,7 @@ def write_reports(
     summary : Summary
         Summary of the same captures.
     failures : sequence of Failure
-        What could not be read, measured or written.
+        Captures that could not be read, measured or written.
     provenance : mapping
         As `provenance_of` returns it.
     parquet : bool

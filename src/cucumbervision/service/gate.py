@@ -87,7 +87,7 @@ class Gate:
                 with self._place():
                     await self._app(scope, self._limited(headers, receive), noting)
             else:
-                most_bytes = 0  # of a body that nobody reads
+                most_bytes = 0  # the body is not read
                 await self._app(scope, self._bounded(headers, receive, most_bytes), noting)
         except (RequestError, AccessError, BusyError) as error:
             refused = problem(_STATUS[type(error)], error.code, str(error))

@@ -202,7 +202,7 @@ def open_stream(
     follow : bool
         Wait for new files in a folder; existing ones are skipped.
     retries : int
-        How often to reopen a disconnected camera.
+        Maximum number of attempts to reopen a disconnected camera.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def stream_camera(
     open_camera : callable
         Opens the camera.
     retries : int
-        How often to reopen a disconnected one.
+        Maximum number of attempts to reopen a disconnected camera.
     every_frame : bool
         Yield every frame; drop none.
     """

@@ -121,7 +121,7 @@ class StreamedFrame:
     fruit : tuple of TrackedFruit
         The same fruit with track numbers and combined lengths.
     latency_s : float
-        From the frame's arrival to its result.
+        Time from the frame's arrival to its result.
     dropped : int
         Older frames dropped before it.
     """
@@ -133,7 +133,7 @@ class StreamedFrame:
 
     @property
     def capture(self) -> Capture:
-        """The frame as it was measured."""
+        """The measured frame."""
         return self.result.capture
 
     def __repr__(self) -> str:

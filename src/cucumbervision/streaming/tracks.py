@@ -144,7 +144,7 @@ class Tracker:
     Parameters
     ----------
     keep_s : float
-        How long a fruit out of sight is kept, seconds.
+        Time for which a fruit out of sight is kept, seconds.
 
     Examples
     --------

@@ -42,8 +42,8 @@ def choose_intrinsics(
 ) -> Intrinsics:
     """Return the given intrinsics if they pass the check, otherwise those of the source.
 
-    Of colour that was aligned to depth, these are the depth camera's: both pictures have its
-    pixels.
+    If colour is aligned to depth, these are the intrinsics of the depth camera, whose pixels both
+    pictures have.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def frame_capture(
 ) -> Capture:
     """Create a capture from a colour and a depth picture.
 
-    Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`, unless they
-    are said to be aligned; otherwise depth must have the size of the colour picture, or, where it
-    is said to be aligned to colour, its shape.
+    Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`, unless the
+    pictures are declared as aligned. Otherwise depth must have the size of the colour picture, or,
+    if it is declared as aligned to colour, the same aspect ratio.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def frame_capture(
     unit_m : float, optional
         Metres per depth step, if given by the user or the format.
     options : ReadOptions
-        What the user says of the depth.
+        The user's options for depth.
     source, depth_source : Path
         The files, for error messages.
     depth_camera : Intrinsics, optional

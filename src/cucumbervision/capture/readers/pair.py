@@ -119,7 +119,8 @@ def _pair(folder: Folder, folder_path: str, picture: str, files: Sequence[Path |
 def _associated(folder: Folder) -> list[Pair]:
     """Return the pairs of a TUM sequence.
 
-    By its association file (time, colour, time, depth), or without one by the times of both lists.
+    Pairs come from the association file (time, colour, time, depth), or without one from the times
+    in both lists.
     """
     names, pairs = {*folder}, []
     for folder_path, file_names in folder.files.items():
@@ -206,7 +207,7 @@ def _pair_role(name: str) -> tuple[str, str]:
 
 
 def _role_of(part: str) -> str:
-    """Return the role that one name tells; whole words before parts of words, depth first."""
+    """Return the role in a single name; whole words before parts of words, depth first."""
     words = re.findall(r"[^\W\d_]+", part)
     for is_role in (re.Pattern.fullmatch, re.Pattern.search):
         for role, pattern in (("depth", _DEPTH_WORD), ("color", _COLOR_WORD)):

@@ -10,24 +10,25 @@ from cucumbervision.errors import ModelError
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
 
-class PictureClassifier:
-    """Classifies pictures of one size.
+class SmallNetwork:
+    """A network so small that ONNX Runtime runs it fastest, with one output.
 
     Parameters
     ----------
     path : Path
         The ONNX file.
     runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
-    size_px : tuple of int
-        Height and width of a picture.
+        As for `open_network`; 'auto' is ONNX Runtime.
+    shapes : sequence of tuple of int
+        Shape of each input, without the number of pictures.
     takes : str
-        Description of the pictures, for the error.
+        What the inputs are, for the error.
     command : str
         The command that trains such a network, for the error.
 
@@ -38,22 +39,45 @@ class PictureClassifier:
     """
 
     def __init__(
-        self, path: Path, runtime: str, *, size_px: tuple[int, int], takes: str, command: str
+        self,
+        path: Path,
+        runtime: str,
+        *,
+        shapes: Sequence[tuple[int, ...]],
+        takes: str,
+        command: str,
     ) -> None:
         chosen = "onnxruntime" if runtime == "auto" else runtime
         self._network = open_network(path, chosen, full_precision=True)
-        shape = self._network.inputs[0].shape
-        if shape[1:] != (3, *size_px) or len(self._network.outputs) != 1:
+        inputs = [tuple(tensor.shape[1:]) for tensor in self._network.inputs]
+        if inputs != list(shapes) or len(self._network.outputs) != 1:
             raise ModelError(
-                f"takes {shape}, not {takes}",
+                f"takes {inputs}, not {takes}",
                 source=path,
                 remedy=f"name a network by `cucumbervision {command}`",
             )
 
     @property
     def runtime(self) -> str:
-        """The runtime, as `Network.runtime`."""
+        """What runs it, as `Network.runtime`."""
         return self._network.runtime
+
+
+class PictureClassifier(SmallNetwork):
+    """Classifies pictures of one size.
+
+    Parameters
+    ----------
+    path, runtime, takes, command
+        As for `SmallNetwork`.
+    size_px : tuple of int
+        Height and width of a picture.
+    """
+
+    def __init__(
+        self, path: Path, runtime: str, *, size_px: tuple[int, int], takes: str, command: str
+    ) -> None:
+        super().__init__(path, runtime, shapes=[(3, *size_px)], takes=takes, command=command)
 
     def mean_logits(
         self, pictures: NDArray[np.uint8], mirrored: NDArray[np.uint8]

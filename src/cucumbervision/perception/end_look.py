@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.errors import ModelError
 from cucumbervision.instances.end_crops import END_PX, PLANES, EndCrop, EndLook
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.classifier import SmallNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +28,7 @@ ERROR_SCALE = 0.02
 """Of the length: the network's quantiles are asinh(share / ERROR_SCALE), fine near zero."""
 
 
-class EndLooker:
+class EndLooker(SmallNetwork):
     """Evaluates the ends of fruit.
 
     Parameters
@@ -46,20 +45,8 @@ class EndLooker:
     """
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
-        chosen = "onnxruntime" if runtime == "auto" else runtime
-        self._network = open_network(path, chosen, full_precision=True)
-        shapes = [tuple(tensor.shape[1:]) for tensor in self._network.inputs]
-        if shapes != [(PLANES, END_PX, END_PX), (2,)] or len(self._network.outputs) != 1:
-            raise ModelError(
-                f"takes {shapes}, not crops of ends",
-                source=path,
-                remedy="name a network by `cucumbervision train look`",
-            )
-
-    @property
-    def runtime(self) -> str:
-        """The runtime, as `Network.runtime`."""
-        return self._network.runtime
+        shapes = [(PLANES, END_PX, END_PX), (2,)]
+        super().__init__(path, runtime, shapes=shapes, takes="crops of ends", command="train look")
 
     def look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
         """Return the evaluation of ends, computed in one batch.

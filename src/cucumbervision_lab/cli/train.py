@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cucumbervision.cli.choices import InputSize
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision_lab.training.classifier import Trained
 
 app = typer.Typer(
     name="train",
@@ -215,81 +220,75 @@ def house(
     show(f"To use it: cucumbervision models use {out}")
 
 
-@app.command()
-def ends(
-    sets: Annotated[list[Path], typer.Argument(help="Data sets with keypoints.", metavar="SET...")],
-    out: Folder,
-    init: First,
-    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-ends",
-    epochs: Epochs = 20,
-    seed: Seed = 0,
-    threads: Threads = 0,
-    credit: Credit = None,
-) -> None:
-    """Train the network that identifies the stem end, and write it with its card."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.ends import collect_strips, train_ends, write_ends_card
-
-    opened = [open_dataset(folder) for folder in sets]
-    with ticking("extracting", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        strips = collect_strips(opened, seed, tick)
-    with ticking("training", epochs) as tick:
-        result = train_ends(
-            strips,
-            init,
-            out / f"{name}.onnx",
-            ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
-        )
-    write_ends_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
-    table = Table("fruit of validation scenes", "ends identified", title=str(result.network))
-    for kind, share in result.accuracy.items():
-        table.add_row(kind, f"{100 * share:.1f} %")
-    confident = f"confidence of at least 90 % ({100 * result.confident_share:.0f} % of all)"
-    table.add_row(confident, f"{100 * result.confident_accuracy:.1f} %")
-    Console(highlight=False).print(table)
-
-
-@app.command()
-def crops(
+@app.command("ends", help="Train the network that identifies the stem end, and write its card.")
+@app.command(
+    "crops", help="Train the network that looks at each detection alone, and write its card."
+)
+def classifier(
+    context: typer.Context,
     sets: Annotated[
-        list[Path], typer.Argument(help="Data sets, completely labelled.", metavar="SET...")
+        list[Path],
+        typer.Argument(
+            help="Data sets: with keypoints for ends, completely labelled for crops.",
+            metavar="SET...",
+        ),
     ],
     out: Folder,
     init: First,
-    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-crops",
+    name: Annotated[
+        str | None,
+        typer.Option("--name", help="The network's name.", show_default="cucumber-ends or -crops"),
+    ] = None,
     epochs: Epochs = 20,
     seed: Seed = 0,
     threads: Threads = 0,
     credit: Credit = None,
 ) -> None:
-    """Train the network that looks at each detection alone, and write it with its card."""
-    from rich.console import Console
-    from rich.table import Table
-
+    """Train the small network given by the command name."""
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
     from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.crops import collect_crops, train_crops, write_crops_card
+    from cucumbervision_lab.training.crops import collect_crops, train_crops
+    from cucumbervision_lab.training.ends import Strips, collect_strips, train_ends
 
+    task = str(context.info_name)
+    name = name or f"cucumber-{task}"
+    file = out / f"{name}.onnx"
     opened = [open_dataset(folder) for folder in sets]
-    with ticking("detecting", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        crops_found = collect_crops(opened, tick)
-    with ticking("training", epochs) as tick:
-        result = train_crops(
-            crops_found,
-            init,
-            out / f"{name}.onnx",
-            ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1)),
+    with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
+        parts = (
+            collect_strips(opened, seed, tick) if task == "ends" else collect_crops(opened, tick)
         )
-    write_crops_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
-    table = Table("validation scenes", "without it", "with it", title=str(result.network))
-    table.add_row("true positives", *map(str, result.fruit))
-    table.add_row("false positives", *map(str, result.others))
+    with ticking("training", epochs) as tick:
+        options = ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1))
+        trained: Trained = (
+            train_ends(parts, init, file, options)
+            if isinstance(parts, Strips)
+            else train_crops(parts, init, file, options)
+        )
+    _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or ())
+
+
+def _finish(
+    trained: Trained,
+    name: str,
+    init: str,
+    *,
+    epochs: int,
+    seed: int,
+    credits: Sequence[str],
+    **further: int,
+) -> None:
+    """Write a network's card and print its metrics."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from cucumbervision_lab.training.classifier import write_classifier_card
+
+    write_classifier_card(trained, name, init, epochs=epochs, seed=seed, credits=credits)
+    table = Table("held-out scenes", "", title=str(trained.network))
+    for words, value in {**trained.metrics, **further}.items():
+        table.add_row(words, f"{value:.4g}")
     Console(highlight=False).print(table)
 
 
@@ -324,9 +323,6 @@ def look(
     measured and the training so far stay in the folder, and the same command goes on from there.
     From the held-out fruit it learns the intervals by what the network says of their ends.
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from cucumbervision.measurement.intervals import shipped_interval_models
     from cucumbervision.perception.end_look import EndLooker
     from cucumbervision_lab.benchmark.interval_fit import write_interval_models
@@ -334,7 +330,7 @@ def look(
     from cucumbervision_lab.datasets.checks import open_dataset
     from cucumbervision_lab.synthesis.covers import read_pieces
     from cucumbervision_lab.training.end_crops import EndCrops, collect_set
-    from cucumbervision_lab.training.end_look import LookOptions, train_look, write_look_card
+    from cucumbervision_lab.training.end_look import LookOptions, train_look
     from cucumbervision_lab.training.look_intervals import (
         LEAST_FRUIT,
         fit_look_intervals,
@@ -366,13 +362,8 @@ def look(
         models = fit_look_intervals(chosen, looks)
         book = with_look_intervals(shipped_interval_models(), models)
         write_interval_models(out / "interval_models.json", book)
-    write_look_card(result, name, init, epochs=epochs, seed=seed, credits=credit or ())
-    table = Table("ends of validation scenes", str(result.val_count), title=str(result.network))
-    table.add_row("covered or not: area under the curve", f"{result.covered_auc:.3f}")
-    table.add_row("within the outer quantiles", f"{100 * result.quantiles_hold:.1f} %")
-    table.add_row("stem and blossom end", f"{100 * result.stem_right:.1f} %")
-    table.add_row("fruit behind the intervals", str(len(chosen)))
-    Console(highlight=False).print(table)
+    further = {"fruit behind the intervals": len(chosen)}
+    _finish(result, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
 
 
 @app.command()

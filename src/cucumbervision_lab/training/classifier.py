@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,53 +209,64 @@ def export_network(
     onnx.save(written, out)
 
 
-def classifier_card(
-    network: Path,
+class Trained(Protocol):
+    """A network that was trained on crops of pictures, and how well it does."""
+
+    @property
+    def network(self) -> Path:
+        """The ONNX file."""
+
+    @property
+    def task(self) -> str:
+        """'ends', 'crops' or 'look', as the command that trains it."""
+
+    @property
+    def limits(self) -> Sequence[str]:
+        """Known limitations, one sentence each."""
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Metrics of the validation set."""
+
+
+def write_classifier_card(
+    trained: Trained,
     name: str,
-    task: str,
     init: Path | str,
     *,
     epochs: int,
     seed: int,
-    metrics: Mapping[str, float],
-    credits: Sequence[str],
-    limits: Sequence[str],
+    credits: Sequence[str] = (),
 ) -> ModelCard:
     """Write the model card next to a network.
 
     Parameters
     ----------
-    network : Path
-        The ONNX file.
+    trained : Trained
+        Result of `train_ends`, `train_crops` or `train_look`.
     name : str
         Name of the network.
-    task : str
-        'ends', 'crops' or 'look', as the command that trains it.
     init : Path
         The checkpoint it began with.
     epochs, seed : int
         Training options to record.
-    metrics : mapping of str to float
-        Metrics of the validation set.
     credits : sequence of str
         Publishers of training pictures.
-    limits : sequence of str
-        Known limitations, one sentence each.
     """
-    sha256, began = file_sha256(network), Path(init).name
+    network, sha256, began = trained.network, file_sha256(trained.network), Path(init).name
     options = f"--init {began} --out DIR --epochs {epochs} --seed {seed}"
     card = ModelCard(
         name=name,
-        task=task,
+        task=trained.task,
         file=network.name,
         sha256=sha256,
         size_bytes=network.stat().st_size,
         checkpoint_sha256=sha256,
         began_with=began,
-        command=f"cucumbervision train {task} SETS {options}",
-        metrics=dict(metrics),
+        command=f"cucumbervision train {trained.task} SETS {options}",
+        metrics=dict(trained.metrics),
         credits=(*MAKERS, *credits),
-        limits=tuple(limits),
+        limits=tuple(trained.limits),
         versions={"torch": version("torch")},
     )
     write_card(card, network.parent)

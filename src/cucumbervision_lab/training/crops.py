@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from zlib import crc32
 
 import numpy as np
@@ -25,13 +25,11 @@ from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
-    classifier_card,
     export_classifier,
     first_layers,
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import ModelCard
 
 SURROUND_PX = 128
 """Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
@@ -41,10 +39,6 @@ _MOST = 12  # candidates of a picture
 _SMOOTH = 0.02
 _REPEATS = 4  # of false positives that the detector alone would report: few, and what it is for
 _TURN_RAD, _SCALE, _SHIFT = 0.25, 0.12, 0.08  # largest random changes of a crop
-_LIMITS = (
-    "Trained on what the packaged detector proposes; other detectors make other mistakes.",
-    "Fruit of which leaves hide more than half are lowered more often than fruit in full view.",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +83,24 @@ class CropsResult:
     val_count: int
     fruit: tuple[int, int]
     others: tuple[int, int]
+
+    task: ClassVar = "crops"
+    limits: ClassVar = (
+        "Trained on what the packaged detector proposes; other detectors make other mistakes.",
+        "Fruit of which leaves hide more than half are lowered more often than fruit in full view.",
+    )
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the validation set, as the card names them."""
+        return {
+            "crops learnt from": float(self.train_count),
+            "crops of other scenes judged by": float(self.val_count),
+            "true positives without it": float(self.fruit[0]),
+            "true positives with it": float(self.fruit[1]),
+            "false positives without it": float(self.others[0]),
+            "false positives with it": float(self.others[1]),
+        }
 
 
 def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | None = None) -> Crops:
@@ -237,50 +249,6 @@ def _without_prior(network: Any, share: float) -> None:
 
     with torch.no_grad():
         network[-2].bias -= float(logit(share))
-
-
-def write_crops_card(
-    result: CropsResult,
-    name: str,
-    init: Path | str,
-    *,
-    epochs: int,
-    seed: int,
-    credits: Sequence[str] = (),
-) -> ModelCard:
-    """Write the model card next to the network.
-
-    Parameters
-    ----------
-    result : CropsResult
-        Result of `train_crops`.
-    name : str
-        Name of the network.
-    init : Path
-        The checkpoint it began with.
-    epochs, seed : int
-        Training options to record.
-    credits : sequence of str
-        Publishers of training pictures.
-    """
-    return classifier_card(
-        result.network,
-        name,
-        "crops",
-        init,
-        epochs=epochs,
-        seed=seed,
-        metrics={
-            "crops learnt from": float(result.train_count),
-            "crops of other scenes judged by": float(result.val_count),
-            "true positives without it": float(result.fruit[0]),
-            "true positives with it": float(result.fruit[1]),
-            "false positives without it": float(result.others[0]),
-            "false positives with it": float(result.others[1]),
-        },
-        credits=credits,
-        limits=_LIMITS,
-    )
 
 
 def _augment(crops: Any) -> Any:

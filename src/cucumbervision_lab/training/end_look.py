@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,10 @@ from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
 from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
-    classifier_card,
     export_network,
     first_layers,
 )
 from cucumbervision_lab.training.end_crops import EndCrops
-from cucumbervision_lab.training.publish import ModelCard
-
-if TYPE_CHECKING:
-    pass
 
 OUTPUTS = len(STATES) + len(QUANTILES) + 1
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02
@@ -34,12 +29,6 @@ _NO_DEPTH, _HOLES = (
     0.35,
     0.3,
 )  # shares of the crops of a batch that lose their depth, or parts of it
-_LIMITS = (
-    "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
-    "plant before a depth camera.",
-    "Its quantiles and probabilities are too sure; the intervals that are learnt from them less.",
-    "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
-)
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels
 
 
@@ -127,6 +116,25 @@ class LookResult:
     covered_auc: float
     quantiles_hold: float
     stem_right: float
+
+    task: ClassVar = "look"
+    limits: ClassVar = (
+        "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
+        "plant before a depth camera.",
+        "Its quantiles and probabilities are too sure; the intervals that are learnt from them less.",
+        "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
+    )
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the validation set, as the card names them."""
+        return {
+            "crops learnt from": float(self.train_count),
+            "ends of other scenes judged by": float(self.val_count),
+            "covered ends told from others, area under the curve": self.covered_auc,
+            "missing length between the outer quantiles": self.quantiles_hold,
+            "stem and blossom ends told right": self.stem_right,
+        }
 
 
 @dataclass(frozen=True)
@@ -358,49 +366,6 @@ def export_look(network: Any, out: Path) -> None:
 
     inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
     export_network(network.eval(), out, inputs, "looks", "look")
-
-
-def write_look_card(
-    result: LookResult,
-    name: str,
-    init: Path | str,
-    *,
-    epochs: int,
-    seed: int,
-    credits: Sequence[str] = (),
-) -> ModelCard:
-    """Write the model card next to the network.
-
-    Parameters
-    ----------
-    result : LookResult
-        Result of `train_look`.
-    name : str
-        Name of the network.
-    init : Path
-        The checkpoint it began with.
-    epochs, seed : int
-        Training options to record.
-    credits : sequence of str
-        Publishers of training pictures.
-    """
-    return classifier_card(
-        result.network,
-        name,
-        "look",
-        init,
-        epochs=epochs,
-        seed=seed,
-        metrics={
-            "crops learnt from": float(result.train_count),
-            "ends of other scenes judged by": float(result.val_count),
-            "covered ends told from others, area under the curve": result.covered_auc,
-            "missing length between the outer quantiles": result.quantiles_hold,
-            "stem and blossom ends told right": result.stem_right,
-        },
-        credits=credits,
-        limits=_LIMITS,
-    )
 
 
 def area_under_curve(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:

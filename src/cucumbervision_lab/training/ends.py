@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +21,17 @@ from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, t
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
-    classifier_card,
     export_classifier,
     first_layers,
     fit_classifier,
     predict,
 )
-from cucumbervision_lab.training.publish import ModelCard
 
 COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
 _HELD_OUT = 8  # every eighth scene is used for validation, as is the split val
 _SEEN = 2
 _SMOOTH = 0.02
-_LIMITS = (
-    "Where neither end is visible, only colour and taper are available.",
-    "Trained with keypoint errors of 4 % of the length along the fruit and 2 % across it; larger "
-    "errors reduce accuracy.",
-    "Probabilities are calibrated on synthetic fruit and on photos of harvested fruit.",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +75,25 @@ class EndsResult:
     accuracy: dict[str, float]
     confident_share: float
     confident_accuracy: float
+
+    task: ClassVar = "ends"
+    limits: ClassVar = (
+        "Where neither end is visible, only colour and taper are available.",
+        "Trained with keypoint errors of 4 % of the length along the fruit and 2 % across it; "
+        "larger errors reduce accuracy.",
+        "Probabilities are calibrated on synthetic fruit and on photos of harvested fruit.",
+    )
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the validation set, as the card names them."""
+        return {
+            "fruit learnt from": float(self.train_count),
+            "fruit of other scenes judged by": float(self.val_count),
+            **{f"right, {kind}": share for kind, share in self.accuracy.items()},
+            "at least 90 % sure": self.confident_share,
+            "right of these": self.confident_accuracy,
+        }
 
 
 def collect_strips(
@@ -233,50 +244,6 @@ def train_ends(
     export_classifier(network, out, STRIP_PX, "ends")
     logits = predict(network, strips.pictures[strips.held_out])
     return _result(logits, strips.seen[strips.held_out], out, len(learnt))
-
-
-def write_ends_card(
-    result: EndsResult,
-    name: str,
-    init: Path | str,
-    *,
-    epochs: int,
-    seed: int,
-    credits: Sequence[str] = (),
-) -> ModelCard:
-    """Write the model card next to the network.
-
-    Parameters
-    ----------
-    result : EndsResult
-        Result of `train_ends`.
-    name : str
-        Name of the network.
-    init : Path
-        The checkpoint it began with.
-    epochs, seed : int
-        Training options to record.
-    credits : sequence of str
-        Publishers of training pictures.
-    """
-    right = {f"right, {kind}": share for kind, share in result.accuracy.items()}
-    return classifier_card(
-        result.network,
-        name,
-        "ends",
-        init,
-        epochs=epochs,
-        seed=seed,
-        metrics={
-            "fruit learnt from": float(result.train_count),
-            "fruit of other scenes judged by": float(result.val_count),
-            **right,
-            "at least 90 % sure": result.confident_share,
-            "right of these": result.confident_accuracy,
-        },
-        credits=credits,
-        limits=_LIMITS,
-    )
 
 
 def _augment(fruit: Any) -> Any:

@@ -66,7 +66,7 @@ def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
     words += ["--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    assert "ends identified" in result.output
+    assert "right, all" in result.output
     card = read_card(tmp_path / "out" / "cucumber-ends.json")
     assert card.task == "ends"
     assert card.metrics["fruit of other scenes judged by"] == 2

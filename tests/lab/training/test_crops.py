@@ -16,13 +16,15 @@ from cucumbervision.errors import TrainingError  # noqa: E402
 from cucumbervision.perception.crops import CROP_PX, CropClassifier  # noqa: E402
 from cucumbervision.perception.networks import NetworkLoader  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
-from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402
+from cucumbervision_lab.training.classifier import (  # noqa: E402
+    ClassifierOptions,
+    write_classifier_card,
+)
 from cucumbervision_lab.training.crops import (  # noqa: E402
     SURROUND_PX,
     Crops,
     collect_crops,
     train_crops,
-    write_crops_card,
 )
 from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
@@ -91,6 +93,6 @@ def test_it_learns_to_tell_a_bar_from_a_disc_and_the_file_says_so_too(tmp_path: 
     box = np.array([-half, -half, half, half]) + SURROUND_PX / 2 - 0.5
     odds = [classifier.log_odds(picture, [box])[0] for picture in pictures[held_out]]
     assert np.mean((np.array(odds) > 0) == is_fruit[held_out]) > 0.95
-    card = write_crops_card(result, "crops", DETECTOR, epochs=12, seed=0, credits=("Ann",))
+    card = write_classifier_card(result, "crops", DETECTOR, epochs=12, seed=0, credits=("Ann",))
     assert read_card(tmp_path / "crops.json") == card
     assert card.metrics["false positives with it"] == result.others[1]

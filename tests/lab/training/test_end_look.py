@@ -12,6 +12,7 @@ pytest.importorskip("ultralytics")
 from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
 from cucumbervision.perception.end_look import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
+from cucumbervision_lab.training.classifier import write_classifier_card  # noqa: E402
 from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.training.end_look import (  # noqa: E402
     LookOptions,
@@ -25,7 +26,6 @@ from cucumbervision_lab.training.end_look import (  # noqa: E402
     make_network,
     predict_looks,
     train_look,
-    write_look_card,
 )
 from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
@@ -77,7 +77,7 @@ def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) ->
     looks = looker.look(ends)
     found = np.array([look.covered for look in looks])
     assert (found[held.state == 1].min()) > found[held.state == 0].max()
-    write_look_card(result, "look", CHECKPOINT, epochs=4, seed=0)
+    write_classifier_card(result, "look", CHECKPOINT, epochs=4, seed=0)
     card = read_card(tmp_path / "look.json")
     assert (card.task, card.sha256) == ("look", file_sha256(result.network))
 

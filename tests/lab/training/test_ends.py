@@ -16,13 +16,15 @@ from cucumbervision.instances.instance import Instance  # noqa: E402
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
-from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402
+from cucumbervision_lab.training.classifier import (  # noqa: E402
+    ClassifierOptions,
+    write_classifier_card,
+)
 from cucumbervision_lab.training.ends import (  # noqa: E402
     COPIES,
     collect_strips,
     make_network,
     train_ends,
-    write_ends_card,
 )
 from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
@@ -100,7 +102,7 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
         assert ordered.keypoints is not None
         right += bool(np.allclose(ordered.keypoints[-1, :2], points[-1]))
     assert right >= 26
-    card = write_ends_card(result, "ends", CHECKPOINT, epochs=6, seed=0, credits=("Ann",))
+    card = write_classifier_card(result, "ends", CHECKPOINT, epochs=6, seed=0, credits=("Ann",))
     again = read_card(tmp_path / "ends.json")
     assert again == card
     assert again.sha256 == file_sha256(tmp_path / "ends.onnx")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision_lab.training.classifier import Trained
+    from cucumbervision_lab.training.end_crops import EndCrops, MeasuredFruit
 
 app = typer.Typer(
     name="train",
@@ -269,6 +270,25 @@ def classifier(
     _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or ())
 
 
+def _collect_ends(
+    sets: Sequence[Path], out: Path, seed: int, leaves: Path | None
+) -> list[tuple[list[MeasuredFruit], EndCrops]]:
+    """Measure the fruit of drawn sets and cut out their ends; what was done stays in the folder."""
+    from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.synthesis.covers import read_pieces
+    from cucumbervision_lab.training.end_crops import collect_set
+
+    pieces = () if leaves is None else read_pieces(leaves)
+    parts = []
+    for number, folder in enumerate(sets):
+        opened = open_dataset(folder)
+        with ticking("measuring ends", len(opened.pictures)) as tick:
+            keep = out / f"ends-{number}.jsonl"
+            parts.append(collect_set(opened, keep, seed, tick, pieces))
+    return parts
+
+
 def _finish(
     trained: Trained,
     name: str,
@@ -327,9 +347,7 @@ def look(
     from cucumbervision.perception.end_look import EndLooker
     from cucumbervision_lab.benchmark.interval_fit import write_interval_models
     from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.synthesis.covers import read_pieces
-    from cucumbervision_lab.training.end_crops import EndCrops, collect_set
+    from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.end_look import LookOptions, train_look
     from cucumbervision_lab.training.look_intervals import (
         LEAST_FRUIT,
@@ -339,13 +357,7 @@ def look(
     )
 
     out.mkdir(parents=True, exist_ok=True)
-    pieces = () if leaves is None else read_pieces(leaves)
-    parts = []
-    for number, folder in enumerate(sets):
-        opened = open_dataset(folder)
-        with ticking("measuring ends", len(opened.pictures)) as tick:
-            keep = out / f"ends-{number}.jsonl"
-            parts.append(collect_set(opened, keep, seed, tick, pieces))
+    parts = _collect_ends(sets, out, seed, leaves)
     with ticking("training", epochs) as tick:
         options = LookOptions(
             epochs,

@@ -121,8 +121,10 @@ class LookResult:
     limits: ClassVar = (
         "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
         "plant before a depth camera.",
-        "Its quantiles and probabilities are too sure; the intervals that are learnt from them less.",
-        "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
+        "Its quantiles and probabilities are too sure; the intervals that are learnt from them "
+        "less.",
+        "Withered flowers, burnt stem ends and dry leaves are told apart less well than green "
+        "leaves.",
     )
 
     @property

@@ -100,7 +100,7 @@ class Compared:
         if method is None:
             return None if self.fruit.length is None else 100 * self.fruit.length.value_m
         one = self.fruit.measurements[method]
-        return 100 * one.length_m if one.own and one.length_m is not None else None
+        return 100 * one.length_m if one.is_direct and one.length_m is not None else None
 
     def end_errors_mm(self) -> tuple[float, float] | None:
         """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cucumbervision.instances.instance import (
     Instance,
-    apart,
     merge_instances,
+    with_disjoint_masks,
     with_keypoints,
 )
 from cucumbervision.instances.masks import box_of_mask
@@ -198,7 +198,7 @@ def test_hopeless_pairs_push_no_good_one_aside() -> None:
 def test_a_mask_that_loses_much_gets_a_new_box() -> None:
     # Two thirds of the wider mask remain below the narrower one, of which more than half is shared.
     upper, both = bar(120, 70, 140, 20), bar(120, 80, 140, 60)
-    first, second = apart([found(upper, 0.9), found(both, 0.6)])
+    first, second = with_disjoint_masks([found(upper, 0.9), found(both, 0.6)])
     assert first.detector_mask is not None
     assert second.detector_mask is not None
     assert (first.detector_mask == upper).all()
@@ -208,6 +208,6 @@ def test_a_mask_that_loses_much_gets_a_new_box() -> None:
 
 def test_what_shares_nothing_is_left_as_it_is() -> None:
     a, b = found(bar(120, 40, 140, 20), 0.9), found(bar(120, 90, 140, 20), 0.8)
-    assert apart([a, b]) == (a, b)
+    assert with_disjoint_masks([a, b]) == (a, b)
     box = Instance(np.array([0.0, 0, 9, 9]))
-    assert apart([box]) == (box,)
+    assert with_disjoint_masks([box]) == (box,)

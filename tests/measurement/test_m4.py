@@ -58,7 +58,7 @@ def test_an_endpoint_needs_half_visibility(
     arc[end, 2] = 0.49
     assert measure_m4(flat, None, arc, camera).reason is Reason.ENDPOINT_MISSING
     arc[end, 2] = 0.50
-    assert measure_m4(flat, None, arc, camera).own
+    assert measure_m4(flat, None, arc, camera).is_direct
 
 
 def test_a_landmark_on_the_background_is_left_out(
@@ -79,7 +79,7 @@ def test_only_readings_inside_the_mask_count(
     flat[v - 2 : v + 3, u] = 1.0
     mask = np.zeros(flat.shape, bool)
     mask[flat < 0.5] = True
-    assert measure_m4(flat, mask, arc, camera).own
+    assert measure_m4(flat, mask, arc, camera).is_direct
     assert measure_m4(flat, None, arc, camera).reason is Reason.ENDPOINT_MISSING
 
 

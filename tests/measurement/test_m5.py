@@ -72,14 +72,14 @@ def test_the_fixed_gate_cuts_a_fruit_tilted_to_the_camera(camera: Intrinsics) ->
 )
 def test_lengths_outside_5_to_80_cm_are_refused(length_m: float, ok: bool) -> None:
     result = measure_m5(line_cloud(length_m, 4000))
-    assert result.own is ok
+    assert result.is_direct is ok
     assert (result.reason is Reason.OUT_OF_RANGE) is not ok
 
 
 def test_points_are_counted_after_the_gate() -> None:
     near, far = line_cloud(0.2, 99), line_cloud(0.2, 90) + np.array([0, 0, 0.2])
     assert measure_m5(np.vstack([near, far])).reason is Reason.TOO_FEW_POINTS
-    assert measure_m5(line_cloud(0.2, 100)).own
+    assert measure_m5(line_cloud(0.2, 100)).is_direct
 
 
 def test_two_clumps_fill_too_few_bins() -> None:

@@ -38,7 +38,7 @@ def test_m3_falls_back_on_m2_below_50_pixels(region: Region, camera: Intrinsics)
     assert m3.method is MethodName.M3
     assert m3.measured_by is MethodName.M2
     assert m3.fallback == ("M3:too-few-points",)
-    assert not m3.own
+    assert not m3.is_direct
 
 
 def test_m4_falls_back_on_m3_and_on_to_m2(region: Region, camera: Intrinsics) -> None:
@@ -72,8 +72,8 @@ def test_without_a_mask_the_mask_methods_say_so(region: Region, camera: Intrinsi
     assert results[MethodName.M3].reason is Reason.NO_MASK
     assert results[MethodName.M5].reason is Reason.NO_MASK
     assert results[MethodName.M6].reason is Reason.NO_MASK
-    assert results[MethodName.M1].own
-    assert results[MethodName.M2].own
+    assert results[MethodName.M1].is_direct
+    assert results[MethodName.M2].is_direct
 
 
 def test_only_what_was_asked_runs(region: Region) -> None:

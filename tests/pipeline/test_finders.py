@@ -166,7 +166,7 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
         m4, m3 = fruit.measurements[MethodName.M4], fruit.measurements[MethodName.M3]
         # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
         assert m4.reason is Reason.OK
-        assert m4.own
+        assert m4.is_direct
         assert m4.length_m is not None
         assert m3.length_m is not None
         assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)

@@ -123,7 +123,7 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
         if length.capture not in measured.captures:
             raise TruthError(
                 f"line {length.line}: capture '{length.capture}' is not among the measurements of "
-                f"{measured.path} ({_some(measured.captures)})",
+                f"{measured.path} ({_shortened(measured.captures)})",
                 source=truth.path,
                 remedy="measure it, correct its name, or drop the line",
             )
@@ -250,7 +250,7 @@ def _notes(
     return notes
 
 
-def _some(names: Sequence[str]) -> str:
+def _shortened(names: Sequence[str]) -> str:
     remainder = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + remainder
 

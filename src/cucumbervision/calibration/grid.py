@@ -48,7 +48,7 @@ class GridFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _GridPicture:
     """Candidate crossings in one picture, and the initial grid cells."""
 
     crossings_px: NDArray[np.float64]
@@ -78,7 +78,7 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
     if not captures:
         return None
     camera = captures[0].intrinsics
-    grids = [grid for capture in captures if (grid := _seen_grid(capture)) is not None]
+    grids = [grid for capture in captures if (grid := _find_grid(capture)) is not None]
     fit, grids = _fitted(grids, camera, spacing_m)
     if fit is None:
         return None
@@ -90,8 +90,8 @@ def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
 
 
 def _fitted(
-    grids: list[_Seen], camera: Intrinsics, spacing_m: float
-) -> tuple[GridFit | None, list[_Seen]]:
+    grids: list[_GridPicture], camera: Intrinsics, spacing_m: float
+) -> tuple[GridFit | None, list[_GridPicture]]:
     # Return the fit and the grids it uses.
     import cv2
 
@@ -141,7 +141,7 @@ def _fitted(
     return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios)), grids
 
 
-def _seen_grid(capture: Capture) -> _Seen | None:
+def _find_grid(capture: Capture) -> _GridPicture | None:
     import cv2
     from scipy.spatial import cKDTree
 
@@ -171,7 +171,7 @@ def _seen_grid(capture: Capture) -> _Seen | None:
     start = peaks.astype(np.float32).reshape(-1, 1, 2)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
     refined = np.asarray(cv2.cornerSubPix(gray, start, (7, 7), (-1, -1), stop), float)
-    return _Seen(refined.reshape(-1, 2), best[1], best[2], capture.depth_m)
+    return _GridPicture(refined.reshape(-1, 2), best[1], best[2], capture.depth_m)
 
 
 def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -249,7 +249,7 @@ def _flat(cells: NDArray[np.float64]) -> NDArray[np.float64]:
 _Pose = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
-def _pose(seen_grid: _Seen, matrix: NDArray[np.float64]) -> _Pose:
+def _pose(seen_grid: _GridPicture, matrix: NDArray[np.float64]) -> _Pose:
     import cv2
 
     _, turn, shift = cv2.solvePnP(_flat(seen_grid.cells), seen_grid.pixels, matrix, np.zeros(5))
@@ -265,7 +265,7 @@ def _projected(
 
 
 def _matched(
-    seen_grid: _Seen,
+    seen_grid: _GridPicture,
     cells: NDArray[np.float64],
     pose: _Pose,
     matrix: NDArray[np.float64],

@@ -259,10 +259,10 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
             group.append(region)
         else:
             groups.append([region])
-    return tuple(sorted(map(_kept, groups), key=lambda instance: -instance.confidence))
+    return tuple(sorted(map(_merged_instance, groups), key=lambda instance: -instance.confidence))
 
 
-def apart(
+def with_disjoint_masks(
     instances: Sequence[Instance], depth_m: NDArray[np.float32] | None = None
 ) -> tuple[Instance, ...]:
     """Assign each pixel that several masks share to one fruit, as `disjoint_masks` does.
@@ -407,7 +407,7 @@ def _around_several(region: _Region, regions: Sequence[_Region]) -> bool:
     return float(np.mean([part.instance.confidence for part in parts])) > region.instance.confidence
 
 
-def _kept(group: Sequence[_Region]) -> Instance:
+def _merged_instance(group: Sequence[_Region]) -> Instance:
     members = sorted(group, key=_best_first)
     best = members[0].instance.confidence
     trusted = [region for region in members if region.instance.confidence >= TRUSTED_SHARE * best]

@@ -255,7 +255,7 @@ def _box(
     if mask is None:
         raise ValueError("has neither box nor mask")
     corners = np.concatenate(polygons) if polygons else np.zeros((1, 2))
-    return box_of_mask(mask), bool(_beyond(corners, width, height).any())
+    return box_of_mask(mask), bool(_outside(corners, width, height).any())
 
 
 def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -300,11 +300,11 @@ def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np
     corner, opposite = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
     if (opposite <= corner).any():
         raise ValueError(f"its box lies outside the picture of {width}x{height}")
-    clipped = bool(_beyond(box.reshape(2, 2), width, height).any())
+    clipped = bool(_outside(box.reshape(2, 2), width, height).any())
     return np.concatenate([corner, opposite]) - 0.5, clipped
 
 
-def _beyond(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
+def _outside(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
     return (points < -_CLIP_SLACK_PX) | (points > np.array([width, height]) + _CLIP_SLACK_PX)
 
 

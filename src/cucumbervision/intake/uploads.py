@@ -81,7 +81,7 @@ class AcceptedSource:
     def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
         for ref in source:
             yield replace(
-                ref, load=partial(self._load, ref.load), location=self.shown(ref.location)
+                ref, load=partial(self._load, ref.load), location=self.sender_name(ref.location)
             )
 
     def _load(self, load: Callable[[], Capture]) -> Capture:
@@ -89,12 +89,12 @@ class AcceptedSource:
             capture = load()
         except CucumberVisionError as error:
             raise self._named(error) from None
-        return replace(capture, source=self.shown(capture.source))
+        return replace(capture, source=self.sender_name(capture.source))
 
     def _named(self, error: CucumberVisionError) -> CucumberVisionError:
-        return error.at(self.shown(error.source))
+        return error.at(self.sender_name(error.source))
 
-    def shown(self, path: object) -> str:
+    def sender_name(self, path: object) -> str:
         """Return the sender's name of a file."""
         text = str(path)
         if not text.startswith(str(self.path)):
@@ -239,7 +239,7 @@ class _Intake:
         unread = {PurePosixPath(name) for name in folder}
         used = {name.parent for name in everything - unread}
         for name in sorted(unread):
-            suffix, shown_name = name.suffix.lower(), folder_source.shown(path / name)
+            suffix, shown_name = name.suffix.lower(), folder_source.sender_name(path / name)
             is_beside = title != LOOSE and not _needs_partner(name, used)
             if suffix in RECORDING_SUFFIXES or not (suffix in _TEXTS | {".csv"} or is_beside):
                 self.out.refused.append(_left_alone(shown_name, suffix))

@@ -51,12 +51,12 @@ class GirthRelation:
     slope: float
     spread: float
 
-    def beyond(self, length_m: float, diameter_m: float) -> float:
+    def excess_sd(self, length_m: float, diameter_m: float) -> float:
         """Return how far a length exceeds the usual one, in standard deviations of the logarithm.
 
         Examples
         --------
-        >>> round(DRAWN_KINDS.beyond(0.34, 0.024), 1)
+        >>> round(DRAWN_KINDS.excess_sd(0.34, 0.024), 1)
         5.4
         """
         usual = self.log_length + self.slope * np.log(max(diameter_m, 0.005))
@@ -286,7 +286,7 @@ def hidden_length(
     lengths = np.exp(
         np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * _REACH_SD_M), _GRID)
     )
-    off = relation.beyond(1.0, diameter_m)  # of one metre
+    off = relation.excess_sd(1.0, diameter_m)  # of one metre
     by_girth = np.exp(-0.5 * (np.log(lengths) / relation.spread + off) ** 2)
     longer = ndtr(np.log(lengths / seen_m) / _SEEN_SD)
     before = ndtr((seen_m + reach_m - lengths) / _REACH_SD_M)

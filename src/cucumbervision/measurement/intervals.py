@@ -194,7 +194,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         # Signs of a fruit that continues behind an object which depth does not show.
         "closed": 1.0 - min(fit.ends_open),
         "flare": float(np.log(widest / np.median(fit.traits.diameter_m))),
-        "girth": DRAWN_KINDS.beyond(tube.centreline_m, widest),
+        "girth": DRAWN_KINDS.excess_sd(tube.centreline_m, widest),
         **raw_features(tube.centreline_m, distance, fit.fill),
         **({} if fit.looks is None else look_features(fit.looks)),
     }

@@ -408,7 +408,7 @@ def _runs_away(fit: TubeFitting) -> bool:
     if _depth_share(fit) < _STEEP:
         return False
     _, radii = fit.shape.balls()
-    return DRAWN_KINDS.beyond(fit.shape.length_m, 2.0 * float(radii.max())) > _TOO_LONG_SD
+    return DRAWN_KINDS.excess_sd(fit.shape.length_m, 2.0 * float(radii.max())) > _TOO_LONG_SD
 
 
 def _depth_share(fit: TubeFitting) -> float:

@@ -133,7 +133,7 @@ def _m3(region: Region) -> Measurement:
     if region.mask_points_m is None:
         return Measurement(MethodName.M3, reason=Reason.NO_MASK)
     result = measure_m3(region.mask_points_m, region.mask_near)
-    return _or_else(result, MethodName.M2, _m2(region)) if not result.own else result
+    return _or_else(result, MethodName.M2, _m2(region)) if not result.is_direct else result
 
 
 def _m4(region: Region) -> Measurement:

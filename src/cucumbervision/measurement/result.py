@@ -265,7 +265,7 @@ class Measurement:
     fit: TubeFit | None = field(default=None, repr=False)
 
     @property
-    def own(self) -> bool:
+    def is_direct(self) -> bool:
         """Whether the method itself succeeded, without a fallback."""
         return self.length_m is not None and self.measured_by is None
 

@@ -144,7 +144,7 @@ def measure_views(
     (0.2, [0, 1])
     """
     fitted_views = [
-        fitted for k, view in enumerate(views) if (fitted := _alone(k, view)) is not None
+        fitted for k, view in enumerate(views) if (fitted := _fitted_view(k, view)) is not None
     ]
     if not fitted_views:
         return None
@@ -153,7 +153,7 @@ def measure_views(
     )
     chosen = fitted_views[:1]
     for candidate in fitted_views[1:]:
-        if all(_apart(candidate, member) for member in chosen):
+        if all(_is_elsewhere(candidate, member) for member in chosen):
             chosen.append(candidate)
     first = chosen[0]
     joint = _joint(chosen) if len(chosen) > 1 else None
@@ -171,7 +171,7 @@ def measure_views(
 
 
 def _joint(
-    chosen: Sequence[_Alone],
+    chosen: Sequence[_FittedView],
 ) -> tuple[FruitMeasurement, tuple[NDArray[np.float64], ...]] | None:
     """Return the fruit with one tube for all views, and the camera poses; None if it fails."""
     first = chosen[0]
@@ -187,11 +187,11 @@ def _joint(
     )
     # Properties of the fruit other than its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
-    return _together(alone, one_tube, sure, chosen, fitted.poses), fitted.poses
+    return _joint_measurement(alone, one_tube, sure, chosen, fitted.poses), fitted.poses
 
 
 def _beyond_ends(
-    chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], shape: TubeShape
+    chosen: Sequence[_FittedView], poses: Sequence[NDArray[np.float64]], shape: TubeShape
 ) -> tuple[BeyondEnd, BeyondEnd]:
     # Background seen beyond an end in any view outweighs an occluder in another view.
     centres, radii = shape.balls()
@@ -209,11 +209,11 @@ def _beyond_ends(
     return BeyondEnd(behind=first), BeyondEnd(behind=last)
 
 
-def _together(
+def _joint_measurement(
     alone: FruitMeasurement,
     one_tube: Measurement,
     stem_confidence: float,
-    chosen: Sequence[_Alone],
+    chosen: Sequence[_FittedView],
     poses: Sequence[NDArray[np.float64]],
 ) -> FruitMeasurement:
     """Return the fruit with the tube of all views, and the flags that apply to all views."""
@@ -247,7 +247,7 @@ def _is_cut(view: FruitView) -> bool:
 
 
 def _hidden_share(
-    chosen: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
+    chosen: Sequence[_FittedView], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
 ) -> float:
     # Share of the axis that is in no mask.
     is_shown = np.zeros(len(axis_m), bool)
@@ -261,7 +261,7 @@ def _hidden_share(
 
 
 @dataclass(frozen=True, eq=False)
-class _Alone:
+class _FittedView:
     """A view with the tube that fits it alone."""
 
     number: int
@@ -271,13 +271,13 @@ class _Alone:
     fitting: TubeFitting
 
 
-def _alone(number: int, view: FruitView) -> _Alone | None:
+def _fitted_view(number: int, view: FruitView) -> _FittedView | None:
     mask, capture = view.instance.mask, view.capture
     tube = None if mask is None else view_tube(capture.depth_m, mask, capture.intrinsics)
     fitting = None if tube is None else fit_view(tube)
     if mask is None or tube is None or fitting is None or isinstance(fitting, Reason):
         return None
-    return _Alone(number=number, view=view, mask=mask, tube=tube, fitting=fitting)
+    return _FittedView(number=number, view=view, mask=mask, tube=tube, fitting=fitting)
 
 
 def _relative_sd(fitting: TubeFitting) -> float:
@@ -290,12 +290,12 @@ def _middle(fitting: TubeFitting) -> NDArray[np.float64]:
     return np.asarray(fitting.shape.balls(3)[0][1], dtype=np.float64)
 
 
-def _apart(first: _Alone, second: _Alone) -> bool:
+def _is_elsewhere(first: _FittedView, second: _FittedView) -> bool:
     away = float(np.linalg.norm(first.view.pose[:3, 3] - second.view.pose[:3, 3]))
     return away > _SAME_PLACE * float(np.linalg.norm(_middle(first.fitting)))
 
 
-def _relative(first: _Alone, second: _Alone) -> SeenFrom:
+def _relative(first: _FittedView, second: _FittedView) -> SeenFrom:
     # Align the body of the first view with that of the second, because the position of a stop is
     # known only to centimetres. For a partly visible fruit, the middle is unknown along the axis.
     view, fitting = second.view, second.fitting

@@ -62,10 +62,10 @@ def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
     >>> placed.keypoints[:, 0].round().tolist()
     [10.0, 30.0, 50.0, 70.0, 90.0]
     """
-    return tuple(_placed(instance) for instance in instances)
+    return tuple(_with_placed_keypoints(instance) for instance in instances)
 
 
-def _placed(instance: Instance) -> Instance:
+def _with_placed_keypoints(instance: Instance) -> Instance:
     mask = instance.detector_mask if instance.mask is None else instance.mask
     points = instance.keypoints
     is_given = instance.input_size_px is None

@@ -12,7 +12,7 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.boxes import box_ious
-from cucumbervision.instances.instance import apart, merge_instances, with_keypoints
+from cucumbervision.instances.instance import merge_instances, with_disjoint_masks, with_keypoints
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
@@ -154,7 +154,9 @@ def each_fruit_once(
     if depth_m is not None:
         weak = [detection for detection in voted if detection.confidence <= confidence]
         fruit = join_pieces_by_depth(fruit, weak, depth_m)
-    return apart(with_keypoints(fruit, merge_instances(posed or ()), sure=confidence), depth_m)
+    return with_disjoint_masks(
+        with_keypoints(fruit, merge_instances(posed or ()), sure=confidence), depth_m
+    )
 
 
 def with_pose_votes(
@@ -332,7 +334,7 @@ class NetworkLoader:
         self.registry = registry or load_registry()
         self.models: list[dict[str, Any]] = []
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
-        self._confidence, self._most, self._input_sizes = confidence, most_fruit, input_sizes
+        self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._with_ends: YoloDetector | None = None
         self._files: dict[str, dict[str, Path]] = {}
@@ -406,7 +408,7 @@ class NetworkLoader:
             self._runtime,
             self._confidence if confidence is None else confidence,
             full_precision=self._full_precision,
-            most_fruit=self._most,
+            most_fruit=self._most_fruit,
             input_sizes=self._input_sizes,
             verified=isinstance(chosen, str),
         )
@@ -415,14 +417,14 @@ class NetworkLoader:
         else:
             self._note(path.name, network.task, file_sha256(path), network)
         if network.by_place:
-            network.ends = self._beside("ends", EndClassifier)
+            network.ends = self._companion("ends", EndClassifier)
             self._with_ends = network if network.ends else self._with_ends
         looks_twice = isinstance(chosen, str) if second_look is None else second_look
         if looks_twice and network.task == "segment":
-            network.crops = self._beside("crops", CropClassifier)
+            network.crops = self._companion("crops", CropClassifier)
         return network
 
-    def _beside(self, task: str, kind: Callable[[Path], Classifier]) -> Classifier | None:
+    def _companion(self, task: str, kind: Callable[[Path], Classifier]) -> Classifier | None:
         """Load the registry's network for a task beside a detector, or return None without one."""
         model = self.registry.default(task)
         if model is None:

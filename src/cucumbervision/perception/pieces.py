@@ -86,7 +86,7 @@ def join_pieces_by_depth(
         added = (
             None
             if body_part.detector_mask is None
-            else _beyond(body_part.detector_mask, cover, depth_m)
+            else _continuation(body_part.detector_mask, cover, depth_m)
         )
         if added is not None:
             shares = [_shared(candidate, added) for candidate in waiting]
@@ -103,7 +103,7 @@ def join_pieces_by_depth(
                     for candidate in waiting
                     if not any(candidate is part for part in parts)
                 ]
-                body_part = _joined(body_part, parts, added)
+                body_part = _completed(body_part, parts, added)
         done.append(body_part)
     return tuple(sorted(done, key=lambda instance: -instance.confidence))
 
@@ -120,7 +120,7 @@ def _shared(instance: Instance, added: NDArray[np.bool_]) -> tuple[float, float]
     return shared / max(_area(instance), 1), shared / int(np.count_nonzero(added))
 
 
-def _joined(instance: Instance, parts: Sequence[Instance], added: NDArray[np.bool_]) -> Instance:
+def _completed(instance: Instance, parts: Sequence[Instance], added: NDArray[np.bool_]) -> Instance:
     masks = [part.detector_mask for part in (instance, *parts) if part.detector_mask is not None]
     mask = np.logical_or.reduce([*masks, added])
     return replace(
@@ -198,7 +198,7 @@ class _Body:
         return side * start, tip, ahead / np.linalg.norm(ahead)
 
 
-def _beyond(
+def _continuation(
     mask: NDArray[np.bool_], cover: NDArray[np.bool_], depth_m: NDArray[np.float32]
 ) -> NDArray[np.bool_] | None:
     """Return the covered pixels that continue a mask beyond its ends; None without any."""

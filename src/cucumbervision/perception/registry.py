@@ -235,16 +235,16 @@ class Registry:
         if self.state(name) == "not pulled":
             raise ModelError(
                 f"the model {name} is not on this machine",
-                remedy=_again(model),
+                remedy=_remedy(model),
             )
         if model.embedded:
             return {f.file: f.sha256 for f in model.files}
-        manifest = _read_manifest(self.folder(name) / _MANIFEST, _again(model))
+        manifest = _read_manifest(self.folder(name) / _MANIFEST, _remedy(model))
         if model.source and manifest["source_sha256"] != model.source.sha256:
             raise ModelHashError(
                 "exported from another checkpoint than the registry names",
                 source=self.folder(name),
-                remedy=_again(model),
+                remedy=_remedy(model),
             )
         return {f.file: str(manifest["files"].get(f.file, "")) for f in model.files}
 
@@ -262,7 +262,7 @@ class Registry:
         """
         model, folder, hashes = self.get(name), self.folder(name), self.hashes(name)
         for file, sha256 in hashes.items():
-            path, remedy = folder / file, _again(model)
+            path, remedy = folder / file, _remedy(model)
             if not path.is_file():
                 raise ModelError("the file is missing", source=path, remedy=remedy)
             if file_sha256(path) != sha256:
@@ -375,7 +375,7 @@ def _model(entry: Any, path: Path, remedy: str) -> Model:
     return parse_model(Model, entry, source=path, error=ModelError, remedy=remedy)
 
 
-def _again(model: Model) -> str:
+def _remedy(model: Model) -> str:
     if model.embedded:
         return "install cucumbervision again"
     if model.source is None:

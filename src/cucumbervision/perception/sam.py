@@ -148,10 +148,10 @@ class Sam:
             self._drawn(color_rgb, [part for instance_parts in parts for part in instance_parts])
         )
         complete = [
-            _whole(instance, [next(drawn) for _ in instance_parts])
+            _union(instance, [next(drawn) for _ in instance_parts])
             for instance, instance_parts in zip(instances, parts, strict=True)
         ]
-        return _apart(complete)
+        return _disjoint(complete)
 
     def _drawn(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
@@ -337,7 +337,7 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
     return tuple(replace(instance, box=box_of_mask(mask), detector_mask=mask) for mask in masks)
 
 
-def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
+def _union(instance: Instance, drawn: Sequence[Instance]) -> Instance:
     """Return an instance with the union of its parts' masks; rejected if one of them is."""
     masks = [part.mask for part in drawn if part.mask is not None]
     if len(masks) < len(drawn):
@@ -347,7 +347,7 @@ def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
 
 
-def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
+def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     """Assign each pixel to one fruit; reject a mask of which too little is left."""
     masks = [instance.mask for instance in instances]
     disjoint = disjoint_masks(masks, [instance.confidence for instance in instances])

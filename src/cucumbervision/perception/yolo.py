@@ -328,7 +328,7 @@ class YoloDetector:
         self._network = open_network(
             path, runtime, full_precision=full_precision, verified=verified
         )
-        self._most = most_fruit
+        self._most_fruit = most_fruit
         self.ends: EndClassifier | None = None
         self.crops: CropClassifier | None = None
         self._layout = _read_layout(self._network)
@@ -408,7 +408,7 @@ class YoloDetector:
             else self._detect_at(color_rgb, size_px, least_confidence)
             for number, size_px in enumerate(self._sizes_px)
         ]
-        merged = merge_sizes(by_size)[: self._most]
+        merged = merge_sizes(by_size)[: self._most_fruit]
         if self.crops is not None:
             merged = self.crops.rescore(color_rgb, merged)
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
@@ -464,7 +464,7 @@ class YoloDetector:
             )
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
-        detections = self._instances(rows[: self._most], prototypes, box)
+        detections = self._instances(rows[: self._most_fruit], prototypes, box)
         return tuple(replace(detection, input_size_px=max(size_px)) for detection in detections)
 
     def _instances(

@@ -187,7 +187,7 @@ def make_finder(
         ]
         if name == "none" or not drawn:
             file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
-            return _placed(capture, detections, detections.instances, file_stages)
+            return _finished(capture, detections, detections.instances, file_stages)
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         segmenter = networks.segmenter(name)
         answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
@@ -196,7 +196,7 @@ def make_finder(
             masked.get(k, instance) for k, instance in enumerate(detections.instances)
         )
         file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _placed(capture, detections, instances, (*file_stages, Stage.DRAWN))
+        return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN))
 
     return Finder(find, networks)
 
@@ -240,7 +240,7 @@ def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
     return replace(detections, instances=tuple(instances), tubes=tuple(tubes))
 
 
-def _placed(
+def _finished(
     capture: Capture,
     detections: Detections,
     instances: tuple[Instance, ...],

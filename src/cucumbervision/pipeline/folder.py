@@ -109,7 +109,7 @@ class OutputFolder:
         with_retries(target, lambda: target.fs.put_file(str(filled), target.path))
 
     @contextmanager
-    def alone(self, name: str) -> Iterator[None]:
+    def locked(self, name: str) -> Iterator[None]:
         """Lock the folder against other programs during the block, if the system can lock files.
 
         Raises

@@ -183,7 +183,7 @@ def measure_inputs(
     if batch.parquet:
         import_arrow()
     folder = OutputFolder(as_path(out))
-    with folder.alone(".lock"), Journal(folder) as journal:
+    with folder.locked(".lock"), Journal(folder) as journal:
         run = _Run(journal, folder, Measurer(options), batch)
         return run.measure([as_path(path) for path in inputs], report)
 

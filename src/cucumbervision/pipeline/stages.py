@@ -67,7 +67,7 @@ class StageHashes:
 
     def __init__(self, options: MeasureOptions, registry: Registry | None = None) -> None:
         self._options, self._registry = options, registry or load_registry()
-        self._known: dict[str, Any] = {}
+        self._digests: dict[str, Any] = {}
 
     @cached_property
     def sources(self) -> frozenset[Stage]:
@@ -89,11 +89,11 @@ class StageHashes:
         """
         names = [Stage(stage) for stage in stages]
         key = " ".join(names)
-        if key not in self._known:
+        if key not in self._digests:
             descriptions = [self._always, *(self._of_stage(name) for name in names)]
             text = json.dumps([key, descriptions], sort_keys=True)
-            self._known[key] = hashlib.sha256(text.encode()).hexdigest()
-        digest: str = self._known[key]
+            self._digests[key] = hashlib.sha256(text.encode()).hexdigest()
+        digest: str = self._digests[key]
         return digest
 
     def still_hold(self, stages: Iterable[Stage | str], digest: str) -> bool:

@@ -71,7 +71,7 @@ class _Metrics:
             ("path", "status"),
             registry=self.registry,
         )
-        self.found = Counter(
+        self.results = Counter(
             "cucumbervision_found",
             "Captures, pictures, fruit and failures of answers",
             ("what",),
@@ -143,18 +143,18 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
     def measure(request: Request, files: Files) -> MeasureReply:
         """Measure every fruit of every capture: zipped capture folders, pairs, .npz."""
         reply = work.measure(_streams(files), _has_left(request))
-        metrics.found.labels("captures").inc(len(reply.captures))
-        metrics.found.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))
-        metrics.found.labels("failures").inc(len(reply.failures))
+        metrics.results.labels("captures").inc(len(reply.captures))
+        metrics.results.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))
+        metrics.results.labels("failures").inc(len(reply.failures))
         return reply
 
     @routes.post("/detect", response_model=DetectReply, **secured)
     def detect(request: Request, files: Files) -> DetectReply:
         """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
         reply = work.detect(_streams(files), _has_left(request))
-        metrics.found.labels("pictures").inc(len(reply.pictures))
-        metrics.found.labels("fruit").inc(sum(len(picture.fruit) for picture in reply.pictures))
-        metrics.found.labels("failures").inc(len(reply.failures))
+        metrics.results.labels("pictures").inc(len(reply.pictures))
+        metrics.results.labels("fruit").inc(sum(len(picture.fruit) for picture in reply.pictures))
+        metrics.results.labels("failures").inc(len(reply.failures))
         return reply
 
     @routes.get("/health", response_model=Health)

@@ -226,11 +226,11 @@ def _without_roles(part: str) -> str:
     """
     for pattern in (_DEPTH_WORD, _COLOR_WORD):
         words = rf"([\W_]?)(?:{pattern.pattern})([\W_]?)"
-        part = re.sub(words, _joined, part, flags=re.IGNORECASE)
+        part = re.sub(words, _separator, part, flags=re.IGNORECASE)
     return part
 
 
-def _joined(match: re.Match[str]) -> str:
+def _separator(match: re.Match[str]) -> str:
     """Return what stands for a removed word: the separator before it, if it stood between two."""
     before, after = match.groups()
     if before and after:

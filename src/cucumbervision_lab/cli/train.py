@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision_lab.training.classifier import Trained
-    from cucumbervision_lab.training.end_crops import EndCrops, MeasuredFruit
+    from cucumbervision_lab.training.end_crops import EndCrops
+    from cucumbervision_lab.training.measured_ends import MeasuredFruit
 
 app = typer.Typer(
     name="train",

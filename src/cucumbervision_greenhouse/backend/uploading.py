@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
-    from cucumbervision_greenhouse.backend.uploads import Uploads
+    from cucumbervision_greenhouse.backend.uploads import Sending, Uploads
     from cucumbervision_greenhouse.rounds.walking import NextPlace
     from cucumbervision_greenhouse.store.repository import Store
 
@@ -96,23 +96,15 @@ def measure_upload(
         words = "ended the program each time it was measured"
         note(*(_failed(name, words) for name, _ in files), done=True)
         return
-    place = sending.place.next_place
     limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
     measured = itertools.count(1)
 
     def items(sources: Iterable[_Opened]) -> Iterator[RoundCapture]:
-        nonlocal place
-        for read in (read for source in sources for read in _captures(source)):
-            if isinstance(read, UploadOutcome):
-                note(read, measured=next(measured))
-                continue
-            capture, place = _placed(read, place)
-            try:
-                yield _to_add(capture, measures, store, sending.round)
-            except CucumberVisionError as error:
-                note(
-                    _failed(capture.source or capture.name, error.message), measured=next(measured)
-                )
+        for item in _round_captures(sources, sending, measures, store):
+            if isinstance(item, RoundCapture):
+                yield item
+            else:
+                note(item, measured=next(measured))
 
     with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
         try:
@@ -131,6 +123,22 @@ def measure_upload(
             if isinstance(item, RoundCapture):
                 note(_outcome(item, added, sending.round), measured=next(measured))
     note(done=True)
+
+
+def _round_captures(
+    sources: Iterable[_Opened], sending: Sending, measurer: Measurer, store: Store
+) -> Iterator[RoundCapture | UploadOutcome]:
+    """Yield the captures of an upload at their places, and why a part of it is none."""
+    place = sending.place.next_place
+    for capture in itertools.chain.from_iterable(map(_captures, sources)):
+        if isinstance(capture, UploadOutcome):
+            yield capture
+            continue
+        placed, place = _placed(capture, place)
+        try:
+            yield _to_add(placed, measurer, store, sending.round)
+        except CucumberVisionError as error:
+            yield _failed(placed.source or placed.name, error.message)
 
 
 def _failed(name: str, words: str) -> UploadOutcome:

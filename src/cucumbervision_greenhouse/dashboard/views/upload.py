@@ -18,6 +18,8 @@ from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from cucumbervision_greenhouse.backend.uploads import Upload
     from cucumbervision_greenhouse.store.views import RoundView
 
@@ -98,6 +100,16 @@ def _place(one: RoundView) -> SentPlace:
             st.session_state[keys["row"]] = st.query_params["row"]
             change_row()
     st.session_state[f"up_given_{one.key}"] = given
+    return _draw_place(keys, sides, change_row, keep)
+
+
+def _draw_place(
+    keys: Mapping[str, str],
+    sides: Sequence[str],
+    change_row: Callable[[], None],
+    keep: Callable[[], None],
+) -> SentPlace:
+    """Draw the fields of a place by the keys of their values, and return what they hold."""
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])

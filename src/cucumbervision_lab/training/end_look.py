@@ -25,10 +25,7 @@ OUTPUTS = len(STATES) + len(QUANTILES) + 1
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
-_NO_DEPTH, _HOLES = (
-    0.35,
-    0.3,
-)  # shares of the crops of a batch that lose their depth, or parts of it
+_NO_DEPTH, _HOLES = 0.35, 0.3  # shares of a batch's crops that lose their depth, or parts of it
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels
 
 
@@ -119,10 +116,10 @@ class LookResult:
 
     task: ClassVar = "look"
     limits: ClassVar = (
-        "Trained on drawn fruit, and on real ones pasted into photos without depth; on none on the "
-        "plant before a depth camera.",
-        "Its quantiles and probabilities are too sure; the intervals that are learnt from them "
-        "less.",
+        "Trained on drawn fruit, on real ones pasted into photos, and on photos of fruit on the "
+        "plant, with real leaves and drawn stems laid over ends; on none on the plant before a "
+        "depth camera.",
+        "Its quantiles are too narrow; the intervals that are learnt from them less.",
         "Withered flowers, burnt stem ends and dry leaves are told apart less well than green "
         "leaves.",
     )

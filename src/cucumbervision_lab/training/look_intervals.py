@@ -17,7 +17,7 @@ from cucumbervision.measurement.intervals import (
     asks_the_look,
     look_features,
 )
-from cucumbervision_lab.benchmark.interval_fit import RAW_EDGES, TUBE_FEATURES, fit_interval_model
+from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
 
 if TYPE_CHECKING:
     from cucumbervision.instances.end_crops import EndLook
@@ -30,11 +30,10 @@ LOOK_FEATURES = (
     *("covered", "running_on", "log_missing", "log_above", "log_below"),
 )
 
-LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (*RAW_EDGES, ("covered", (0.1, 0.5)))
-"""Fruit are grouped by whether depth or keypoints say that they go on out of sight, and by how
-likely the look says so."""
+LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("covered", (0.1, 0.5)),)
+"""Fruit are grouped by how likely the look says that they go on out of sight."""
 
-SMALLEST_GROUP = 400
+SMALLEST_GROUP = 100
 """Fruit of a group that has quantiles of its own."""
 
 LEAST_FRUIT = 60

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision_greenhouse.agronomy.forecast import FruitState
 from cucumbervision_greenhouse.agronomy.growth import Curve, Link, Spreads
+from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 
 
 @dataclass(frozen=True)

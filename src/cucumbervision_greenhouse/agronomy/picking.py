@@ -17,7 +17,8 @@ from cucumbervision_greenhouse.agronomy.forecast import natural_key
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from cucumbervision_greenhouse.agronomy.forecast import Forecast, FruitState
+    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 
 
 class PickKind(StrEnum):
@@ -66,7 +67,8 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.forecast import FruitState, forecast
+    >>> from cucumbervision_greenhouse.agronomy.forecast import forecast
+    >>> from cucumbervision_greenhouse.agronomy.length_draws import FruitState
     >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
@@ -187,7 +189,7 @@ def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.forecast import FruitState
+    >>> from cucumbervision_greenhouse.agronomy.length_draws import FruitState
     >>> picks = [Pick(FruitState(str(k), "1", 0.1 * k, 0.3, 0.004), "I", 1.0) for k in range(70)]
     >>> work = work_of(picks, Rates(fruit_per_hour=350, minutes_per_row=3))
     >>> work.fruit, work.hours, work.crates
@@ -231,7 +233,8 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.forecast import FruitState, forecast
+    >>> from cucumbervision_greenhouse.agronomy.forecast import forecast
+    >>> from cucumbervision_greenhouse.agronomy.length_draws import FruitState
     >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")

@@ -67,7 +67,7 @@ def pick_words(pick: Pick) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.forecast import FruitState
+    >>> from cucumbervision_greenhouse.agronomy.length_draws import FruitState
     >>> from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind
     >>> fruit = FruitState("a", "1", 0.5, 0.25, 0.01)
     >>> pick_words(Pick(fruit, "I", 0.99))

@@ -15,8 +15,9 @@ from cucumbervision.agronomy.classes import class_of
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.intervals import SCALE_SD
-from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, FruitState, forecast
+from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
+from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.rounds.from_store import read_round

@@ -9,13 +9,9 @@ from scipy.special import ndtr
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
-from cucumbervision_greenhouse.agronomy.forecast import (
-    DetectionRates,
-    Forecast,
-    FruitState,
-    forecast,
-)
+from cucumbervision_greenhouse.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, Spreads, fit_growth
+from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 
 LONG = load_profile("long-cucumber")
 PRIOR = GrowthPrior.of(LONG)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision_greenhouse.agronomy.forecast import Forecast, FruitState, forecast
+from cucumbervision_greenhouse.agronomy.forecast import Forecast, forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, work_of
 
 LONG = load_profile("long-cucumber")

@@ -3,8 +3,9 @@ from __future__ import annotations
 import pytest
 
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision_greenhouse.agronomy.forecast import FruitState, forecast
+from cucumbervision_greenhouse.agronomy.forecast import forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Spreads, fit_growth
+from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 from cucumbervision_greenhouse.agronomy.picking import Rates, plan_work
 
 LONG = load_profile("long-cucumber")

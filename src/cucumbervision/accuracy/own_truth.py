@@ -38,7 +38,7 @@ _UNITS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MethodScore:
     """Accuracy of one method for one definition of length.
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _FEWEST_GROUPS = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Metrics:
     """Errors of one method over a set of captures.
 

@@ -147,7 +147,7 @@ _LENGTH_COLUMN = re.compile(r"length(_\d+)?_cm")
 _KNOWN = {"capture", "fruit", "kind", "specimen", "repeat"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrueLength:
     """Manual length of one fruit in one capture.
 
@@ -270,7 +270,14 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
 
     Examples
     --------
-    >>> twice = TrueLength(2, "a", 1, LengthDefinition.THREAD, (0.200, 0.202), "s1")
+    >>> twice = TrueLength(
+    ...     line=2,
+    ...     capture="a",
+    ...     fruit=1,
+    ...     kind=LengthDefinition.THREAD,
+    ...     lengths_m=(0.200, 0.202),
+    ...     specimen="s1",
+    ... )
     >>> floor = floor_of([twice])
     >>> round(floor.sd_mm, 3), round(floor.sd_percent, 3)
     (1.414, 0.704)

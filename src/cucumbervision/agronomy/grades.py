@@ -281,7 +281,11 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         name = NOT_MEASURED if fruit.length is None else UNDECIDED
         reason = "" if fruit.length is None else f"no {profile.length} length"
         return Grade(
-            *(GradeStatus.MISSING, name, (), {}, (no_length,)),
+            verdict=GradeStatus.MISSING,
+            name=name,
+            rules=(),
+            probabilities={},
+            missing=(no_length,),
             mass_g=mass,
             possible=profile.outcomes,
             reason=reason,
@@ -294,7 +298,10 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
             f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
         )
         return Grade(
-            *(GradeStatus.REFUSED, UNDECIDED, (rule,), {}),
+            verdict=GradeStatus.REFUSED,
+            name=UNDECIDED,
+            rules=(rule,),
+            probabilities={},
             mass_g=mass,
             possible=profile.outcomes,
             reason="such a length cannot be",
@@ -308,8 +315,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         weight, width = weight.as_remark(), width.as_remark()
     checks = (shape, weight, width)
     by_bin = _classes_of_bins(profile, checks)
-    known_m = _known_m(fruit, length)
-    possible = possible_classes(*known_m, profile.edges_m, by_bin)
+    range_m = _range_m(fruit, length)
+    possible = possible_classes(*range_m, profile.edges_m, by_bin)
     name = class_of(possible)
     verdict = GradeStatus.UNDECIDED if name == UNDECIDED else GradeStatus.IN_CLASS
     if name in WITHOUT_CLASS and name != UNDECIDED:
@@ -319,23 +326,25 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     if not chances and not fruit.at_least:
         missing += (f"interval of the {profile.length} length: no probabilities",)
     return Grade(
-        verdict,
-        name,
-        _rules(profile, length_cm, known_m, possible, checks),
-        chances,
-        missing,
-        _best_of(shape, profile),
-        *(shape.name, weight.name, width.name),
-        mass,
-        possible,
-        _reason(name, profile, known_m, checks),
+        verdict=verdict,
+        name=name,
+        rules=_rules(profile, length_cm, range_m, possible, checks),
+        probabilities=chances,
+        missing=missing,
+        best_class=_best_of(shape, profile),
+        shape=shape.name,
+        weight_class=weight.name,
+        diameter_class=width.name,
+        mass_g=mass,
+        possible=possible,
+        reason=_reason(name, profile, range_m, checks),
     )
 
 
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
-def _known_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
+def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
     """Return the range of a fruit's length: its interval, or from a lower bound to infinity."""
     if fruit.at_least:
         return length.value_m, math.inf
@@ -357,14 +366,14 @@ def _known_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
 def _rules(
     profile: CropProfile,
     length_cm: float,
-    known_m: tuple[float, float],
+    range_m: tuple[float, float],
     possible: tuple[str, ...],
     checks: tuple[_Check, ...],
 ) -> tuple[str, ...]:
     """Return the rules behind a grade, the deciding one first."""
     lowering = tuple(check.rule for check in checks if check.rule)
     if class_of(possible) == UNDECIDED:
-        low_cm, high_cm = (100 * end for end in known_m)
+        low_cm, high_cm = (100 * end for end in range_m)
         ends = f"{low_cm:.1f} to {high_cm:.1f} cm: {choice_words(possible)}"
         if math.isinf(high_cm):
             ends = f"at least {low_cm:.1f} cm: {_PART}" if low_cm else _UNCERTAIN
@@ -377,14 +386,14 @@ def _rules(
 
 
 def _reason(
-    name: str, profile: CropProfile, known_m: tuple[float, float], checks: tuple[_Check, ...]
+    name: str, profile: CropProfile, range_m: tuple[float, float], checks: tuple[_Check, ...]
 ) -> str:
     """Return why a fruit is in no better class; empty in the best class, or if the name says it."""
-    if name == UNDECIDED and math.isinf(known_m[1]):
-        return _PART if known_m[0] else _UNCERTAIN
+    if name == UNDECIDED and math.isinf(range_m[1]):
+        return _PART if range_m[0] else _UNCERTAIN
     if name in (profile.classes[0].name, UNDECIDED, *profile.outcomes[-2:]):
         return ""
-    by_length = possible_classes(*known_m, profile.edges_m, _classes_of_bins(profile, ()))
+    by_length = possible_classes(*range_m, profile.edges_m, _classes_of_bins(profile, ()))
     if by_length == (name,):
         return "by length"
     return ", ".join(check.reason for check in checks if check.forbidden and check.reason)

@@ -35,7 +35,7 @@ class Form(StrEnum):
 _MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fit:
     """Fitted correction of one method: true length = scale x reading + offset.
 

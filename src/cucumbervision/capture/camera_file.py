@@ -55,7 +55,7 @@ class Extrinsics:
     translation_m: NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CameraFile:
     """Contents of an intrinsics file.
 

@@ -23,7 +23,7 @@ _KEYPOINTS = 5
 _SLACK = 1e-6  # tolerance outside 0 to 1 for rounded numbers
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LabelledInstance:
     """One instance as written in a file.
 

@@ -87,7 +87,7 @@ class Part(StrEnum):
     CUT = "cut"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FruitPose:
     """A fruit in space: metres, in coordinates of the camera (x right, y down, z forward).
 

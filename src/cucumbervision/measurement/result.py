@@ -178,7 +178,7 @@ class Length:
         return None if self.sides is None else (self.sides[1] + self.sides[2]) / 2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TubeFit:
     """A tube fitted to one fruit: its traits and their quality.
 

@@ -42,7 +42,7 @@ class TubeLengths:
         return value
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TubeTraits:
     """Lengths and shape of one tube.
 

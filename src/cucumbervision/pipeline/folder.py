@@ -164,7 +164,7 @@ def place_of(address: str, name: str) -> str:
     ).hexdigest()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JournalRecord:
     """The journal's record of one measured capture.
 

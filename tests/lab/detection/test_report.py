@@ -17,17 +17,17 @@ def pose(stem: tuple[float, float, float], blossom: tuple[float, float, float]) 
     out = (axis[0] - axis[-1]) / np.linalg.norm(axis[0] - axis[-1])
     cut = axis[0] + 0.02 * out
     return FruitPose(
-        "camera",
-        axis[0],
-        axis[-1],
-        0.9,
-        axis[16],
-        axis,
-        np.full(33, 0.02),
-        out,
-        cut,
-        0.004**2 * np.eye(3),
-        (),
+        frame="camera",
+        stem_m=axis[0],
+        blossom_m=axis[-1],
+        stem_confidence=0.9,
+        centre_m=axis[16],
+        axis_m=axis,
+        radius_m=np.full(33, 0.02),
+        direction=out,
+        cut_m=cut,
+        cut_covariance_m2=0.004**2 * np.eye(3),
+        covered=(),
     )
 
 

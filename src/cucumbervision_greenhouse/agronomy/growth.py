@@ -132,7 +132,7 @@ def measured_histories(
     until : float, optional
         A day to which every fruit is extrapolated from its last point.
     """
-    known = {name: k for k, name in enumerate(basis.rows)}
+    index_of_row = {name: k for k, name in enumerate(basis.rows)}
     series = [sorted(set(p)) for p in points]
     counts = np.array([len(s) for s in series], np.intp)
     flat = np.array([point for s in series for point in s], np.float64).reshape(-1, 3)
@@ -145,15 +145,15 @@ def measured_histories(
 
     for k in range(int(counts.max(initial=0))):
         fruit = np.flatnonzero(counts > k)
-        at = first[fruit] + k
-        before = flat[at - 1 if k else at, 0]
-        add(fruit, before, *flat[at].T)
+        index = first[fruit] + k
+        before = flat[index - 1 if k else index, 0]
+        add(fruit, before, *flat[index].T)
     if until is not None:
         last = flat[first + counts - 1, 0]
         late = np.flatnonzero(last < until)
         none, end = np.full(len(late), np.nan), np.full(len(late), until)
         add(late, last[late], end, none, none)
-    return Histories(basis, np.array([known[r] for r in rows], np.intp), tuple(steps))
+    return Histories(basis, np.array([index_of_row[r] for r in rows], np.intp), tuple(steps))
 
 
 def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
@@ -186,15 +186,15 @@ def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
         x, b = _carried(histories, step, length, growth)
         p = _carried_cov(step, cov[step.fruit], spreads)
         if not np.isnan(step.length_m).any():
-            rest = -x
-            rest[:, 0] += step.length_m
+            residual = -x
+            residual[:, 0] += step.length_m
             scale = p[:, 0] + step.variance_m2
             gain_x, gain_b = p[:, 0] / scale, p[:, 1] / scale
-            x += gain_x[:, None] * rest
-            b = b + gain_b[:, None] * rest
+            x += gain_x[:, None] * residual
+            b = b + gain_b[:, None] * residual
             p = p - scale[:, None] * np.stack([gain_x**2, gain_x * gain_b, gain_b**2], axis=1)
-            rest[:, 1:] *= -1
-            innovations.append(rest / np.sqrt(scale)[:, None])
+            residual[:, 1:] *= -1
+            innovations.append(residual / np.sqrt(scale)[:, None])
             log_scale += 0.5 * float(np.log(scale).sum())
         length[step.fruit], growth[step.fruit], cov[step.fruit] = x, b, p
     return FilteredStates(length, growth, cov, np.concatenate(innovations), log_scale)
@@ -285,12 +285,12 @@ class Curve:
         """
         if np.isinf(self.full_m):
             return [(day, length, sd**2) for day, length, sd in measured]
-        found: list[tuple[float, float, float]] = []
+        points: list[tuple[float, float, float]] = []
         for day, length, sd in measured:
             u = float(self.unslowed(length))
-            expected = u if not found else found[-1][1] + (day - found[-1][0]) * pace_m
-            found.append((day, u, (sd / self._rate_share_of_unslowed(expected)) ** 2))
-        return found
+            expected = u if not points else points[-1][1] + (day - points[-1][0]) * pace_m
+            points.append((day, u, (sd / self._rate_share_of_unslowed(expected)) ** 2))
+        return points
 
     def _rate_share_of_unslowed(self, u_m: float) -> float:
         half = self.full_m / 2
@@ -467,8 +467,8 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     fruit: dict[str, list[Link]] = {}
     for link in links:
         fruit.setdefault(link.fruit_id, []).append(link)
-    rows_of = [own[0].row for own in fruit.values()]
-    series = [measured_points(own) for own in fruit.values()]
+    rows_of = [links[0].row for links in fruit.values()]
+    series = [measured_points(links) for links in fruit.values()]
     problems = [_Problem.of(curve, series, rows_of, basis, prior) for curve in prior.curves]
     best = problems[0]
     mode, root = best.fit()
@@ -480,8 +480,8 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     logs = mode + np.random.default_rng(seed).standard_normal((HYPER_DRAWS, 5)) @ root.T
     figures = np.array(astuple(prior.spreads)) * np.exp(logs)
     draws = tuple(Spreads(*line) for line in figures.tolist())
-    found = [_coefficients(best.histories, prior, spreads) for spreads in draws]
-    means, roots = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+    posteriors = [_coefficients(best.histories, prior, spreads) for spreads in draws]
+    means, roots = np.array([f[0] for f in posteriors]), np.array([f[1] for f in posteriors])
     return Growth(prior, basis, tuple(links), best.curve, best.pace_m, draws, means, roots)
 
 
@@ -522,9 +522,9 @@ class _Problem:
         centre = np.array(astuple(self.prior.spreads))
         spreads = Spreads(*(centre * np.exp(logs)).tolist())
         prior_term = 0.5 * float(((logs / SPREAD_LOG_SD) ** 2).sum())
-        found = _coefficients(self.histories, self.prior, spreads)[2]
+        log_likelihood = _coefficients(self.histories, self.prior, spreads)[2]
         # The likelihood of lengths, not of unslowed lengths, includes the derivative between them.
-        return found - self.log_slope - prior_term
+        return log_likelihood - self.log_slope - prior_term
 
     def fit(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the mode, and a root of the covariance, of the spreads' logarithms."""
@@ -539,20 +539,20 @@ def _coefficients(
     """Return posterior mean and root of beta, and the log marginal likelihood."""
     filtered = kalman_filter(histories, spreads)
     sd = _prior_sd(histories.basis, spreads)
-    known = np.zeros(len(sd))
-    known[0] = prior.mean_m
+    prior_mean = np.zeros(len(sd))
+    prior_mean[0] = prior.mean_m
     design = filtered.innovations[:, 1:] * sd
-    rest = filtered.innovations[:, 0] - filtered.innovations[:, 1:] @ known
+    residual = filtered.innovations[:, 0] - filtered.innovations[:, 1:] @ prior_mean
     # beta = known + sd u with u ~ N(0, 1): the posterior precision of u is 1 + design' design.
     lower = np.linalg.cholesky(np.eye(len(sd)) + design.T @ design)
-    toward = np.linalg.solve(lower, design.T @ rest)
+    toward = np.linalg.solve(lower, design.T @ residual)
     inverse = np.linalg.inv(lower)
     log_likelihood = -(
         filtered.log_scale
         + float(np.log(np.diag(lower)).sum())
-        + 0.5 * float(rest @ rest - toward @ toward)
+        + 0.5 * float(residual @ residual - toward @ toward)
     )
-    return known + sd * (inverse.T @ toward), sd[:, None] * inverse.T, log_likelihood
+    return prior_mean + sd * (inverse.T @ toward), sd[:, None] * inverse.T, log_likelihood
 
 
 def _prior_sd(basis: Basis, spreads: Spreads) -> NDArray[np.float64]:
@@ -568,8 +568,8 @@ def _laplace(
     from scipy.optimize import minimize
 
     size = 5
-    found = minimize(badness, np.zeros(size), method="L-BFGS-B", bounds=[(-3.0, 3.0)] * size)
-    mode = np.asarray(found.x, np.float64)
+    optimum = minimize(badness, np.zeros(size), method="L-BFGS-B", bounds=[(-3.0, 3.0)] * size)
+    mode = np.asarray(optimum.x, np.float64)
     step = _STEP * np.eye(size)
     curvature = np.empty((size, size))
     for i in range(size):

@@ -80,8 +80,8 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     """
     kinds = [_kind(possible, forecast.pick) for possible in forecast.possible]
     listed = [
-        Pick(one, class_of(possible), float(ready), kind, possible)
-        for one, possible, ready, kind in zip(
+        Pick(state, class_of(possible), float(ready), kind, possible)
+        for state, possible, ready, kind in zip(
             forecast.fruit, forecast.possible, forecast.ready, kinds, strict=True
         )
         if kind is not None
@@ -89,9 +89,9 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     rows = sorted({pick.fruit.row for pick in listed}, key=natural_key)
 
     def along_the_walk(pick: Pick) -> tuple[int, float, str, str]:
-        at = rows.index(pick.fruit.row)
-        position = -pick.fruit.position_m if at % 2 else pick.fruit.position_m
-        return at, position, pick.fruit.side, pick.fruit.fruit_id
+        row_index = rows.index(pick.fruit.row)
+        position = -pick.fruit.position_m if row_index % 2 else pick.fruit.position_m
+        return row_index, position, pick.fruit.side, pick.fruit.fruit_id
 
     return tuple(sorted(listed, key=along_the_walk))
 

@@ -54,12 +54,12 @@ def opened_round(
         yield store, find_round(store, name)
 
 
-def chosen_profile(given: str | None, one: RoundView) -> CropProfile | None:
+def chosen_profile(name: str | None, round_view: RoundView) -> CropProfile | None:
     """Return the crop profile that is named, or else the round's own; None without either."""
     from cucumbervision.agronomy.profiles import load_profile
 
-    name = given or one.record.profile
-    return load_profile(name) if name else None
+    profile = name or round_view.record.profile
+    return load_profile(profile) if profile else None
 
 
 @app.command()
@@ -79,7 +79,9 @@ def new(
     record = Round(name=name, house=house, profile=profile)
     with open_store(store, images=images) as opened:
         opened.save_round(record)
-        saved = next(one.record for one in opened.rounds() if one.key == record.key)
+        saved = next(
+            round_view.record for round_view in opened.rounds() if round_view.key == record.key
+        )
     if saved.house != house.strip():
         typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
     typer.echo(record.key)
@@ -133,21 +135,23 @@ def add(
     if higher_to not in (None, "left", "right"):
         raise typer.BadParameter("give right or left", param_hint="--higher-to")
     sign = {None: None, "right": 1, "left": -1}[higher_to]
-    given = {} if poses is None else read_poses(poses)
-    place = Place(row, side, position, spacing, position_sd, sign, given)
+    poses_of = {} if poses is None else read_poses(poses)
+    place = Place(row, side, position, spacing, position_sd, sign, poses_of)
     with (
-        opened_round(store, round_, images) as (opened, one),
+        opened_round(store, round_, images) as (opened, round_view),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as is_cancelled,
     ):
         task = bar.add_task(
             "measuring", total=count_captures(captures, options.reading, loop.opener)
         )
-        options, loop = with_limits(options, one), replace(loop, is_cancelled=is_cancelled)
+        options, loop = with_limits(options, round_view), replace(loop, is_cancelled=is_cancelled)
         step = partial(bar.advance, task)
-        done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
-        doubts = round_doubts(opened, opened.detections(one.key))
-    if unused := sorted(given.keys() - {one.name for one in done}):
+        done = add_captures(
+            opened, round_view.key, captures, options, place, lambda _: step(), loop
+        )
+        doubts = round_doubts(opened, opened.detections(round_view.key))
+    if unused := sorted(poses_of.keys() - {stop.name for stop in done}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
     exit_status = _show_added(done, interrupted=is_cancelled())
@@ -156,9 +160,9 @@ def add(
     raise typer.Exit(exit_status)
 
 
-def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
+def with_limits(options: MeasureOptions, round_view: RoundView) -> MeasureOptions:
     """Return the options with the lengths that the round's crop can have."""
-    profile = chosen_profile(None, one)
+    profile = chosen_profile(None, round_view)
     return options if profile is None else options.for_crop(profile)
 
 
@@ -167,15 +171,15 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
     from cucumbervision.cli.console import screen, show_failures
     from cucumbervision.pipeline.measurer import exit_code
 
-    new = [one for one in done if one.new]
-    failures = [one.failure for one in done if one.failure]
-    again = sum(one.again for one in done)
-    there = len(done) - len(new) - len(failures) - again
-    fruit = sum(one.fruit for one in new)
-    screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
-    if again:
-        screen().print(f"{again} were measured again, because their inputs have changed.")
-    if deleted := sum(one.deleted for one in done):
+    new = [added for added in done if added.new]
+    failures = [added.failure for added in done if added.failure]
+    remeasured = sum(added.again for added in done)
+    present = len(done) - len(new) - len(failures) - remeasured
+    fruit = sum(added.fruit for added in new)
+    screen().print(f"{len(new)} stops added with {fruit} fruit; {present} were there already.")
+    if remeasured:
+        screen().print(f"{remeasured} were measured again, because their inputs have changed.")
+    if deleted := sum(added.deleted for added in done):
         screen().print(f"{deleted} of these were deleted: undo the deletion to restore them.")
     show_failures(failures)
     return 130 if interrupted else exit_code(len(done) - len(failures), failures)
@@ -206,15 +210,15 @@ def remeasure(
     from cucumbervision.pipeline.measurer import exit_code
     from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
 
-    with opened_round(store, round_, images) as (opened, one):
+    with opened_round(store, round_, images) as (opened, round_view):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
             done, failures = measure_round_again(
-                *(opened, one.key, with_limits(options, one)),
-                lambda k, of: bar.update(task, completed=k, total=of),
+                *(opened, round_view.key, with_limits(options, round_view)),
+                lambda k, total: bar.update(task, completed=k, total=total),
                 loop,
             )
-        settle_round(opened, one.key)
+        settle_round(opened, round_view.key)
     screen().print(f"{done} stops measured again.")
     show_failures(failures)
     raise typer.Exit(exit_code(done, failures))
@@ -233,9 +237,9 @@ def merge(
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 
-    with opened_round(store, round_, images) as (opened, one):
-        rows = merge_round(opened, one.key)
-        measure_all_views(opened, one.key)
+    with opened_round(store, round_, images) as (opened, round_view):
+        rows = merge_round(opened, round_view.key)
+        measure_all_views(opened, round_view.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -277,7 +281,9 @@ def measure_all_views(store: Store, key: str) -> None:
 
     with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task("fruit in several views", total=None)
-        done = measure_jointly(store, key, lambda k, of: bar.update(task, completed=k, total=of))
+        done = measure_jointly(
+            store, key, lambda k, total: bar.update(task, completed=k, total=total)
+        )
         bar.update(task, visible=False)
     show_failures(done.failures)
 
@@ -316,10 +322,10 @@ def show(
     from cucumbervision_greenhouse.rounds.from_store import read_round
     from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 
-    with opened_round(store, round_) as (opened, one):
-        lines = fruit_table(read_round(opened, one.key))
-    crop = chosen_profile(profile, one)
-    title = f"{one.record.name or one.key}: {len(lines)} fruit, lengths in cm"
+    with opened_round(store, round_) as (opened, round_view):
+        lines = fruit_table(read_round(opened, round_view.key))
+    crop = chosen_profile(profile, round_view)
+    title = f"{round_view.record.name or round_view.key}: {len(lines)} fruit, lengths in cm"
     right = ("at, m", "length", "90 % interval", "seen")
     table = columns_table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
@@ -335,8 +341,8 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 
     view, record = line.view, line.view.record
     length = record.length
-    low, high = (None, None) if length is None else (length.low_m, length.high_m)
-    least = "≥ " if record.at_least else ""
+    low_m, high_m = (None, None) if length is None else (length.low_m, length.high_m)
+    prefix = "≥ " if record.at_least else ""
     remarks = [
         "" if length is not None else f"not measured: {record.reason}",
         "" if view.picked_s is None else "picked",
@@ -347,8 +353,10 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
         view.row or "",
         view.side or "",
         "" if view.along_m is None else f"{view.along_m:.2f}",
-        "" if length is None else f"{least}{100 * length.value_m:.1f}",
-        "" if least or low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
+        "" if length is None else f"{prefix}{100 * length.value_m:.1f}",
+        ""
+        if prefix or low_m is None or high_m is None
+        else f"{100 * low_m:.1f} – {100 * high_m:.1f}",
         str(view.views),
         "" if profile is None else grade(record, profile).words,
         "; ".join(filter(None, remarks)),
@@ -364,13 +372,15 @@ def list_(store: StoreName = "house.db") -> None:
 
     with open_store(store, create=False) as opened:
         rounds = opened.rounds()
-    left = ("key", "name", "house", "walked", "profile")
-    table = columns_table(None, left, "stops", "views")
-    for one in rounds:
-        record = one.record
-        walked = datetime.fromtimestamp(one.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
-        counts = str(one.stops), str(one.fruit)
-        table.add_row(one.key[:8], record.name, record.house, walked, record.profile, *counts)
+    text_columns = ("key", "name", "house", "walked", "profile")
+    table = columns_table(None, text_columns, "stops", "views")
+    for round_view in rounds:
+        record = round_view.record
+        walked = datetime.fromtimestamp(round_view.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        counts = str(round_view.stops), str(round_view.fruit)
+        table.add_row(
+            round_view.key[:8], record.name, record.house, walked, record.profile, *counts
+        )
     screen().print(table)
 
 
@@ -388,19 +398,19 @@ def check(
     from cucumbervision_greenhouse.store.repository import open_store
 
     with open_store(store, images=images, create=False) as opened:
-        found = check_store(opened, remove=remove)
+        report = check_store(opened, remove=remove)
     console = screen()
-    console.print(f"{found.pictures} pictures, {len(found.orphans)} files that no stop names")
+    console.print(f"{report.pictures} pictures, {len(report.orphans)} files that no stop names")
     lines = [
-        *(f"removed: {path}" for path in found.removed),
-        *(f"missing: {path}" for path in found.missing),
-        *(f"damaged: {path}" for path in found.damaged),
-        *found.faults,
+        *(f"removed: {path}" for path in report.removed),
+        *(f"missing: {path}" for path in report.missing),
+        *(f"damaged: {path}" for path in report.damaged),
+        *report.faults,
     ]
     for line in lines:
         console.print(line, soft_wrap=True, markup=False)
-    console.print("sound" if found.sound else "copy what is missing or damaged from a backup")
-    raise typer.Exit(0 if found.sound else 1)
+    console.print("sound" if report.sound else "copy what is missing or damaged from a backup")
+    raise typer.Exit(0 if report.sound else 1)
 
 
 def export(
@@ -422,12 +432,12 @@ def export(
     from cucumbervision_greenhouse.exports.writers import write_exports
 
     usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
-    with opened_round(store, round_, images) as (opened, one):
+    with opened_round(store, round_, images) as (opened, round_view):
         tables = round_tables(
             opened,
-            one.key,
-            chosen_profile(profile, one),
-            profile_name=profile or one.record.profile,
+            round_view.key,
+            chosen_profile(profile, round_view),
+            profile_name=profile or round_view.record.profile,
         )
         for path in write_exports(tables, out, formats or usual):
             typer.echo(path)

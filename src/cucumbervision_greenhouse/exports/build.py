@@ -88,7 +88,7 @@ def round_tables(
     StoreError, RoundError
         If the round does not exist or cannot be read.
     """
-    view = next((one for one in store.rounds() if one.key == round_key), None)
+    view = next((candidate for candidate in store.rounds() if candidate.key == round_key), None)
     if view is None:
         raise CucumberVisionError(
             f"no round has the key {round_key}", source=store.name, remedy="see `round list`"
@@ -98,7 +98,7 @@ def round_tables(
     table = fruit_table(content)
     now_s = time.time()
     forecast, note = _forecast(store, view, content, profile, days, now_s)
-    kept = _pictures(store, content, table, view.record.name) if pictures else {}
+    pictures_of = _pictures(store, content, table, view.record.name) if pictures else {}
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.record.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
@@ -108,15 +108,15 @@ def round_tables(
         "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
         "rows": row_reports(content),
         "fruit": (
-            {**line, "picture": kept.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
+            {**line, "picture": pictures_of.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
             for key, stop_key, line in _fruit_lines(
                 table, store.measurements(round_key), profile, forecast
             )
         ),
         "stops": (
-            {"number": n, "stop": one, "picture": kept.get(one.key, ("",))[0]}
-            | {"hashes": hashes.get(one.key)}
-            for n, one in enumerate(content.stops, 1)
+            {"number": n, "stop": stop, "picture": pictures_of.get(stop.key, ("",))[0]}
+            | {"hashes": hashes.get(stop.key)}
+            for n, stop in enumerate(content.stops, 1)
         ),
         "forecast": [] if forecast is None else _forecast_lines(forecast, today_s),
         "picks": [] if forecast is None else _pick_lines(forecast, table),
@@ -126,9 +126,9 @@ def round_tables(
     return RoundTables(
         view.record.name or view.key,
         _about(view, provenance),
-        {name: Table.of(name, own) for name, own in lines.items()},
+        {name: Table.of(name, table_lines) for name, table_lines in lines.items()},
         _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
-        dict(kept.values()),
+        dict(pictures_of.values()),
         note,
     )
 
@@ -154,25 +154,27 @@ def _pictures(
 ) -> dict[str, tuple[str, Callable[[], bytes]]]:
     """Return name and factory of each picture, by the keys of fruit and stops."""
     makers: dict[str, Callable[[], bytes]] = {
-        one.key: partial(store.images.read, one.thumbnail)
-        for one in content.stops
-        if one.thumbnail is not None and store.images.path(one.thumbnail).is_file()
+        stop.key: partial(store.images.read, stop.thumbnail)
+        for stop in content.stops
+        if stop.thumbnail is not None and store.images.path(stop.thumbnail).is_file()
     }
     makers.update(fruit_pictures(store, content.key, table))
-    shown = [(one.key, one.row, f"stop-{n:03d}") for n, one in enumerate(content.stops, 1)]
-    shown += [(one.view.key, one.view.row, f"fruit-{one.number:04d}") for one in table]
-    found = {}
-    for key, row, what in shown:
+    places = [(stop.key, stop.row, f"stop-{n:03d}") for n, stop in enumerate(content.stops, 1)]
+    places += [(line.view.key, line.view.row, f"fruit-{line.number:04d}") for line in table]
+    pictures = {}
+    for key, row, what in places:
         if key in makers:
             name = safe_name("_".join(filter(None, (called, row and f"row-{row}", what))))
-            found[key] = f"{PICTURES}/{name}.jpg", makers[key]
-    return found
+            pictures[key] = f"{PICTURES}/{name}.jpg", makers[key]
+    return pictures
 
 
 def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:
     """Return hashes by kind, several separated by spaces."""
     return {
-        kind: " ".join(one.sha256 for one in used if one.kind == kind and one.sha256)
+        kind: " ".join(
+            artifact.sha256 for artifact in used if artifact.kind == kind and artifact.sha256
+        )
         for kind in ("config", "model", "calibration")
     }
 
@@ -183,12 +185,16 @@ def _provenance(
     called: str,
     stops: int,
 ) -> list[Line]:
-    counts = Counter((one.kind, one.name, one.sha256) for used in measured_with for one in used)
-    found = [(*key, number) for key, number in sorted(counts.items())]
+    counts = Counter(
+        (artifact.kind, artifact.name, artifact.sha256)
+        for used in measured_with
+        for artifact in used
+    )
+    lines = [(*key, number) for key, number in sorted(counts.items())]
     if profile is not None:
         sha256 = hashlib.sha256(profile.model_dump_json().encode()).hexdigest()
-        found.append(("profile", called, sha256, stops))
-    return [dict(zip(("kind", "name", "sha256", "stops"), one, strict=True)) for one in found]
+        lines.append(("profile", called, sha256, stops))
+    return [dict(zip(("kind", "name", "sha256", "stops"), cells, strict=True)) for cells in lines]
 
 
 def _about(view: RoundView, provenance: list[Line]) -> dict[str, Any]:
@@ -241,29 +247,32 @@ def _fruit_lines(
     """Return key, stop and row of each fruit."""
     ready: dict[str, float] = {}
     if forecast is not None:
-        ids = (one.fruit_id for one in forecast.fruit)
+        ids = (state.fruit_id for state in forecast.fruit)
         ready = dict(zip(ids, forecast.ready.tolist(), strict=True))
-    for one in table:
-        view = one.view
+    for line_of_fruit in table:
+        view = line_of_fruit.view
         line = {
-            **vars(one),
-            **_grade_cells(one, profile),
+            **vars(line_of_fruit),
+            **_grade_cells(line_of_fruit, profile),
             "ready": ready.get(view.key),
-            "remarks": _remarks(one),
-            "methods": {each.method.upper(): each.length_m for each in methods.get(view.key, ())},
+            "remarks": _remarks(line_of_fruit),
+            "methods": {
+                measurement.method.upper(): measurement.length_m
+                for measurement in methods.get(view.key, ())
+            },
         }
         yield view.key, view.stop_key, line
 
 
-def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:
+def _grade_cells(line: RoundFruit, profile: CropProfile | None) -> Line:
     if profile is None:
         return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
-    found = grade(one.view.record, profile)
+    graded = grade(line.view.record, profile)
     return {
-        "grade": found,
-        "grade_probability": found.probabilities.get(found.name),
-        "grade_rule": found.rules[0] if found.rules else "; ".join(found.missing),
-        "mass_kg": None if found.mass_g is None else found.mass_g / 1000,
+        "grade": graded,
+        "grade_probability": graded.probabilities.get(graded.name),
+        "grade_rule": graded.rules[0] if graded.rules else "; ".join(graded.missing),
+        "mass_kg": None if graded.mass_g is None else graded.mass_g / 1000,
     }
 
 
@@ -277,7 +286,7 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
     for scope, row_name, standing, ready, where in scopes:
         for k, day in enumerate(forecast.days.tolist()):
             for c, name in enumerate(forecast.classes):
-                at = (*where, k, c)
+                index = (*where, k, c)
                 yield {
                     "scope": scope,
                     "row": row_name,
@@ -285,12 +294,12 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
                     "date_utc": _date(today_s, day),
                     "class": name,
                     "picked_class": name in forecast.pick,
-                    "expected": standing.expected[at],
-                    "low": standing.low[at],
-                    "high": standing.high[at],
-                    "newly_ready": ready.expected[at],
-                    "newly_ready_low": ready.low[at],
-                    "newly_ready_high": ready.high[at],
+                    "expected": standing.expected[index],
+                    "low": standing.low[index],
+                    "high": standing.high[index],
+                    "newly_ready": ready.expected[index],
+                    "newly_ready_low": ready.low[index],
+                    "newly_ready_high": ready.high[index],
                     "complete": forecast.complete[k, c],
                 }
 
@@ -367,7 +376,7 @@ class Table:
     def of(cls, name: str, lines: Iterable[Any]) -> Table:
         """Create one of the tables of `COLUMNS`; empty text becomes an empty cell."""
         columns = COLUMNS[name]
-        rows = [{one.name: _cell(one, line) for one in columns} for line in lines]
+        rows = [{column.name: _cell(column, line) for column in columns} for line in lines]
         return cls(name, columns, rows)
 
 
@@ -415,37 +424,44 @@ class RoundTables:
         return self.tables["summary"].rows[0]
 
 
-def _kept(one: Field) -> Field | None:
+def _stored_field(column: Field) -> Field | None:
     """Return the stored field of a fruit for a field of `measurements.csv`, or None.
 
     Lengths are stored as `Length` values.
     """
-    inside = one.path.removeprefix("fruit.")
+    inside = column.path.removeprefix("fruit.")
     if not inside.startswith(("length.", "raw_length.")):
-        inside = one.si_name
-    known = hasattr(DetectionRecord, inside.partition(".")[0])
-    return replace(one, path=f"view.record.{inside}") if known else None
+        inside = column.si_name
+    is_stored = hasattr(DetectionRecord, inside.partition(".")[0])
+    return replace(column, path=f"view.record.{inside}") if is_stored else None
 
 
-_KEPT = {one.name: kept for one in FIELDS if (kept := _kept(one)) is not None}
+_STORED_FIELDS = {
+    column.name: stored for column in FIELDS if (stored := _stored_field(column)) is not None
+}
 _METHODS = tuple(
-    replace(one, path=f"methods.{method}")
+    replace(column, path=f"methods.{method}")
     for method in MethodName
-    for one in FIELDS
-    if one.name == f"{method.lower()}_cm"
+    for column in FIELDS
+    if column.name == f"{method.lower()}_cm"
 )
 
 
 def _columns() -> dict[str, tuple[Field, ...]]:
     """Read `columns.csv`: a line without description is a stored field, '*' all remaining ones."""
-    found = read_fields(Path(__file__).with_name("columns.csv"))
-    named = {line["name"] for line, _ in found if line["table"] == "fruit"}
-    rest = [*(one for name, one in _KEPT.items() if name not in named), *_METHODS]
+    described = read_fields(Path(__file__).with_name("columns.csv"))
+    named = {line["name"] for line, _ in described if line["table"] == "fruit"}
+    remaining = [
+        *(column for name, column in _STORED_FIELDS.items() if name not in named),
+        *_METHODS,
+    ]
     columns: dict[str, list[Field]] = {}
-    for line, one in found:
+    for line, column in described:
         table = columns.setdefault(line["table"], [])
-        kept = rest if one.name == "*" else [_KEPT.get(one.name, one)]
-        table += [one] if one.says else kept
+        columns_of_line = (
+            remaining if column.name == "*" else [_STORED_FIELDS.get(column.name, column)]
+        )
+        table += [column] if column.says else columns_of_line
     return {name: tuple(table) for name, table in columns.items()}
 
 

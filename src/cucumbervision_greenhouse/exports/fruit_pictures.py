@@ -33,33 +33,35 @@ def fruit_pictures(
 ) -> dict[str, Callable[[], bytes]]:
     """Return functions that draw each fruit as JPEG, by key, if its capture was kept."""
     corrected = store.corrected(round_key)
-    found: dict[str, Callable[[], bytes]] = {}
+    makers: dict[str, Callable[[], bytes]] = {}
     read = lru_cache(4)(store.images.read_color)
     by_stop: dict[str, list[RoundFruit]] = {}
-    for one in fruit:
-        by_stop.setdefault(one.view.stop_key, []).append(one)
-    for stop_key, own in by_stop.items():
+    for line in fruit:
+        by_stop.setdefault(line.view.stop_key, []).append(line)
+    for stop_key, lines in by_stop.items():
         captures = {capture.name: capture for capture in store.stop(stop_key).captures}
-        for one in own:
-            capture = captures[one.view.capture]
-            kept = capture.color or capture.thumbnail
-            if kept is None or not store.images.path(kept).is_file():
+        for line in lines:
+            capture = captures[line.view.capture]
+            image = capture.color or capture.thumbnail
+            if image is None or not store.images.path(image).is_file():
                 continue
-            record = corrected.get(one.view.key) or next(
-                each for each in capture.fruit if each.number == one.view.record.number
+            record = corrected.get(line.view.key) or next(
+                candidate
+                for candidate in capture.fruit
+                if candidate.number == line.view.record.number
             )
             bare = replace(capture, fruit=())
-            found[one.view.key] = partial(_jpeg, read, kept, record, bare)
-    return found
+            makers[line.view.key] = partial(_jpeg, read, image, record, bare)
+    return makers
 
 
 def _jpeg(
     read: Callable[[ImageRef], NDArray[np.uint8]],
-    kept: ImageRef,
+    image: ImageRef,
     record: DetectionRecord,
     capture: CaptureRecord,
 ) -> bytes:
-    drawn = draw_fruit(read(kept), record, capture)
+    drawn = draw_fruit(read(image), record, capture)
     _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes()
 
@@ -92,20 +94,20 @@ def draw_fruit(
     (480, 330, 3)
     """
     height, width = capture.height_px or color.shape[0], capture.width_px or color.shape[1]
-    left, top, right, bottom = _window(record, width, height)
+    x_min, y_min, x_max, y_max = _window(record, width, height)
     per_px = np.array([color.shape[1] / width, color.shape[0] / height])
     (x1, y1), (x2, y2) = (
-        np.rint(per_px * corner).astype(int) for corner in ((left, top), (right, bottom))
+        np.rint(per_px * corner).astype(int) for corner in ((x_min, y_min), (x_max, y_max))
     )
     cut = color[y1 : max(y2, y1 + 1), x1 : max(x2, x1 + 1)]
-    zoom = _LONG_SIDE_PX / max(right - left, bottom - top)
-    size = round(zoom * (right - left)), round(zoom * (bottom - top))
+    zoom = _LONG_SIDE_PX / max(x_max - x_min, y_max - y_min)
+    size = round(zoom * (x_max - x_min)), round(zoom * (y_max - y_min))
     by = cv2.INTER_AREA if zoom < per_px[0] else cv2.INTER_CUBIC
     picture = cast("NDArray[np.uint8]", cv2.resize(cut, size, interpolation=by))
 
     def place(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
         # Pixel centres are integers, so the window starts half a pixel before the first one.
-        return (points_px - (left, top) + 0.5) * zoom - 0.5
+        return (points_px - (x_min, y_min) + 0.5) * zoom - 0.5
 
     if record.mask is not None:
         mask = decode_rle(record.mask, height, width).astype(np.uint8)
@@ -114,15 +116,18 @@ def draw_fruit(
             cv2.polylines(picture, [outline], True, COLORS[0], 2, cv2.LINE_AA)
     if capture.camera:
         camera = CameraModel.model_validate(capture.camera).intrinsics
-        chosen = next((one for one in record.methods if one.method == record.method), None)
+        chosen = next(
+            (measurement for measurement in record.methods if measurement.method == record.method),
+            None,
+        )
         path = np.array(chosen.path_m if chosen else (), np.float64).reshape(-1, 3)
         if len(path) > 1 and (path[:, 2] > 0).all():
             draw_line(picture, place(camera.project(path)), COLORS[0], 0.75)
         if record.distance_m:
             _draw_scale(picture, zoom * camera.fx_px / record.distance_m)
     if record.length_m is not None:
-        least = "at least " if record.at_least else ""
-        draw_text(picture, f"{least}{100 * record.length_m:.1f} cm", (10, 22), 0.75)
+        prefix = "at least " if record.at_least else ""
+        draw_text(picture, f"{prefix}{100 * record.length_m:.1f} cm", (10, 22), 0.75)
     return picture
 
 
@@ -133,17 +138,17 @@ def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int
         return 0, 0, width_px, height_px
     longest = max(x2 - x1, y2 - y1)
     spans = []
-    for low, high, most in ((x1, x2, width_px), (y1, y2, height_px)):
-        half = max(high - low, _NARROWEST * longest) / 2 + _MARGIN * longest
-        middle = (low + high) / 2
-        first = int(np.clip(round(middle - half), 0, most - 1))
-        spans.append((first, int(np.clip(round(middle + half), first + 1, most))))
-    (left, right), (top, bottom) = spans
-    return left, top, right, bottom
+    for first_px, last_px, size_px in ((x1, x2, width_px), (y1, y2, height_px)):
+        half = max(last_px - first_px, _NARROWEST * longest) / 2 + _MARGIN * longest
+        middle = (first_px + last_px) / 2
+        first = int(np.clip(round(middle - half), 0, size_px - 1))
+        spans.append((first, int(np.clip(round(middle + half), first + 1, size_px))))
+    (x_min, x_max), (y_min, y_max) = spans
+    return x_min, y_min, x_max, y_max
 
 
 def _draw_scale(picture: NDArray[np.uint8], px_per_m: float) -> None:
     """Draw the longest scale bar below half of the picture's width."""
     most_m = 0.5 * picture.shape[1] / px_per_m
-    length_m = next((one for one in _BARS_M if one <= most_m), _BARS_M[-1])
+    length_m = next((bar_m for bar_m in _BARS_M if bar_m <= most_m), _BARS_M[-1])
     draw_bar(picture, length_m * px_per_m, f"{100 * length_m:.0f} cm", 0.75)

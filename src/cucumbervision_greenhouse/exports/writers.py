@@ -62,7 +62,7 @@ def write_exports(
             (out / name).parent.mkdir(exist_ok=True)
             (out / name).write_bytes(make())
         return [
-            path for one in ExportFormat if one in formats for path in writers[one](tables, out)
+            path for kind in ExportFormat if kind in formats for path in writers[kind](tables, out)
         ]
 
 
@@ -78,7 +78,7 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
     """Write all tables as one JSON file with units and descriptions of the columns."""
     keys = ("name", "unit", "type", "says")
     columns = {
-        name: [{key: getattr(one, key) for key in keys} for one in table.columns]
+        name: [{key: getattr(column, key) for key in keys} for column in table.columns]
         for name, table in tables.tables.items()
     }
     report = {
@@ -115,30 +115,35 @@ _NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
     """Write `round.xlsx` with a summary, a sheet per table, and the column descriptions."""
-    path, about = out / "round.xlsx", tables.provenance
+    path, provenance = out / "round.xlsx", tables.provenance
     with Workbook(path) as book:
         book.book.set_properties(
             {
                 "title": tables.title,
-                "comments": f"{about['software']}, {about['licence']}, {about['source']}",
+                "comments": f"{provenance['software']}, {provenance['licence']}, {provenance['source']}",
             }
         )
         summary = book.sheet("Summary", (20, 26, 6, 66), pages_high=1)
         summary.set_portrait()
         facts = tables["summary"]
         book.lines(summary, [[tables.title], ("what", "value", "unit", "meaning")])
-        for line, one in enumerate(facts.columns, 2):
-            said = (one.title.split(" [")[0], facts.rows[0][one.name], one.unit, one.says)
-            for at, cell in enumerate(said):
-                book.write(summary, line, at, cell, one if at == 1 else None)
+        for line, column in enumerate(facts.columns, 2):
+            line_cells = (
+                column.title.split(" [")[0],
+                facts.rows[0][column.name],
+                column.unit,
+                column.says,
+            )
+            for place, cell in enumerate(line_cells):
+                book.write(summary, line, place, cell, column if place == 1 else None)
         book.lines(summary, _notes(tables), 3 + len(facts.columns))
         for name, (title, frozen) in SHEETS.items():
             table = tables[name]
             book.table(title, table.columns, table.rows, frozen, _printed(table))
         meaning = (
-            (name, one.name, one.unit, one.says)
+            (name, column.name, column.unit, column.says)
             for name, table in tables.tables.items()
-            for one in table.columns
+            for column in table.columns
         )
         head = ("table", "column", "unit", "meaning")
         book.lines(book.sheet("Columns", (18, 18, 18, 70)), (head, *meaning))
@@ -150,8 +155,8 @@ def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
         yield "no forecast", tables.note
     for name in ("software", "licence", "source", "written_utc"):
         yield name.replace("_", " "), tables.provenance[name]
-    for one in tables.provenance["hashes"]:
-        yield f"{one['kind']} SHA-256", one["name"], "", one["sha256"]
+    for artifact in tables.provenance["hashes"]:
+        yield f"{artifact['kind']} SHA-256", artifact["name"], "", artifact["sha256"]
 
 
 def _printed(table: Table) -> int:

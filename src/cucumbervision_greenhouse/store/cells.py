@@ -41,8 +41,8 @@ _NEVER_MISSING = frozenset(
     table.__tablename__ for table in (DetectionLine, Mark, MaskLine, MethodLine, StopLine)
 )
 
-_KINDS: dict[Any, Any] = {str(one): one for one in (*LengthKind, *LengthDefinition)}
-_BASES = {str(one): one for one in IntervalBasis}
+_KINDS: dict[Any, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
+_BASES = {str(basis): basis for basis in IntervalBasis}
 
 _REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
 
@@ -140,8 +140,8 @@ def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
                 kinds.add(NoneType)
             strange = set(map(type, cells)) - kinds
             if strange and kind is not object:
-                found = ", ".join(sorted(kind.__name__ for kind in strange))
-                raise ValueError(f"{column.name} holds {found}")
+                type_names = ", ".join(sorted(kind.__name__ for kind in strange))
+                raise ValueError(f"{column.name} holds {type_names}")
     return cast("list[tuple[Any, ...]]", rows)
 
 
@@ -167,7 +167,7 @@ def detection_cells(record: DetectionRecord) -> dict[str, Any]:
     return cells
 
 
-def detection_of(cells: Sequence[Any], *rest: Any) -> DetectionRecord:
+def detection_of(cells: Sequence[Any], *further: Any) -> DetectionRecord:
     """Return a detection from its cells in the order of `DETECTION_CELLS`, and its last fields.
 
     Examples
@@ -178,7 +178,7 @@ def detection_of(cells: Sequence[Any], *rest: Any) -> DetectionRecord:
     """
     raw, length = -len(RAW_LENGTH_CELLS), -len(RAW_LENGTH_CELLS) - len(LENGTH_CELLS)
     lengths = _length_of(*cells[length:raw]), _length_of(*cells[raw:])
-    return record_of(DetectionRecord, *cells[:length], *lengths, *rest)
+    return record_of(DetectionRecord, *cells[:length], *lengths, *further)
 
 
 def _length_of(
@@ -186,14 +186,19 @@ def _length_of(
     kind: str | None,
     low_m: float | None = None,
     high_m: float | None = None,
-    of: str | None = None,
+    definition: str | None = None,
     basis: str | None = None,
 ) -> Length | None:
     if value_m is None:
         return None
-    about: Any = None if of is None else _KINDS[of]
+    length_definition: Any = None if definition is None else _KINDS[definition]
     return Length(
-        value_m, _KINDS[kind], low_m, high_m, about, None if basis is None else _BASES[basis]
+        value_m,
+        _KINDS[kind],
+        low_m,
+        high_m,
+        length_definition,
+        None if basis is None else _BASES[basis],
     )
 
 
@@ -218,10 +223,10 @@ def insert_new(
 def id_of(connection: Connection, table: Any, cells: dict[str, Any], *unique: str) -> int:
     """Return the id of the line with these cells, inserted where it is not there yet."""
     query = select(table.id).where(*(getattr(table, name) == cells[name] for name in unique))
-    found = connection.execute(query).scalar()
-    if found is None:
-        found = insert_new(connection, table, cells, *unique)
-    return cast("int", connection.execute(query).scalar_one() if found is None else found)
+    line_id = connection.execute(query).scalar()
+    if line_id is None:
+        line_id = insert_new(connection, table, cells, *unique)
+    return cast("int", connection.execute(query).scalar_one() if line_id is None else line_id)
 
 
 def row_id_of(connection: Connection, round_id: int, name: str) -> int:
@@ -245,7 +250,7 @@ def round_id_of(connection: Connection, key: str) -> int:
         If it is not there.
     """
     query = select(RoundLine.id).where(RoundLine.key == checked_key(key, "round"))
-    found = connection.execute(query).scalar()
-    if found is None:
+    line_id = connection.execute(query).scalar()
+    if line_id is None:
         raise StoreError(f"round {key} is not in the store", remedy="save the round first")
-    return found
+    return line_id

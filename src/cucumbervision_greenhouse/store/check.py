@@ -235,7 +235,7 @@ def _faults(store: Database) -> tuple[str, ...]:
     if store.engine.dialect.name != "sqlite":
         return ()
     with store.reading() as connection:
-        said = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
+        report_lines = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
         loose = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-    faults = [str(line) for line in said if line != "ok"]
+    faults = [str(line) for line in report_lines if line != "ok"]
     return (*faults, *(f"{row[0]} names a line of {row[2]} that is not there" for row in loose))

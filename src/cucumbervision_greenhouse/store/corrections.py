@@ -85,26 +85,26 @@ class Corrections(Database):
         """Accept or reject detections; None takes the verdict away."""
         kinds = {Verdict.ACCEPTED: "accept", Verdict.REJECTED: "reject", None: "clear"}
         with self.writing() as connection:
-            found = find_detections(connection, fruit)
-            action = _log(connection, kinds[verdict], found)
-            _mark(connection, action, found, "verdict", verdict)
+            detections = find_detections(connection, fruit)
+            action = _log(connection, kinds[verdict], detections)
+            _mark(connection, action, detections, "verdict", verdict)
         return action
 
     def pick(self, fruit: Sequence[str], *, at_s: float | None = None) -> int:
         """Record that fruit were picked at a time, by default now."""
         details = {"at_s": time.time() if at_s is None else at_s}
         with self.writing() as connection:
-            found = find_detections(connection, fruit)
-            action = _log(connection, "pick", found, details)
-            _mark(connection, action, found, "picked", "picked", details)
+            detections = find_detections(connection, fruit)
+            action = _log(connection, "pick", detections, details)
+            _mark(connection, action, detections, "picked", "picked", details)
         return action
 
     def unpick(self, fruit: Sequence[str]) -> int:
         """Record that fruit were not picked."""
         with self.writing() as connection:
-            found = find_detections(connection, fruit)
-            action = _log(connection, "unpick", found)
-            _mark(connection, action, found, "picked", None)
+            detections = find_detections(connection, fruit)
+            action = _log(connection, "unpick", detections)
+            _mark(connection, action, detections, "picked", None)
         return action
 
     def correct(self, key: str, record: DetectionRecord) -> int:
@@ -116,15 +116,15 @@ class Corrections(Database):
             If its number is another detection's.
         """
         with self.writing() as connection:
-            found = find_detections(connection, [key])
-            query = select(DetectionLine.number).where(DetectionLine.id == found[0].id)
+            detections = find_detections(connection, [key])
+            query = select(DetectionLine.number).where(DetectionLine.id == detections[0].id)
             if connection.execute(query).scalar_one() != record.number:
                 raise StoreConflictError(
                     f"fruit {key} has another number than {record.number}",
                     remedy="measure the fruit that the mask belongs to",
                 )
-            action = _log(connection, "correct", found)
-            _mark(connection, action, found, "mask", "corrected", record_json(record))
+            action = _log(connection, "correct", detections)
+            _mark(connection, action, detections, "mask", "corrected", record_json(record))
         return action
 
     def merge(self, first: str, second: str) -> int:
@@ -134,14 +134,15 @@ class Corrections(Database):
         """
         with self.writing() as connection:
             a, b = find_detections(connection, [first, second])
-            groups = [_group_of(connection, one) for one in (a, b)]
+            groups = [_group_of(connection, key) for key in (a, b)]
             action = _link(connection, LinkKind.SAME, [(first, second)], "merge")
-            some, others = (
-                [one.id for one in find_detections(connection, sorted(group))] for group in groups
+            first_ids, second_ids = (
+                [detection.id for detection in find_detections(connection, sorted(group))]
+                for group in groups
             )
-            there = LinkLine.first_id.in_(some) & LinkLine.second_id.in_(others)
-            back = LinkLine.first_id.in_(others) & LinkLine.second_id.in_(some)
-            parted = and_(LinkLine.kind == str(LinkKind.APART), or_(there, back))
+            forward = LinkLine.first_id.in_(first_ids) & LinkLine.second_id.in_(second_ids)
+            backward = LinkLine.first_id.in_(second_ids) & LinkLine.second_id.in_(first_ids)
+            parted = and_(LinkLine.kind == str(LinkKind.APART), or_(forward, backward))
             _end(connection, LinkLine, action, parted)
         return action
 
@@ -154,11 +155,13 @@ class Corrections(Database):
             If it is merged with none.
         """
         with self.writing() as connection:
-            found = find_detections(connection, [key])[0]
-            others = sorted(_group_of(connection, found) - {found.key})
-            if not others:
-                raise StoreError(f"fruit {found.key} is merged with none", remedy="see its group")
-            pairs = [(found.key, other) for other in others]
+            detection = find_detections(connection, [key])[0]
+            members = sorted(_group_of(connection, detection) - {detection.key})
+            if not members:
+                raise StoreError(
+                    f"fruit {detection.key} is merged with none", remedy="see its group"
+                )
+            pairs = [(detection.key, member) for member in members]
             return _link(connection, LinkKind.APART, pairs, "unmerge")
 
     def link_growth(self, earlier: str, later: str) -> int:
@@ -208,14 +211,14 @@ class Corrections(Database):
         """
         name = checked_name(name, "round's name")
         with self.writing() as connection:
-            found = line_of(connection, RoundLine, key)
-            return _edit(connection, RoundLine, found, "rename-round", {"name": name})
+            line = line_of(connection, RoundLine, key)
+            return _edit(connection, RoundLine, line, "rename-round", {"name": name})
 
     def delete_round(self, key: str) -> int:
         """Take a round with all its stops out of the list of rounds."""
         with self.writing() as connection:
-            found = line_of(connection, RoundLine, key)
-            return _edit(connection, RoundLine, found, "delete-round", {"deleted": True})
+            line = line_of(connection, RoundLine, key)
+            return _edit(connection, RoundLine, line, "delete-round", {"deleted": True})
 
     def undo(self, round_key: str | None = None, *, number: int | None = None) -> int:
         """Undo an action: the round's newest that has not been undone, or the one named.
@@ -249,7 +252,7 @@ class Corrections(Database):
                     _end(connection, table, made, table.action_id == action.id)
                     change(connection, table, table.ended_by_id == action.id, ended_by_id=None)
                 if "before" in action.details:
-                    change_line(connection, action.details, back=True)
+                    change_line(connection, action.details, restore=True)
             except IntegrityError:  # something newer has taken its place
                 raise _blocked_by_later(action.id) from None
         return made
@@ -291,31 +294,31 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     StoreError
         If one is not there, or none was named.
     """
-    wanted = [checked_key(key, "fruit") for key in keys]
-    if not wanted:
+    fruit_keys = [checked_key(key, "fruit") for key in keys]
+    if not fruit_keys:
         raise StoreError("no fruit was named", remedy="name at least one")
-    found: dict[str, DetectionId] = {}
-    for at in range(0, len(wanted), _AT_ONCE):
+    detections: dict[str, DetectionId] = {}
+    for start in range(0, len(fruit_keys), _AT_ONCE):
         query = select(DetectionLine.key, DetectionLine.id, DetectionLine.round_id).where(
-            DetectionLine.key.in_(wanted[at : at + _AT_ONCE]), IS_ACTIVE
+            DetectionLine.key.in_(fruit_keys[start : start + _AT_ONCE]), IS_ACTIVE
         )
-        found.update({row.key: DetectionId(*row) for row in connection.execute(query)})
-    missing = next((key for key in wanted if key not in found), None)
+        detections.update({row.key: DetectionId(*row) for row in connection.execute(query)})
+    missing = next((key for key in fruit_keys if key not in detections), None)
     if missing is not None:
         raise StoreError(
             f"fruit {missing} is not in the store", remedy="look it up in detections()"
         )
-    lock_rounds(connection, {row.round_id for row in found.values()})
-    return [found[key] for key in wanted]
+    lock_rounds(connection, {row.round_id for row in detections.values()})
+    return [detections[key] for key in fruit_keys]
 
 
 def mark_added(connection: Connection, key: str, *, accept: bool = True) -> int:
     """Log that a fruit was added by hand, and accept it; it counts until that is undone."""
-    found = find_detections(connection, [key])
-    action = _log(connection, "add", found)
-    _mark(connection, action, found, ADDED, "by-hand")
+    detections = find_detections(connection, [key])
+    action = _log(connection, "add", detections)
+    _mark(connection, action, detections, ADDED, "by-hand")
     if accept:
-        _mark(connection, action, found, "verdict", Verdict.ACCEPTED)
+        _mark(connection, action, detections, "verdict", Verdict.ACCEPTED)
     return action
 
 
@@ -362,11 +365,11 @@ def _link(
     return action
 
 
-def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
-    query = select(RoundLine.key).where(RoundLine.id == one.round_id)
+def _group_of(connection: Connection, detection: DetectionId) -> frozenset[str]:
+    query = select(RoundLine.key).where(RoundLine.id == detection.round_id)
     links = links_of(connection, connection.execute(query).scalar_one())
-    keys = {one.key, *(end for link in links for end in (link.first, link.second))}
-    return group_detections(keys, links)[one.key]
+    keys = {detection.key, *(end for link in links for end in (link.first, link.second))}
+    return group_detections(keys, links)[detection.key]
 
 
 def _action_to_undo(connection: Connection, number: int | None, round_key: str | None) -> Any:
@@ -378,11 +381,11 @@ def _action_to_undo(connection: Connection, number: int | None, round_key: str |
         query = query.where(Action.id == number)
     if round_key is not None:
         query = query.where(Action.round_id == round_id_of(connection, round_key))
-    found = connection.execute(query.order_by(Action.id.desc()).limit(1)).one_or_none()
-    if found is None:
+    action = connection.execute(query.order_by(Action.id.desc()).limit(1)).one_or_none()
+    if action is None:
         what = "nothing to undo" if number is None else f"there is no action {number} to undo"
         raise StoreError(what, remedy="see the log")
-    return found
+    return action
 
 
 def _blocked_by_later(number: int) -> StoreConflictError:
@@ -397,7 +400,9 @@ def _log(
     fruit: Sequence[DetectionId],
     details: dict[str, Any] | None = None,
 ) -> int:
-    return log_action(connection, kind, fruit[-1].round_id, [one.key for one in fruit], details)
+    return log_action(
+        connection, kind, fruit[-1].round_id, [detection.key for detection in fruit], details
+    )
 
 
 def _mark(
@@ -409,11 +414,11 @@ def _mark(
     details: dict[str, Any] | None = None,
 ) -> None:
     """End the value in a slot of each detection, and set a new one if it is given."""
-    ids = sorted({one.id for one in fruit})
+    ids = sorted({detection.id for detection in fruit})
     _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
     if value is not None:
         cells = {"slot": slot, "value": str(value), "details": details or {}, "action_id": action}
-        lines = [with_hash(Mark, {"fruit_id": one, **cells}) for one in ids]
+        lines = [with_hash(Mark, {"fruit_id": fruit_id, **cells}) for fruit_id in ids]
         connection.execute(insert(Mark), lines)
 
 
@@ -436,10 +441,10 @@ def line_of(connection: Connection, table: Any, key: str) -> Any:
     """
     what = "stop" if table is StopLine else "round"
     query = select(*table.__table__.columns).where(table.key == checked_key(key, what))
-    found = connection.execute(query.with_for_update(key_share=True)).one_or_none()
-    if found is None or found.deleted:
+    line = connection.execute(query.with_for_update(key_share=True)).one_or_none()
+    if line is None or line.deleted:
         raise StoreError(f"{what} {key} is not in the store", remedy=f"see the list of {what}s")
-    return found
+    return line
 
 
 def _edit(connection: Connection, table: Any, line: Any, kind: str, after: dict[str, Any]) -> int:
@@ -462,7 +467,7 @@ def log_action(
     """Add a line to the log, by who the store is signed by, and return its number."""
     signed = connection.get_execution_options()
     device = {"device": signed[DEVICE]} if signed.get(DEVICE) else {}
-    said = {
+    line_cells = {
         "at_s": time.time(),
         "by": signed.get(SIGNED_BY, ""),
         "kind": kind,
@@ -471,12 +476,12 @@ def log_action(
         "round_id": round_id,
         **cells,
     }
-    line = insert(Action).values(**with_hash(Action, said))
+    line = insert(Action).values(**with_hash(Action, line_cells))
     return connection.execute(line.returning(Action.id)).scalar_one()
 
 
-def change_line(connection: Connection, details: dict[str, Any], *, back: bool = False) -> None:
-    """Write an action's `details` into its stop or round; `back` restores the values before it.
+def change_line(connection: Connection, details: dict[str, Any], *, restore: bool = False) -> None:
+    """Write an action's `details` into its stop or round, or with `restore` the values before it.
 
     Raises
     ------
@@ -485,12 +490,12 @@ def change_line(connection: Connection, details: dict[str, Any], *, back: bool =
     """
     table = _TABLES[details["table"]]
     old, new = details["before"], details["after"]
-    if back:
+    if restore:
         old, new = new, old
-    now = [getattr(table, name).is_not_distinct_from(value) for name, value in old.items()]
+    unchanged = [getattr(table, name).is_not_distinct_from(value) for name, value in old.items()]
     # The fitted position of a stop that is moved is no longer valid: the next merge finds it again.
     fitted = {"fitted_m": None, "fitted_sd_m": None} if "position_m" in new else {}
-    which = and_(table.key == details["key"], *now)
+    which = and_(table.key == details["key"], *unchanged)
     if change(connection, table, which, **new, **fitted) != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
     if table is StopLine:

@@ -132,7 +132,7 @@ def make_engine(url: URL) -> Engine:
             raise MissingExtraError("psycopg", "postgres") from None
     path = Path(url.database or "").absolute()
     if path.exists() and not all(
-        os.access(one, os.W_OK, effective_ids=True) for one in (path, path.parent)
+        os.access(checked_path, os.W_OK, effective_ids=True) for checked_path in (path, path.parent)
     ):
         engine = create_engine(url, creator=lambda: _open_read_only(path))
         event.listen(engine, "begin", _begin_sqlite)
@@ -257,9 +257,9 @@ class Database:
 
         `device` tells people apart who have no names: a browser's own random name.
         """
-        one = copy(self)
-        one._signed_by, one._device = by, device
-        return one
+        signed_store = copy(self)
+        signed_store._signed_by, signed_store._device = by, device
+        return signed_store
 
     @property
     def name(self) -> str:
@@ -330,13 +330,13 @@ def prepare(engine: Engine) -> None:
     with begin(engine, write=True) as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
-        found = stored_version(connection)
-        if found is None:
+        version = stored_version(connection)
+        if version is None:
             _check_free(connection, named(engine.url))
             _make_tables(connection)
-        elif found != VERSION:
+        elif version != VERSION:
             raise StoreVersionError(
-                f"has schema {found}, and this software reads schema {VERSION}",
+                f"has schema {version}, and this software reads schema {VERSION}",
                 source=named(engine.url),
                 remedy="use the version of cucumbervision that wrote it; nothing was changed",
             )
@@ -351,20 +351,24 @@ def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
     They may be empty, so that older software can still use such a database.
     """
     inspector = inspect(connection)
-    found = []
+    missing = []
     for name in ("captures", "fruit", "measurements"):
-        there = {column["name"] for column in inspector.get_columns(name)}
+        stored_names = {column["name"] for column in inspector.get_columns(name)}
         columns = Base.metadata.tables[name].columns
-        found += [(name, one) for one in columns if one.nullable and one.name not in there]
-    return found
+        missing += [
+            (name, column)
+            for column in columns
+            if column.nullable and column.name not in stored_names
+        ]
+    return missing
 
 
 def stored_version(connection: Connection) -> str | None:
     """Return the version of a database's tables; None where there is no store yet."""
     if not inspect(connection).has_table(VERSION_TABLE):
         return None
-    found = connection.execute(text(f"SELECT version FROM {VERSION_TABLE}")).scalar()
-    return None if found is None else str(found)
+    version = connection.execute(text(f"SELECT version FROM {VERSION_TABLE}")).scalar()
+    return None if version is None else str(version)
 
 
 def _check_free(connection: Connection, source: str) -> None:

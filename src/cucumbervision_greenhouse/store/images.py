@@ -89,8 +89,8 @@ class ImageStore:
             Metres; what is not finite or beyond 16 bits becomes 0, which is no reading either.
         """
         steps = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT_M)
-        kept = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
-        return self._put_picture(kept.astype(np.uint16), ".png")
+        stored_steps = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
+        return self._put_picture(stored_steps.astype(np.uint16), ".png")
 
     def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
         """Store an encoded picture.
@@ -188,10 +188,10 @@ class ImageStore:
         """
         try:
             os.utime(path)
-            found = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
         except FileNotFoundError:
             return False
-        if found == sha256:
+        if digest == sha256:
             return True
         # Kept, so that what happened to it can be looked into.
         path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))

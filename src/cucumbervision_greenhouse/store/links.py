@@ -76,7 +76,7 @@ def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[s
         elif link.kind is LinkKind.APART:
             foes.setdefault(link.first, set()).add(link.second)
             foes.setdefault(link.second, set()).add(link.first)
-    for link in sorted(same, key=lambda one: (not one.by_hand, -(one.score or 0.0))):
+    for link in sorted(same, key=lambda link: (not link.by_hand, -(link.score or 0.0))):
         a, b = groups[link.first], groups[link.second]
         if a is b or any(not b.isdisjoint(foes[key]) for key in a if key in foes):
             continue
@@ -92,7 +92,7 @@ class Candidate(NamedTuple):
 
     not_rejected: bool
     measured: bool
-    whole: bool
+    complete: bool
     view_score: float
 
 
@@ -127,12 +127,12 @@ def representative_views(
     >>> representative_views(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
     FruitGroup(best='b', views=2, picked_s=9.0)
     """
-    place = {key: -at for at, key in enumerate(candidates)}
-    found: dict[str, FruitGroup] = {}
+    place = {key: -number for number, key in enumerate(candidates)}
+    group_of: dict[str, FruitGroup] = {}
     for key, group in group_detections(candidates, links).items():
-        if key not in found:
-            best = max(group, key=lambda one: (*candidates[one], place[one]))
-            times = [picked_s[one] for one in group if one in picked_s]
+        if key not in group_of:
+            best = max(group, key=lambda view: (*candidates[view], place[view]))
+            times = [picked_s[view] for view in group if view in picked_s]
             one_fruit = FruitGroup(best, len(group), min(times, default=None))
-            found.update(dict.fromkeys(group, one_fruit))
-    return found
+            group_of.update(dict.fromkeys(group, one_fruit))
+    return group_of

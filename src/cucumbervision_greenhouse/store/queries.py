@@ -151,8 +151,8 @@ class Queries(Database):
         key = checked_key(key, "fruit")
         of_round = select(RoundLine.key).join(DetectionLine, DetectionLine.round_id == RoundLine.id)
         with self.reading() as connection:
-            found = of_round.where(DetectionLine.key == key, IS_ACTIVE)
-            round_key = connection.execute(found).scalar()
+            round_query = of_round.where(DetectionLine.key == key, IS_ACTIVE)
+            round_key = connection.execute(round_query).scalar()
             if round_key is None:
                 raise StoreError(
                     f"fruit {key} is not in the store", remedy="look it up in detections()"
@@ -162,13 +162,19 @@ class Queries(Database):
             group = group_detections(ends, links)[key]
             views = _detections_of(connection, round_key, sorted(group))
             with decoding(connection):  # a line may have lost those that it is part of
-                [view] = [one for one in views if one.key == key]
+                [view] = [candidate for candidate in views if candidate.key == key]
             stop = read_stop(connection, view.stop_key)
             corrected = corrected_of(connection, DetectionLine.key == key).get(key)
             log = _actions_of(connection, round_key, None)
             with decoding(connection):
-                [capture] = [one for one in stop.captures if one.name == view.capture]
-                [original] = [one for one in capture.fruit if one.number == view.record.number]
+                [capture] = [
+                    stop_capture
+                    for stop_capture in stop.captures
+                    if stop_capture.name == view.capture
+                ]
+                [original] = [
+                    record for record in capture.fruit if record.number == view.record.number
+                ]
         return DetectionDetail(
             replace(view, record=corrected or original),
             original,
@@ -182,7 +188,7 @@ class Queries(Database):
         """Return when detections were marked as picked, by their keys."""
         with self.reading() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
-            return {key: own["picked"] for key, own in marks.items()}
+            return {key: values["picked"] for key, values in marks.items()}
 
     def judged(self, round_key: str) -> tuple[int, int]:
         """Return how many detections of a round's house were judged false.
@@ -192,18 +198,18 @@ class Queries(Database):
         rejected, detections : int
             False detections, and all detections of the rounds in which any was judged.
         """
-        kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
+        current_verdict = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
         with self.reading() as connection:
             houses = connection.execute(
                 select(RoundLine.id, RoundLine.house).where(~RoundLine.deleted)
             )
             house_of = {number: house_key(house) for number, house in houses}
             house = house_of.get(round_id_of(connection, round_key))
-            same = [number for number, one in house_of.items() if one == house]
+            same = [number for number, house_name in house_of.items() if house_name == house]
             counts = (
                 select(DetectionLine.round_id, Mark.value, func.count())
                 .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-                .where(DetectionLine.round_id.in_(same), IS_ACTIVE, *kept)
+                .where(DetectionLine.round_id.in_(same), IS_ACTIVE, *current_verdict)
                 .group_by(DetectionLine.round_id, Mark.value)
             )
             rows = cells_of(connection, counts)
@@ -211,8 +217,8 @@ class Queries(Database):
             finds = select(func.count(DetectionLine.id)).where(
                 DetectionLine.round_id.in_(rounds), IS_ACTIVE
             )
-            every = int(connection.execute(finds).scalar() or 0)
-        return sum(row[2] for row in rows if row[1] == Verdict.REJECTED), every
+            detection_count = int(connection.execute(finds).scalar() or 0)
+        return sum(row[2] for row in rows if row[1] == Verdict.REJECTED), detection_count
 
     def newest_action(self, round_key: str, without: Sequence[str] = ()) -> int:
         """Return the number of a round's newest line in the log; 0 where it has none.
@@ -225,14 +231,14 @@ class Queries(Database):
             Kinds of action that do not matter.
         """
         with self.reading() as connection:
-            found = select(func.max(Action.id)).where(
+            newest_query = select(func.max(Action.id)).where(
                 Action.round_id == round_id_of(connection, round_key), Action.kind.not_in(without)
             )
-            return int(connection.execute(found).scalar() or 0)
+            return int(connection.execute(newest_query).scalar() or 0)
 
     def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
         """Return every method's first measurement by the detections' keys, without the paths."""
-        found: dict[str, list[MethodRecord]] = {}
+        of_fruit: dict[str, list[MethodRecord]] = {}
         with self.reading() as connection:
             query = (
                 select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
@@ -241,8 +247,8 @@ class Queries(Database):
                 .order_by(MethodLine.fruit_id, MethodLine.number)
             )
             for row in cells_of(connection, query):
-                found.setdefault(row[0], []).append(MethodRecord(*row[1:]))
-        return {key: tuple(methods) for key, methods in found.items()}
+                of_fruit.setdefault(row[0], []).append(MethodRecord(*row[1:]))
+        return {key: tuple(methods) for key, methods in of_fruit.items()}
 
     def corrected(self, round_key: str) -> dict[str, DetectionRecord]:
         """Return the corrected records, masks included, by the keys of their detections."""
@@ -262,14 +268,16 @@ class Queries(Database):
             .where(RoundLine.key == round_key, ~StopLine.deleted)
             .order_by(StopLine.id, CaptureLine.number)
         )
-        found: dict[str, CameraAt] = {}
+        camera_of: dict[str, CameraAt] = {}
         with self.reading() as connection, decoding(connection):
-            for key, given, mirrored, number, name, camera in cells_of(connection, query):
-                pose = [*(-x for x in given[:3]), *given[3:]] if mirrored else given
-                at = found.setdefault(key, CameraAt(pose, {}, camera or {}))
+            for key, camera_pose, mirrored, number, name, camera in cells_of(connection, query):
+                pose = (
+                    [*(-x for x in camera_pose[:3]), *camera_pose[3:]] if mirrored else camera_pose
+                )
+                camera_at = camera_of.setdefault(key, CameraAt(pose, {}, camera or {}))
                 if number is not None:
-                    at.captures[name] = number
-        return found
+                    camera_at.captures[name] = number
+        return camera_of
 
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
@@ -319,10 +327,10 @@ class Queries(Database):
                 and (line.round_key == round_key or not fruit.isdisjoint(line.fruit))
             ]
         device = [(line.details.get("device", ""), line.by) for line in lines]
-        own = [
+        person_lines = [
             x for x, by in zip(lines, device, strict=True) if by == (self._device, self._signed_by)
         ]
-        return own or [x for x, by in zip(lines, device, strict=True) if by == ("", "")]
+        return person_lines or [x for x, by in zip(lines, device, strict=True) if by == ("", "")]
 
 
 def links_of(
@@ -343,7 +351,7 @@ def links_of(
     )
     if kind is not None:
         query = query.where(LinkLine.kind == str(kind))
-    kinds = {str(one): one for one in LinkKind}
+    kinds = {str(kind): kind for kind in LinkKind}
     rows = cells_of(connection, query)
     with decoding(connection):
         return [
@@ -395,20 +403,21 @@ def _detections_of(
         (row, marks.get(row[0], {})) for row in cells_of(connection, query.order_by(*_IN_ORDER))
     ]
     with decoding(connection):
-        records = {row[0]: own.get("mask") or detection_of(row[18:]) for row, own in rows}
+        records = {row[0]: marks.get("mask") or detection_of(row[18:]) for row, marks in rows}
     candidates = {
         row[0]: Candidate(
-            own.get("verdict") is not Verdict.REJECTED,
+            marks.get("verdict") is not Verdict.REJECTED,
             records[row[0]].length_m is not None,
             not records[row[0]].partial,
             records[row[0]].view_score,
         )
-        for row, own in rows
+        for row, marks in rows
     }
-    picked = {row[0]: own["picked"] for row, own in rows if "picked" in own}
+    picked = {row[0]: marks["picked"] for row, marks in rows if "picked" in marks}
     groups = representative_views(candidates, picked, links_of(connection, round_key))
     return [
-        _detection_view(row, round_key, records[row[0]], own, groups[row[0]]) for row, own in rows
+        _detection_view(row, round_key, records[row[0]], marks, groups[row[0]])
+        for row, marks in rows
     ]
 
 
@@ -440,8 +449,8 @@ def _detection_view(
     marks: Mapping[str, Any],
     group: FruitGroup,
 ) -> DetectionView:
-    given, given_sd, fitted, fitted_sd, mirrored = row[8:13]
-    stop_m, stop_sd_m = (given, given_sd) if fitted is None else (fitted, fitted_sd)
+    stated_m, stated_sd_m, fitted, fitted_sd, mirrored = row[8:13]
+    stop_m, stop_sd_m = (stated_m, stated_sd_m) if fitted is None else (fitted, fitted_sd)
     offset_m = (record.offset_m or 0.0) * (-1.0 if mirrored else 1.0)
     along_m = None if stop_m is None else stop_m + offset_m
     sd_known = stop_m is not None and stop_sd_m is not None

@@ -158,17 +158,17 @@ class Store(Queries, Corrections):
             house=checked_name(record.house, "house"),
         )
         with self.writing() as connection:
-            known = select(RoundLine.house).where(
+            house_query = select(RoundLine.house).where(
                 or_(~RoundLine.deleted, RoundLine.key == record.key)
             )
-            houses = connection.execute(known.order_by(RoundLine.id)).scalars()
+            houses = connection.execute(house_query.order_by(RoundLine.id)).scalars()
             record = replace(record, house=same_house(record.house, houses))
             cells = with_hash(RoundLine, {**cells_by_name(record, ROUND_CELLS), "deleted": False})
             if insert_new(connection, RoundLine, cells, "key") is not None:
                 return Saved.NEW
             columns = columns_of(RoundLine, ROUND_CELLS)
-            found = connection.execute(select(*columns).where(RoundLine.key == record.key)).one()
-            first = Round(*found)
+            values = connection.execute(select(*columns).where(RoundLine.key == record.key)).one()
+            first = Round(*values)
             if (name := original_name(connection, record.key)) is not None:
                 first = replace(first, name=name)
             if first != record:
@@ -211,7 +211,7 @@ class Store(Queries, Corrections):
                 return Saved.ALREADY_THERE
             # The same keys on every machine: from the stop's, the capture's place, the number.
             keys = [
-                [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
+                [key_of("fruit", stop.key, number, fruit.number) for fruit in capture.fruit]
                 for number, capture in enumerate(stop.captures)
             ]
             add_content(connection, stop_id, round_id, stop, keys)
@@ -245,22 +245,25 @@ class Store(Queries, Corrections):
         """
         stop = checked_stop(stop)
         sha256 = content_sha256(stop)
-        known = {now: key for key, now in same.items()}
+        key_of_record = {address: key for key, address in same.items()}
         with self.writing() as connection:
             line = line_of(connection, StopLine, stop.key)
             lock_rounds(connection, [line.round_id])
             aside, old = _put_aside(connection, line)
             keys = [
                 [
-                    known.get((capture.name, one.number))
-                    or key_of("fruit", stop.key, sha256, number, one.number)
-                    for one in capture.fruit
+                    key_of_record.get((capture.name, fruit.number))
+                    or key_of("fruit", stop.key, sha256, number, fruit.number)
+                    for fruit in capture.fruit
                 ]
                 for number, capture in enumerate(stop.captures)
             ]
             add_content(connection, line.id, line.round_id, stop, keys)
             _carry_over(connection, old, corrected)
-            cells = {"content_sha256": sha256, "failures": [dict(one) for one in stop.failures]}
+            cells = {
+                "content_sha256": sha256,
+                "failures": [dict(failure) for failure in stop.failures],
+            }
             connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
             seal_stops(connection, StopLine.id.in_((aside, line.id)))
             gone = sorted(old.keys() - same.keys())
@@ -287,18 +290,18 @@ class Store(Queries, Corrections):
             If the stop is not there, or has no such capture.
         """
         stop_key = checked_key(stop_key, "stop")
-        at = (
+        capture_query = (
             select(CaptureLine.id, CaptureLine.number, StopLine.round_id)
             .join(StopLine, StopLine.id == CaptureLine.stop_id)
             .where(StopLine.key == stop_key, CaptureLine.name == capture, ~StopLine.deleted)
         )
         with self.writing() as connection:
-            found = connection.execute(at).one_or_none()
-            if found is None:
+            capture_cells = connection.execute(capture_query).one_or_none()
+            if capture_cells is None:
                 raise StoreError(
                     f"stop {stop_key} has no capture '{capture}'", remedy="look it up in stop()"
                 )
-            capture_id, place, round_id = found
+            capture_id, place, round_id = capture_cells
             lock_rounds(connection, [round_id])
             highest = select(func.max(DetectionLine.number)).where(
                 DetectionLine.capture_id == capture_id
@@ -360,21 +363,26 @@ class Store(Queries, Corrections):
         with self.writing() as connection:
             round_id = round_id_of(connection, round_key)
             lock_rounds(connection, [round_id])
-            there = select(JointLine.key).where(JointLine.round_id == round_id)
-            stays = {*keep, *(one.key for one in records)}
-            gone = [key for key in connection.execute(there).scalars() if key not in stays]
+            key_query = select(JointLine.key).where(JointLine.round_id == round_id)
+            stays = {*keep, *(joint.key for joint in records)}
+            gone = [key for key in connection.execute(key_query).scalars() if key not in stays]
             for key in gone:
                 connection.execute(delete(JointLine).where(JointLine.key == key))
-            for one in records:
-                methods = [asdict(method) for method in one.record.methods] if one.record else []
-                drawing = {"methods": methods, "poses": {k: list(v) for k, v in one.poses.items()}}
+            for joint in records:
+                methods = (
+                    [asdict(method) for method in joint.record.methods] if joint.record else []
+                )
+                drawing = {
+                    "methods": methods,
+                    "poses": {k: list(v) for k, v in joint.poses.items()},
+                }
                 cells = {
-                    "key": one.key,
+                    "key": joint.key,
                     "round_id": round_id,
-                    "first": one.first,
-                    "views": one.views,
-                    "reason": one.reason,
-                    "record": one.record and record_json(replace(one.record, methods=())),
+                    "first": joint.first,
+                    "views": joint.views,
+                    "reason": joint.reason,
+                    "record": joint.record and record_json(replace(joint.record, methods=())),
                     "drawing": drawing,
                 }
                 insert_new(connection, JointLine, with_hash(JointLine, cells), "key")
@@ -444,10 +452,10 @@ def _put_aside(connection: Connection, line: Any) -> tuple[int, dict[str, int]]:
         .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
         .where(CaptureLine.stop_id == aside)
     ).all()
-    for one in old:
-        named = update(DetectionLine).where(DetectionLine.id == one.id)
-        connection.execute(named.values(key=key_of(cells["key"], one.key)))
-    return aside, {one.key: one.id for one in old}
+    for detection in old:
+        named = update(DetectionLine).where(DetectionLine.id == detection.id)
+        connection.execute(named.values(key=key_of(cells["key"], detection.key)))
+    return aside, {detection.key: detection.id for detection in old}
 
 
 def _carry_over(
@@ -464,14 +472,14 @@ def _carry_over(
     corrected : mapping of str to DetectionRecord
         Fruit of which a person corrected the mask, as measured again with it.
     """
-    found = select(DetectionLine.key, DetectionLine.id).where(DetectionLine.key.in_(old))
-    for key, new in connection.execute(found).all():
-        was = old[key]
+    new_ids = select(DetectionLine.key, DetectionLine.id).where(DetectionLine.key.in_(old))
+    for key, new in connection.execute(new_ids).all():
+        old_id = old[key]
         # A correction that was itself replaced stays with what it was measured from.
         current = or_(Mark.slot != "mask", Mark.ended_by_id.is_(None))
-        change(connection, Mark, and_(Mark.fruit_id == was, current), fruit_id=new)
+        change(connection, Mark, and_(Mark.fruit_id == old_id, current), fruit_id=new)
         for end in ("first_id", "second_id"):
-            change(connection, LinkLine, getattr(LinkLine, end) == was, **{end: new})
+            change(connection, LinkLine, getattr(LinkLine, end) == old_id, **{end: new})
         active = and_(Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
         if key in corrected:
             details = record_json(corrected[key])
@@ -508,11 +516,11 @@ def _add_links(
     if not links:
         return 0
     keys = sorted({key for link in links for key in (link.first, link.second)})
-    found = dict(zip(keys, find_detections(connection, keys), strict=True))
+    ids = dict(zip(keys, find_detections(connection, keys), strict=True))
     decided = _decided_pairs(connection, rounds)
     lines = {}
     for link in links:
-        first, second = found[link.first], found[link.second]
+        first, second = ids[link.first], ids[link.second]
         between = (first.round_id, second.round_id)
         if between != rounds or first.id == second.id or link.kind != kind:
             raise StoreError(

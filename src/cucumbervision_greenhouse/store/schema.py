@@ -329,7 +329,7 @@ _TYPES = {float: Double, int: Integer, str: Text, bool: Boolean}
 def _lay_out(table: type[Base], record: type, leave_out: Sequence[str]) -> tuple[str, ...]:
     """Add a column for each field of a record that is not there yet; return all their names."""
     hints = get_type_hints(record)
-    names = tuple(one.name for one in fields(record) if one.name not in leave_out)
+    names = tuple(field.name for field in fields(record) if field.name not in leave_out)
     for name in names:
         hint = hints[name]
         kinds = set(get_args(hint)) if isinstance(hint, UnionType) else {hint}

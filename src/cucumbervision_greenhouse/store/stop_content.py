@@ -93,9 +93,9 @@ def add_content(
     """Add a stop's artifacts, captures and fruit; the fruit's keys by capture."""
     _add_artifacts(connection, stop_id, stop.artifacts)
     _add_images(connection, stop.captures)
-    for number, (capture, own) in enumerate(zip(stop.captures, keys, strict=True)):
+    for number, (capture, detection_keys) in enumerate(zip(stop.captures, keys, strict=True)):
         capture_id = _add_capture(connection, stop_id, number, capture)
-        add_detections(connection, capture_id, round_id, own, capture.fruit)
+        add_detections(connection, capture_id, round_id, detection_keys, capture.fruit)
 
 
 def _add_artifacts(
@@ -106,7 +106,8 @@ def _add_artifacts(
     ids = {
         number: id_of(connection, Artifact, record_json(artifacts[number]), *unique)
         for number in sorted(
-            range(len(artifacts)), key=lambda n: [getattr(artifacts[n], one) for one in unique]
+            range(len(artifacts)),
+            key=lambda n: [getattr(artifacts[n], column) for column in unique],
         )
     }
     lines = [
@@ -116,7 +117,9 @@ def _add_artifacts(
 
 
 def _add_images(connection: Connection, captures: Sequence[CaptureRecord]) -> None:
-    refs = (ref for one in captures for ref in (one.color, one.depth, one.thumbnail))
+    refs = (
+        ref for capture in captures for ref in (capture.color, capture.depth, capture.thumbnail)
+    )
     images = {ref.sha256: ref for ref in refs if ref is not None}
     for sha256 in sorted(images):
         insert_new(connection, Image, vars(images[sha256]), "sha256")
@@ -219,10 +222,10 @@ def artifacts_of(connection: Connection, which: Any) -> dict[str, tuple[Artifact
         .where(which)
         .order_by(StopLine.id, StopArtifact.number)
     )
-    found: dict[str, list[ArtifactRecord]] = {}
+    of_stop: dict[str, list[ArtifactRecord]] = {}
     for key, *cells in cells_of(connection, query):
-        found.setdefault(key, []).append(ArtifactRecord(*cells))
-    return {key: tuple(artifacts) for key, artifacts in found.items()}
+        of_stop.setdefault(key, []).append(ArtifactRecord(*cells))
+    return {key: tuple(artifacts) for key, artifacts in of_stop.items()}
 
 
 def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, ...]:
@@ -234,8 +237,8 @@ def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, .
         .order_by(CaptureLine.number)
     )
     rows = cells_of(connection, query)
-    wanted = {sha256 for row in rows for sha256 in row[1:4] if sha256}
-    of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
+    digests = {sha256 for row in rows for sha256 in row[1:4] if sha256}
+    of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(digests))
     images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
     return tuple(
         _capture_of(
@@ -290,10 +293,10 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
         .where(CaptureLine.stop_id == stop_id, IS_ACTIVE)
         .order_by(DetectionLine.id)
     )
-    found: dict[int, list[DetectionRecord]] = {}
+    records: dict[int, list[DetectionRecord]] = {}
     for row in cells_of(connection, of_detections):
         with decoding(connection):
             keypoints = tuple(tuple(point) for point in row[2])
-            one = detection_of(row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
-        found.setdefault(row[1], []).append(one)
-    return found
+            record = detection_of(row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
+        records.setdefault(row[1], []).append(record)
+    return records

@@ -46,11 +46,11 @@ class CameraAt:
         """Of the camera, as a pose file gave it; 0 without one."""
         return float(self.pose[7]) if len(self.pose) == 16 else 0.0
 
-    def is_one_with(self, other: CameraAt) -> bool:
+    def is_one_with(self, camera_at: CameraAt) -> bool:
         """Return whether both may be the same camera: no other intrinsics, and the same height."""
-        known = self.camera and other.camera
-        level = abs(self.height_m - other.height_m) < _SAME_HEIGHT_M
-        return level and (not known or self.camera == other.camera)
+        comparable = self.camera and camera_at.camera
+        level = abs(self.height_m - camera_at.height_m) < _SAME_HEIGHT_M
+        return level and (not comparable or self.camera == camera_at.camera)
 
 
 class Verdict(StrEnum):
@@ -81,8 +81,8 @@ class RoundView:
         When it was begun where that is not known: without captures, or from a camera whose clock
         was never set.
         """
-        known = self.last_s is not None and self.last_s > _CLOCK_SET_S
-        return self.last_s if known and self.last_s else self.record.started_s
+        clock_set = self.last_s is not None and self.last_s > _CLOCK_SET_S
+        return self.last_s if clock_set and self.last_s else self.record.started_s
 
 
 @dataclass(frozen=True)
@@ -205,12 +205,12 @@ class DetectionFilter:
 
     def keeps(self, fruit: DetectionView) -> bool:
         """Return whether a fruit belongs into the list."""
-        wanted = (
+        conditions = (
             (self.row, fruit.row),
             (self.stop_key, fruit.stop_key),
             (self.verdict, fruit.verdict),
         )
-        if any(want is not None and want != has for want, has in wanted):
+        if any(want is not None and want != has for want, has in conditions):
             return False
         if self.min_length_m is not None and (fruit.record.length_m or 0.0) < self.min_length_m:
             return False

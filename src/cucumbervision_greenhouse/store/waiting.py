@@ -139,9 +139,9 @@ class WaitingCaptures:
         StoreError, CaptureError
             If it cannot be written; nothing is left behind.
         """
-        one = self._new(capture.stop, key, round_key, pressed_s, capture.source)
-        self._put(one, lambda half: write_native(capture, half))
-        return one
+        queued_capture = self._new(capture.stop, key, round_key, pressed_s, capture.source)
+        self._put(queued_capture, lambda half: write_native(capture, half))
+        return queued_capture
 
     def put_frames(
         self,
@@ -159,16 +159,16 @@ class WaitingCaptures:
         StoreError
             If one is gone, or they cannot be written; nothing is left behind.
         """
-        one = self._new(stop, key, round_key, pressed_s, source)
+        queued_capture = self._new(stop, key, round_key, pressed_s, source)
 
         def link(half: Path) -> None:
             for frame in frames:
                 _link(frame, half / frame.name)
 
-        self._put(one, link)
-        return one
+        self._put(queued_capture, link)
+        return queued_capture
 
-    def code(self, one: Waiting) -> None:
+    def code(self, queued_capture: Waiting) -> None:
         """Fuse and code the raw frames of a capture, which then takes a fifth of the room.
 
         It stays whole if this is killed: its manifest is written last, and the frames go after it.
@@ -178,21 +178,21 @@ class WaitingCaptures:
         CucumberVisionError
             If it cannot be read or written; it stays as it was.
         """
-        paths = _raw_frames(one.folder)
-        if not paths or one.tries:  # it is coded, or is being measured
+        paths = _raw_frames(queued_capture.folder)
+        if not paths or queued_capture.tries:  # it is coded, or is being measured
             return
-        half = self.folder / f"{_TEMPORARY}coded-{one.folder.name}"
+        half = self.folder / f"{_TEMPORARY}coded-{queued_capture.folder.name}"
         shutil.rmtree(half, ignore_errors=True)
         try:
-            manifest = write_native(one.load(), half)
+            manifest = write_native(queued_capture.load(), half)
             _sync(half)
             with suppress(FileNotFoundError):  # it was measured meanwhile
                 for path in half.iterdir():
                     if path != manifest:
-                        path.rename(one.folder / path.name)
-                sync_folder(one.folder)
-                manifest.rename(one.folder / MANIFEST)
-                sync_folder(one.folder)
+                        path.rename(queued_capture.folder / path.name)
+                sync_folder(queued_capture.folder)
+                manifest.rename(queued_capture.folder / MANIFEST)
+                sync_folder(queued_capture.folder)
                 for path in paths:
                     path.unlink()
         finally:
@@ -202,23 +202,23 @@ class WaitingCaptures:
         name = f"{round(1e6 * pressed_s):016d}-{key}"
         return Waiting(key, round_key, stop, pressed_s, self.folder / name, source)
 
-    def _put(self, one: Waiting, fill: Callable[[Path], object]) -> None:
-        half = self.folder / f"{_TEMPORARY}{one.folder.name}"
-        about = {
-            "key": one.key,
-            "round": one.round_key,
-            "pressed_s": one.pressed_s,
-            "stop": asdict(one.stop),
-            "source": one.source,
+    def _put(self, queued_capture: Waiting, fill: Callable[[Path], object]) -> None:
+        half = self.folder / f"{_TEMPORARY}{queued_capture.folder.name}"
+        description = {
+            "key": queued_capture.key,
+            "round": queued_capture.round_key,
+            "pressed_s": queued_capture.pressed_s,
+            "stop": asdict(queued_capture.stop),
+            "source": queued_capture.source,
         }
         remedy = "free some space on the disk, and check its rights"
         try:
             with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
                 half.mkdir(parents=True)
                 fill(half)
-                (half / _WHERE).write_text(json.dumps(about), encoding="utf-8")
+                (half / _WHERE).write_text(json.dumps(description), encoding="utf-8")
                 _sync(half)
-                half.rename(one.folder)
+                half.rename(queued_capture.folder)
                 sync_folder(self.folder)
         except BaseException:
             shutil.rmtree(half, ignore_errors=True)
@@ -226,28 +226,32 @@ class WaitingCaptures:
 
     def captures(self) -> list[Waiting]:
         """Return the queued captures, the oldest first, without those that failed too often."""
-        return [one for one in self._all() if one.tries < MOST_TRIES]
+        return [
+            queued_capture for queued_capture in self._all() if queued_capture.tries < MOST_TRIES
+        ]
 
     def set_aside(self) -> list[Waiting]:
         """Return the captures that failed too often; they are kept for inspection."""
-        return [one for one in self._all() if one.tries >= MOST_TRIES]
+        return [
+            queued_capture for queued_capture in self._all() if queued_capture.tries >= MOST_TRIES
+        ]
 
     def holds(self, key: str) -> bool:
         """Return whether a capture of this key waits, or was set aside."""
         return any(self.folder.glob(f"[0-9]*-{key}/{_WHERE}"))
 
-    def begin(self, one: Waiting) -> None:
+    def begin(self, queued_capture: Waiting) -> None:
         """Record the start of a measurement, to recognise captures that crash the program."""
-        with (one.folder / _TRIES).open("ab") as tries:
+        with (queued_capture.folder / _TRIES).open("ab") as tries:
             tries.write(b".")
             tries.flush()
             os.fsync(tries.fileno())
 
-    def done(self, one: Waiting) -> None:
+    def done(self, queued_capture: Waiting) -> None:
         """Remove a capture whose stop is in the store."""
-        half = one.folder.with_name(f"{_TEMPORARY}{one.folder.name}")
+        half = queued_capture.folder.with_name(f"{_TEMPORARY}{queued_capture.folder.name}")
         with suppress(FileNotFoundError):
-            one.folder.rename(half)
+            queued_capture.folder.rename(half)
         shutil.rmtree(half, ignore_errors=True)
 
     def clean(self) -> None:
@@ -256,14 +260,16 @@ class WaitingCaptures:
             shutil.rmtree(half, ignore_errors=True)
 
     def _all(self) -> list[Waiting]:
-        found, known = [], self._read
+        queue, read_before = [], self._read
         for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
             # Another thread may just be done with it.
             with suppress(OSError, ValueError, KeyError, TypeError):
-                one, tries = known.get(path) or _read(path), path.with_name(_TRIES)
-                found.append(replace(one, tries=tries.stat().st_size if tries.exists() else 0))
-        self._read = {one.folder / _WHERE: one for one in found}
-        return found
+                queued_capture, tries = read_before.get(path) or _read(path), path.with_name(_TRIES)
+                queue.append(
+                    replace(queued_capture, tries=tries.stat().st_size if tries.exists() else 0)
+                )
+        self._read = {queued_capture.folder / _WHERE: queued_capture for queued_capture in queue}
+        return queue
 
 
 def _raw_frames(folder: Path) -> list[Path]:
@@ -281,7 +287,7 @@ def _fused(paths: Sequence[Path]) -> Capture | None:
             frames.append(read_frame(path))
     if len(frames) < 2:
         return frames[0] if frames else None
-    fused = fuse_burst([one.color for one in frames], [one.depth_m for one in frames])
+    fused = fuse_burst([frame.color for frame in frames], [frame.depth_m for frame in frames])
     first = frames[0]
     return replace(frames[fused.burst_frame], **vars(fused), name=first.name, frame=first.frame)
 
@@ -294,10 +300,10 @@ def _link(source: Path, target: Path) -> None:
 
 
 def _read(path: Path) -> Waiting:
-    about = json.loads(path.read_text(encoding="utf-8"))
-    stop = Stop(**about["stop"])
-    place = about["key"], about["round"], stop, about["pressed_s"]
-    return Waiting(*place, path.parent, about["source"])
+    description = json.loads(path.read_text(encoding="utf-8"))
+    stop = Stop(**description["stop"])
+    place = description["key"], description["round"], stop, description["pressed_s"]
+    return Waiting(*place, path.parent, description["source"])
 
 
 def _sync(folder: Path) -> None:

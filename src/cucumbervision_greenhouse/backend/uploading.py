@@ -214,7 +214,7 @@ def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
         return _failed(item.input, added.failure.message)
     if added.deleted:
         return _failed(item.input, "was deleted: undo that to have it back")
-    if added.again:
+    if added.remeasured:
         words = "was there already, and is measured again: its intrinsics or options changed"
         return UploadOutcome(name=item.input, saved=True, words=words)
     if item.place is None or not added.new:

@@ -315,7 +315,9 @@ def count_words(report: RowReport) -> str:
     """
     if report.fruit == 0:
         return "no fruit found"
-    low, high = (report.fruit - len(report.count.seen) + end for end in report.count.interval())
+    low, high = (
+        report.fruit - len(report.count.view_counts) + end for end in report.count.interval()
+    )
     if low == high == report.fruit:
         return f"{report.fruit} fruit found"
     there = f"{low} to {high}" if low < high else f"{low}"

@@ -173,7 +173,7 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 
     new = [added for added in done if added.new]
     failures = [added.failure for added in done if added.failure]
-    remeasured = sum(added.again for added in done)
+    remeasured = sum(added.remeasured for added in done)
     present = len(done) - len(new) - len(failures) - remeasured
     fruit = sum(added.fruit for added in new)
     screen().print(f"{len(new)} stops added with {fruit} fruit; {present} were there already.")

@@ -115,12 +115,12 @@ _NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
     """Write `round.xlsx` with a summary, a sheet per table, and the column descriptions."""
-    path, provenance = out / "round.xlsx", tables.provenance
+    path, origin = out / "round.xlsx", tables.provenance
     with Workbook(path) as book:
         book.book.set_properties(
             {
                 "title": tables.title,
-                "comments": f"{provenance['software']}, {provenance['licence']}, {provenance['source']}",
+                "comments": f"{origin['software']}, {origin['licence']}, {origin['source']}",
             }
         )
         summary = book.sheet("Summary", (20, 26, 6, 66), pages_high=1)

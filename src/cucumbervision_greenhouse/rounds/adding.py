@@ -57,7 +57,7 @@ class Added:
         Whether it was saved now.
     deleted : bool
         Whether it was already there and was deleted; undo the deletion to restore it.
-    again : bool
+    remeasured : bool
         Whether it was there already, and measured again: from other intrinsics, with another
         calibration or other options.
     failure : Failure, optional
@@ -71,7 +71,7 @@ class Added:
     fruit: int = 0
     new: bool = False
     deleted: bool = False
-    again: bool = False
+    remeasured: bool = False
     failure: Failure | None = None
     note: str = ""
 
@@ -88,8 +88,8 @@ class RoundCapture(Listed):
         The round, saved before, and the stop that it is or will be.
     place : Placed, optional
         Where a new one was taken.
-    there : bool, optional
-        Whether the round has it: None if not, True if it was deleted.
+    is_deleted : bool, optional
+        Whether its stop was deleted; None if the round has no such stop.
     same : bool
         Whether it would be measured as it was.
     keep : bool
@@ -99,7 +99,7 @@ class RoundCapture(Listed):
     round_key: str = ""
     key: str = ""
     place: Placed | None = None
-    there: bool | None = None
+    is_deleted: bool | None = None
     same: bool = False
     keep: bool = False
 
@@ -135,11 +135,13 @@ class RoundCapture(Listed):
             If the store cannot be read, or a pose file has no line for the capture.
         """
         key = key or key_of(round_key, capture.name, capture_sha256(capture))
-        there = store.stop_is_deleted(key)
-        same = there is False and holds_still(store.stop(key).artifacts, capture, measurer)
-        placed = Placed.of(capture, number, place) if there is None else None
-        one = Listed.of(capture if placed is None else placed.capture)
-        return cls(one.input, one.ref, one.name, round_key, key, placed, there, same, keep)
+        is_deleted = store.stop_is_deleted(key)
+        same = is_deleted is False and holds_still(store.stop(key).artifacts, capture, measurer)
+        placed = Placed.of(capture, number, place) if is_deleted is None else None
+        listed = Listed.of(capture if placed is None else placed.capture)
+        return cls(
+            listed.input, listed.ref, listed.name, round_key, key, placed, is_deleted, same, keep
+        )
 
 
 class _Changed(ResultWorker):
@@ -147,7 +149,7 @@ class _Changed(ResultWorker):
 
     def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
         """Read a capture, unless nothing is to be done with it."""
-        if isinstance(item, RoundCapture) and (item.there or item.same):
+        if isinstance(item, RoundCapture) and (item.is_deleted or item.same):
             return Outcome()
         return super().read(item)
 
@@ -263,14 +265,14 @@ def _added(
     CucumberVisionError
         If nothing was measured, its place is taken, or it cannot be saved.
     """
-    added = Added(item.name, item.key, deleted=bool(item.there))
+    added = Added(item.name, item.key, deleted=bool(item.is_deleted))
     if result is None:
-        return added if item.there or item.same else None
-    if result.error is not None and not (item.keep and item.there is None):
+        return added if item.is_deleted or item.same else None
+    if result.error is not None and not (item.keep and item.is_deleted is None):
         raise result.error
     if item.place is None:
         fruit = measure_stop_again(store, item.key, [result], measurer)
-        return replace(added, fruit=fruit, again=True)
+        return replace(added, fruit=fruit, remeasured=True)
     if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
         return added
     if not item.keep:

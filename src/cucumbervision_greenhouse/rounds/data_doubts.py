@@ -40,7 +40,9 @@ def round_doubts(store: Store, views: Iterable[DetectionView]) -> list[str]:
 
 def _row(record: DetectionRecord, methods: Sequence[MethodRecord]) -> dict[str, Cell]:
     """Return what `Summary` counts of a fruit, as `pipeline.fields.csv` names it."""
-    lengths_cm = {one.method: 100 * one.length_m for one in methods if one.length_m is not None}
+    lengths_cm = {
+        method.method: 100 * method.length_m for method in methods if method.length_m is not None
+    }
     return {
         "length_cm": None if record.length_m is None else 100 * record.length_m,
         "method": record.method,

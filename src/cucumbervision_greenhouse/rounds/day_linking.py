@@ -105,24 +105,24 @@ def link_days(
     noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
     noise = noise + _hidden_variance(earlier, later, i, j)
     swing = np.square(_SWING_M)
-    other = _other_density(b)
-    shift = _vote(knots, a, b, (i, j), size, noise + swing, other)
+    other_density = _other_density(b)
+    shift = _vote(knots, a, b, (i, j), size, noise + swing, other_density)
     field, spread = shift, np.full_like(shift, _SWING_M[0])
     for _ in range(_PASSES):
         moved = _at(knots, field, a[i, ALONG])
         gap = b[j] - a[i] - moved
         variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
-        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY) - other
+        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY) - other_density
         pairs = _assign(i, j, ratio, len(a), len(b))
         field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
         swing = _swing(gap[pairs], variance[pairs] - swing)
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
-    kept = chance > 0.5
-    found = np.column_stack([i[pairs], j[pairs]])[kept]
-    return DayLinks(found, chance[kept], chance[kept] >= SURE, field, spread)
+    likely = chance > 0.5
+    linked = np.column_stack([i[pairs], j[pairs]])[likely]
+    return DayLinks(linked, chance[likely], chance[likely] >= SURE, field, spread)
 
 
-def _swing(gap: Floats, other: Floats) -> Floats:
+def _swing(gap: Floats, noise: Floats) -> Floats:
     """Return the variance of fruit about their plants' shift: the prior's and the links' own.
 
     By the median, so that a fifth of wrong links does little.
@@ -130,9 +130,9 @@ def _swing(gap: Floats, other: Floats) -> Floats:
     prior = np.square(_SWING_M)
     if not len(gap):
         return prior
-    seen = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(other, axis=0)
-    seen = np.clip(seen, prior / 4, prior * 4)
-    return np.asarray((_PRIOR_LINKS * prior + len(gap) * seen) / (_PRIOR_LINKS + len(gap)))
+    observed = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(noise, axis=0)
+    observed = np.clip(observed, prior / 4, prior * 4)
+    return np.asarray((_PRIOR_LINKS * prior + len(gap) * observed) / (_PRIOR_LINKS + len(gap)))
 
 
 def _tops(fruit: RowFruit) -> Floats:
@@ -143,16 +143,16 @@ def _tops(fruit: RowFruit) -> Floats:
 
 
 def _knots(along: Floats) -> Floats:
-    low, high = float(along.min(initial=0.0)), float(along.max(initial=0.0))
-    count = max(int(np.ceil((high - low) / _STRETCH_M)), 1)
-    return low + (np.arange(count) + 0.5) * (high - low) / count
+    first_m, last_m = float(along.min(initial=0.0)), float(along.max(initial=0.0))
+    count = max(int(np.ceil((last_m - first_m) / _STRETCH_M)), 1)
+    return first_m + (np.arange(count) + 0.5) * (last_m - first_m) / count
 
 
 def _near(a: Floats, b: Floats, gate_m: float) -> tuple[Ints, Ints]:
     i, j = pairs_within(np.concatenate([a, b]), gate_m)
-    low, high = np.minimum(i, j), np.maximum(i, j)
-    between = (low < len(a)) & (high >= len(a))
-    return low[between], high[between] - len(a)
+    lower, upper = np.minimum(i, j), np.maximum(i, j)
+    between = (lower < len(a)) & (upper >= len(a))
+    return lower[between], upper[between] - len(a)
 
 
 def _size_ratio(
@@ -160,13 +160,13 @@ def _size_ratio(
 ) -> Floats:
     """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
     first, second = earlier.length_m[i], later.length_m[j]
-    known = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
+    comparable = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
     error = np.hypot(first * earlier.length_sd[i], second * later.length_sd[j])
     sd = np.sqrt(error**2 + grown_sd_m**2 + 0.003**2)
-    whole = later.length_m[np.isfinite(later.length_m)]
-    width = max(float(np.sqrt(12) * whole.std()), 0.1) if len(whole) else 0.3
+    measured_m = later.length_m[np.isfinite(later.length_m)]
+    width = max(float(np.sqrt(12) * measured_m.std()), 0.1) if len(measured_m) else 0.3
     grown = log_density(second - first - grown_m, sd**2) + np.log(width)
-    return np.asarray(np.where(known, np.maximum(grown, -6.0), 0.0), np.float64)
+    return np.asarray(np.where(comparable, np.maximum(grown, -6.0), 0.0), np.float64)
 
 
 def _hidden_variance(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> Floats:
@@ -192,7 +192,7 @@ def _vote(
     pairs: tuple[Ints, Ints],
     size: Floats,
     noise: Floats,
-    other: float,
+    other_density: float,
 ) -> Floats:
     """Find each stretch's shift on a grid; stretches that see little follow the whole row."""
     from scipy.ndimage import gaussian_filter
@@ -204,29 +204,33 @@ def _vote(
     bins = [np.arange(-h, h + step, step) for h in half]
     core = np.sqrt(np.median(noise[:, :2], axis=0)) / step if len(i) else np.ones(2)
     # How much a pair adds at its own shift, beyond what other fruit do by chance.
-    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY) - other
+    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY) - other_density
     weight = np.log1p(np.exp(np.minimum(height, 20.0)))
     stretch = np.abs(a[i, ALONG, None] - knots).argmin(axis=1)
     grids = []
     for k in range(len(knots)):
-        own = stretch == k
-        grid, *_ = np.histogram2d(gap[own, 0], gap[own, 1], bins, weights=weight[own])
+        of_stretch = stretch == k
+        grid, *_ = np.histogram2d(
+            gap[of_stretch, 0], gap[of_stretch, 1], bins, weights=weight[of_stretch]
+        )
         grids.append(gaussian_filter(grid, core) * 2 * np.pi * core.prod())
     middles = [edges[:-1] + step / 2 for edges in bins]
     x, y = np.meshgrid(*middles, indexing="ij")
     prior = -0.5 * (x**2 / 0.5**2 + y**2 / 0.3**2)
-    whole = _peak(sum(grids, prior), middles)
-    found = np.zeros((len(knots), 3))
+    row_shift = _peak(sum(grids, prior), middles)
+    shifts = np.zeros((len(knots), 3))
     for k in range(len(knots)):
-        near = sum(grids[max(k - 1, 0) : k + 2], np.zeros_like(prior))
-        off = (x - whole[0]) ** 2 + (y - whole[1]) ** 2
-        found[k, :2] = _peak(near + np.log(0.9 * np.exp(-0.5 * off / 0.1**2) + 0.02), middles)
-    return found
+        neighbour_grids = sum(grids[max(k - 1, 0) : k + 2], np.zeros_like(prior))
+        off = (x - row_shift[0]) ** 2 + (y - row_shift[1]) ** 2
+        shifts[k, :2] = _peak(
+            neighbour_grids + np.log(0.9 * np.exp(-0.5 * off / 0.1**2) + 0.02), middles
+        )
+    return shifts
 
 
 def _peak(grid: Floats, middles: list[Floats]) -> tuple[float, float]:
-    at = np.unravel_index(int(grid.argmax()), grid.shape)
-    return float(middles[0][at[0]]), float(middles[1][at[1]])
+    peak = np.unravel_index(int(grid.argmax()), grid.shape)
+    return float(middles[0][peak[0]]), float(middles[1][peak[1]])
 
 
 def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
@@ -244,19 +248,19 @@ def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
     _, label = connected_components(graph, directed=False)
     order = likely[np.argsort(label[i[likely]], kind="stable")]
     cuts = np.flatnonzero(np.diff(label[i[order]])) + 1
-    kept = []
+    chosen_pairs = []
     for part in np.split(order, cuts):
         if not len(part):
             continue
-        own, row = np.unique(i[part], return_inverse=True)
-        others, column = np.unique(j[part], return_inverse=True)
-        index = np.full((len(own), len(others)), -1)
+        rows_of_part, row = np.unique(i[part], return_inverse=True)
+        columns_of_part, column = np.unique(j[part], return_inverse=True)
+        index = np.full((len(rows_of_part), len(columns_of_part)), -1)
         index[row, column] = part
         gain = np.where(index >= 0, ratio[index], 0.0)
         chosen = index[linear_sum_assignment(gain, maximize=True)]
-        kept.append(chosen[chosen >= 0])
+        chosen_pairs.append(chosen[chosen >= 0])
     none: Ints = np.zeros(0, np.intp)
-    return np.concatenate([none, *kept])
+    return np.concatenate([none, *chosen_pairs])
 
 
 def _fit(
@@ -290,10 +294,10 @@ def _chances(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Floats
     marginal association probabilities with belief propagation".
     """
     weight = np.exp(np.clip(ratio, -30.0, 30.0))
-    back = np.ones(len(weight))
+    to_row = np.ones(len(weight))
     for _ in range(_BELIEF_STEPS):
-        of_row = weight * back
-        there = weight / (1.0 + np.bincount(i, of_row, rows)[i] - of_row)
-        back = 1.0 / (1.0 + np.bincount(j, there, columns)[j] - there)
-    of_row = weight * back
+        of_row = weight * to_row
+        to_column = weight / (1.0 + np.bincount(i, of_row, rows)[i] - of_row)
+        to_row = 1.0 / (1.0 + np.bincount(j, to_column, columns)[j] - to_column)
+    of_row = weight * to_row
     return np.asarray(of_row / (1.0 + np.bincount(i, of_row, rows)[i]), np.float64)

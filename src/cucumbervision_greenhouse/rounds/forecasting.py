@@ -56,11 +56,11 @@ def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> D
         The round's fruit: those without a length are as good as missed.
     """
     merged = [row.count for row in rows if row.merged and row.fruit]
-    found, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
+    found_share_of_fruit, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
     hanging = [line.view.record.length_m for line in table if line.view.picked_s is None]
     measured = sum(length is not None for length in hanging)
     share = measured / len(hanging) if measured else 1.0
-    return DetectionRates(found * share, found_sd * share, false)
+    return DetectionRates(found_share_of_fruit * share, found_sd * share, false)
 
 
 def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
@@ -82,12 +82,16 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
     >>> shared_scale_sd([[site]]), shared_scale_sd([[site], []])
     (0.002, 0.01)
     """
-    found = []
-    for own in artifacts:
-        scales = [one.details.get("depth_scale") for one in own if one.kind == "calibration"]
-        known = [one["standard_error"] / one["value"] for one in scales if one]
-        found.append(max(known, default=SCALE_SD))
-    return max(found, default=SCALE_SD)
+    scales_sd = []
+    for used in artifacts:
+        scales = [
+            artifact.details.get("depth_scale")
+            for artifact in used
+            if artifact.kind == "calibration"
+        ]
+        relative_sds = [scale["standard_error"] / scale["value"] for scale in scales if scale]
+        scales_sd.append(max(relative_sds, default=SCALE_SD))
+    return max(scales_sd, default=SCALE_SD)
 
 
 def fruit_states(
@@ -148,36 +152,43 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days = {one.key: one.walked_s / DAY_S for one in store.rounds()}
+    days = {round_view.key: round_view.walked_s / DAY_S for round_view in store.rounds()}
     rounds = {round_key: _Measured(content or read_round(store, round_key))}
     # A fruit has one name in all rounds: the key of the representative view in the last one.
     names = {key: view.group for key, view in rounds[round_key].views.items()}
-    found: list[Link] = []
+    links: list[Link] = []
     queue = [round_key]
     for later in queue:
         for link in store.links(later, LinkKind.GROWTH):
-            known = link.second in rounds[later].views and link.second in names
-            if not known or not (link.by_hand or (link.score or 0.0) >= SURE):
+            is_known = link.second in rounds[later].views and link.second in names
+            if not is_known or not (link.by_hand or (link.score or 0.0) >= SURE):
                 continue
             for key, day in days.items():
                 if day < days[later] and key not in rounds:
                     rounds[key] = _Measured(read_round(store, key))
-            home = next((key for key, own in rounds.items() if link.first in own.views), None)
+            home = next(
+                (
+                    key
+                    for key, content_of_round in rounds.items()
+                    if link.first in content_of_round.views
+                ),
+                None,
+            )
             if home is None:
                 continue
             before = rounds[home].views[link.first]
             name = names[link.second]
-            for one in rounds[home].views.values():
-                if one.group == before.group:
-                    names.setdefault(one.key, name)
+            for view in rounds[home].views.values():
+                if view.group == before.group:
+                    names.setdefault(view.key, name)
             first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
             before_m, after_m = first.record.length, last.record.length
             if before_m is not None and after_m is not None and days[home] < days[later]:
                 ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
-                found.append(Link(name, last.row or "", days[home], *ends))
+                links.append(Link(name, last.row or "", days[home], *ends))
             if home not in queue:
                 queue.append(home)
-    return found
+    return links
 
 
 class _Measured:
@@ -273,19 +284,19 @@ class Today:
         Those that may be ready and too long ones are classes of their own; one that no row has is
         left out.
         """
-        found: dict[str, dict[str, int]] = {}
+        counts: dict[str, dict[str, int]] = {}
         for row in self.rows:
-            own = found.setdefault(row.row, {})
+            of_class = counts.setdefault(row.row, {})
             for pick in row.picks:
                 name = pick.name if pick.kind is PickKind.READY else str(pick.kind)
-                own[name] = own.get(name, 0) + 1
-        return found
+                of_class[name] = of_class.get(name, 0) + 1
+        return counts
 
 
 def midnight_s(now_s: float) -> float:
     """Return when the day of a moment began here, seconds since 1970."""
-    here = datetime.datetime.fromtimestamp(now_s).astimezone()
-    return here.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+    local_time = datetime.datetime.fromtimestamp(now_s).astimezone()
+    return local_time.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
 
 
 def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
@@ -320,7 +331,7 @@ def age_words(days: int) -> str:
 
 def forecast_today(
     store: Store,
-    one: RoundView,
+    round_view: RoundView,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -350,50 +361,50 @@ def forecast_today(
     ForecastError
         If nothing can be forecast.
     """
-    content = content or read_round(store, one.key)
+    content = content or read_round(store, round_view.key)
     table = fruit_table(content)
-    found = forecast(
-        fruit_states(table, one.walked_s / DAY_S, profile, picked_before_s),
-        fit_growth(growth_links(store, one.key, content), GrowthPrior.of(profile)),
+    result = forecast(
+        fruit_states(table, round_view.walked_s / DAY_S, profile, picked_before_s),
+        fit_growth(growth_links(store, round_view.key, content), GrowthPrior.of(profile)),
         profile,
         days,
-        today=day_0_s(one, now_s) / DAY_S,
+        today=day_0_s(round_view, now_s) / DAY_S,
         detection=detection_rates(row_reports(content), table),
-        scale_sd=shared_scale_sd(store.artifacts(one.key).values()),
+        scale_sd=shared_scale_sd(store.artifacts(round_view.key).values()),
     )
-    return with_counts_today(found)
+    return with_counts_today(result)
 
 
-def with_counts_today(found: Forecast) -> Forecast:
+def with_counts_today(result: Forecast) -> Forecast:
     """Return a forecast whose numbers of today are those of its fruit, each counted in its class.
 
     The undecided are in no class. The ranges hold these numbers, and reach as far as the forecast's
     for undecided, missed and mistaken fruit; of what is ready today they are the same.
     """
-    counted = np.zeros(found.by_row.expected[:, 0].shape)
-    for one, possible in zip(found.fruit, found.possible, strict=True):
+    counted = np.zeros(result.by_row.expected[:, 0].shape)
+    for state, possible in zip(result.fruit, result.possible, strict=True):
         name = class_of(possible)
-        if name in found.classes:
-            counted[found.rows.index(one.row), found.classes.index(name)] += 1
-    picked = np.isin(found.classes, found.pick)
-    by_row = _counted_today(found.by_row, counted)
-    house = _counted_today(found.house, counted.sum(axis=0))
+        if name in result.classes:
+            counted[result.rows.index(state.row), result.classes.index(name)] += 1
+    picked = np.isin(result.classes, result.pick)
+    by_row = _counted_today(result.by_row, counted)
+    house = _counted_today(result.house, counted.sum(axis=0))
     return replace(
-        found,
+        result,
         by_row=by_row,
         house=house,
-        row_picks=_as_today(found.row_picks, by_row, picked),
-        picks=_as_today(found.picks, house, picked),
+        row_picks=_as_today(result.row_picks, by_row, picked),
+        picks=_as_today(result.picks, house, picked),
     )
 
 
 def _counted_today(counts: Counts, counted: NDArray[np.float64]) -> Counts:
     """Return numbers, shape (..., D, C), with those of today as counted, shape (..., C)."""
-    expected, low, high = counts.expected.copy(), counts.low.copy(), counts.high.copy()
+    expected, low_count, high_count = counts.expected.copy(), counts.low.copy(), counts.high.copy()
     expected[..., 0, :] = counted
-    low[..., 0, :] = np.minimum(low[..., 0, :], counted)
-    high[..., 0, :] = np.maximum(high[..., 0, :], counted)
-    return Counts(expected, low, high)
+    low_count[..., 0, :] = np.minimum(low_count[..., 0, :], counted)
+    high_count[..., 0, :] = np.maximum(high_count[..., 0, :], counted)
+    return Counts(expected, low_count, high_count)
 
 
 def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Counts:
@@ -406,15 +417,15 @@ def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Co
     return Counts(*values)
 
 
-def day_0_s(one: RoundView, now_s: float) -> float:
+def day_0_s(round_view: RoundView, now_s: float) -> float:
     """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
-    days, age = age_of(one.walked_s, now_s)
-    return one.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+    days, age = age_of(round_view.walked_s, now_s)
+    return round_view.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
 
 
 def read_today(
     store: Store,
-    one: RoundView,
+    round_view: RoundView,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -434,19 +445,19 @@ def read_today(
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days, age = age_of(one.walked_s, now_s)
-    content = content or read_round(store, one.key)
+    days, age = age_of(round_view.walked_s, now_s)
+    content = content or read_round(store, round_view.key)
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:
         return Today(days, age, None, (), best)
     try:
-        found = forecast_today(
-            store, one, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
+        result = forecast_today(
+            store, round_view, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
         )
     except ForecastError:
         return Today(days, age, None, (), best)
     simulated = frozenset(view.key for view in content.views if view.simulated)
-    return Today(days, age, found, _by_row(pick_list(found)), best, simulated)
+    return Today(days, age, result, _by_row(pick_list(result)), best, simulated)
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:

@@ -114,16 +114,22 @@ def find_round(store: Store, name: str = "") -> RoundView:
         If there is none, or several begin so.
     """
     rounds = store.rounds()
-    wanted = name.strip().lower()
-    named = [one for one in rounds if one.record.name == name or one.key == wanted]
+    name_or_key = name.strip().lower()
+    named = [
+        round_view
+        for round_view in rounds
+        if round_view.record.name == name or round_view.key == name_or_key
+    ]
     # A short number is never the start of a key: it may be a mistyped name.
-    is_start = not wanted.isdecimal() or len(wanted) > 5
-    found = named or [one for one in rounds if is_start and one.key.startswith(wanted)]
-    if not wanted:
-        found = rounds[:1]
-    if len(found) == 1:
-        return found[0]
-    problem = "several rounds are" if found else "no round is"
+    is_start = not name_or_key.isdecimal() or len(name_or_key) > 5
+    matches = named or [
+        round_view for round_view in rounds if is_start and round_view.key.startswith(name_or_key)
+    ]
+    if not name_or_key:
+        matches = rounds[:1]
+    if len(matches) == 1:
+        return matches[0]
+    problem = "several rounds are" if matches else "no round is"
     raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
 
 
@@ -158,22 +164,25 @@ def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
     for view in content.views:
         if view.record.method == MethodName.M6 and view.verdict is not Verdict.REJECTED:
             groups[view.group].append(view)
-    found = {}
+    group_views = {}
     for views in groups.values():
-        views.sort(key=lambda one: (not one.best, -one.record.view_score, one.key))
-        own = [one for one in views if one.side == views[0].side and one.stop_key in stops]
-        own = own[:_MOST_VIEWS]
-        if len({one.stop_key for one in own}) > 1:
-            found[_key(own, stops)] = own
-    return found
+        views.sort(key=lambda view: (not view.best, -view.record.view_score, view.key))
+        same_side = [
+            view for view in views if view.side == views[0].side and view.stop_key in stops
+        ]
+        same_side = same_side[:_MOST_VIEWS]
+        if len({view.stop_key for view in same_side}) > 1:
+            group_views[_key(same_side, stops)] = same_side
+    return group_views
 
 
 def _key(views: Iterable[DetectionView], stops: Mapping[str, StopView]) -> str:
     return key_of(
         "joint",
         *sorted(
-            f"{one.key} {one.record.length_m} {one.record.mask_px} {stops[one.stop_key].position_m}"
-            for one in views
+            f"{view.key} {view.record.length_m} {view.record.mask_px} "
+            f"{stops[view.stop_key].position_m}"
+            for view in views
         ),
     )
 
@@ -186,19 +195,21 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    known = {stop.key for stop in content.stops}  # a stop may be saved while we read
-    kept = [v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in known]
+    stop_keys = {stop.key for stop in content.stops}  # a stop may be saved while we read
+    candidates = [
+        v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in stop_keys
+    ]
     for name in sorted({stop.row or "" for stop in content.stops}):
         stops = [stop for stop in content.stops if (stop.row or "") == name]
-        views = [view for view in kept if (view.row or "") == name]
+        views = [view for view in candidates if (view.row or "") == name]
         yield _row(name, stops, views, content)
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
     size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
-    if not all(isinstance(one, int | float) and one > 0 for one in size):
+    if not all(isinstance(number, int | float) and number > 0 for number in size):
         return _REACH
-    width, fx, height, fy = (float(one) for one in size if one is not None)
+    width, fx, height, fy = (float(number) for number in size if number is not None)
     return width / 2 / fx, height / 2 / fy
 
 
@@ -218,11 +229,11 @@ def _row(
     placed = [stop for stop in stops if stop.position_m is not None]
     index = {stop.key: k for k, stop in enumerate(placed)}
     poses = {stop.key: stored_pose(cameras[stop.key].pose, stop.side) for stop in stops}
-    known, places = [], []
+    placed_views, places = [], []
     for view in fruit:
         place = offset_of(view.record, poses[view.stop_key])
         if view.stop_key in index and place is not None:
-            known.append(view)
+            placed_views.append(view)
             places.append(place)
     at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
     at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
@@ -230,28 +241,28 @@ def _row(
     sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
     side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
     reach = np.array([_reach(cameras[stop.key].camera) for stop in placed]).reshape(-1, 2)
-    at_stop = np.array([index[view.stop_key] for view in known], np.int64)
+    at_stop = np.array([index[view.stop_key] for view in placed_views], np.int64)
     offset, offset_sd = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
     offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
-    records = [view.record for view in known]
+    records = [view.record for view in placed_views]
     length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
     views = RowViews(
         at_stop,
-        np.array([cameras[v.stop_key].captures[v.capture] for v in known], np.int64),
+        np.array([cameras[v.stop_key].captures[v.capture] for v in placed_views], np.int64),
         offset,
         offset_sd,
         length[:, 0],
         length[:, 1],
         np.array([record.diameter_max_m or np.nan for record in records], np.float64),
-        np.full(len(known), _DIAMETER_SD),
+        np.full(len(placed_views), _DIAMETER_SD),
         np.array([record.partial for record in records], bool),
         np.array([record.score for record in records], np.float64),
         np.array([record.view_score for record in records], np.float64),
     )
-    keys = tuple(view.key for view in known)
+    keys = tuple(view.key for view in placed_views)
     stops_of_row = RowStops(at_m, sd_m, side, reach)
-    accepted = np.array([view.verdict is Verdict.ACCEPTED for view in known], bool)
-    unplaced = len(fruit) - len(known)
+    accepted = np.array([view.verdict is Verdict.ACCEPTED for view in placed_views], bool)
+    unplaced = len(fruit) - len(placed_views)
     return StoredRow(
         name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, content.false
     )
@@ -263,8 +274,8 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
     if length is None or not length.value_m > 0:
         return np.nan, _UNKNOWN_SD
     # Lengths of another kind may differ by more than any of them errs.
-    least = _LEAST_SD if length.kind in set(LengthDefinition) else _UNKNOWN_SD
-    return length.value_m, max(length.relative_sd or _UNKNOWN_SD, least)
+    least_sd = _LEAST_SD if length.kind in set(LengthDefinition) else _UNKNOWN_SD
+    return length.value_m, max(length.relative_sd or _UNKNOWN_SD, least_sd)
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
@@ -273,9 +284,9 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
 
     def pairs(kind: LinkKind) -> Ints:
         chosen = [
-            (index[one.first], index[one.second])
-            for one in links
-            if one.by_hand and one.kind is kind and one.first in index and one.second in index
+            (index[link.first], index[link.second])
+            for link in links
+            if link.by_hand and link.kind is kind and link.first in index and link.second in index
         ]
         return np.array(chosen, np.int64).reshape(-1, 2) if chosen else NO_PAIRS
 

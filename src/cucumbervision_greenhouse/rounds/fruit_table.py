@@ -131,12 +131,12 @@ def fruit_table(content: RoundContent) -> list[RoundFruit]:
 
 def _joint(content: RoundContent) -> dict[str, JointRecord]:
     """Return joint measurements of fruit that several stops show whole, by the best views' keys."""
-    found = {}
+    joint_of_group = {}
     for key, views in joint_groups(content).items():
-        one = content.joint.get(key)
-        if one is not None and one.reason == "ok":
-            found[views[0].group] = one
-    return found
+        joint = content.joint.get(key)
+        if joint is not None and joint.reason == "ok":
+            joint_of_group[views[0].group] = joint
+    return joint_of_group
 
 
 def _fruit(
@@ -148,8 +148,8 @@ def _fruit(
     """Return a fruit's line, with the length of all views where they give one."""
     tube = None if joint is None else joint.record
     if tube is not None and tube.length is not None:
-        others = _own_length(view.record) if pooled is None else pooled[:2]
-        if joint_tube_is_used(tube.length, others):
+        pooled_length = _own_length(view.record) if pooled is None else pooled[:2]
+        if joint_tube_is_used(tube.length, pooled_length):
             values = {name: getattr(tube, name) for name in _OF_ALL_VIEWS}
             return RoundFruit(number, _measured(view, **values), joint)
     if pooled is not None and pooled[2] > 1 and view.record.length is not None:
@@ -179,7 +179,7 @@ def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
 
     Whole views of which one is a thread and another a chord count as one: the best.
     """
-    found = {}
+    length_of_key = {}
     kind = {view.key: view.record.length and view.record.length.kind for view in content.views}
     for row in content.rows:
         if not len(row.views):
@@ -187,16 +187,18 @@ def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
         cluster = stored_merging(content, row).cluster
         views = row.views
         order = np.argsort(cluster, kind="stable")
-        for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
-            length = pooled_length(views.length_m[own], views.length_sd[own], views.partial[own])
+        for members in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
+            length = pooled_length(
+                views.length_m[members], views.length_sd[members], views.partial[members]
+            )
             if length is None:
                 continue
-            whole = own[np.isfinite(views.length_m[own]) & ~views.partial[own]]
-            kinds = {kind[row.fruit_keys[k]] for k in whole.tolist()}
-            count = len(whole) if len(kinds) == 1 else 1
-            keys = (row.fruit_keys[k] for k in own.tolist())
-            found.update(dict.fromkeys(keys, (*length, count)))
-    return found
+            measured = members[np.isfinite(views.length_m[members]) & ~views.partial[members]]
+            kinds = {kind[row.fruit_keys[k]] for k in measured.tolist()}
+            count = len(measured) if len(kinds) == 1 else 1
+            keys = (row.fruit_keys[k] for k in members.tolist())
+            length_of_key.update(dict.fromkeys(keys, (*length, count)))
+    return length_of_key
 
 
 _NEAR_M, _FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
@@ -213,13 +215,13 @@ class OtherDay:
         The round of that day.
     linked : DetectionView, optional
         The fruit that it is taken to be there.
-    near : tuple of DetectionView
+    neighbours : tuple of DetectionView
         Others that it might be, the nearest first.
     """
 
     round: RoundView
     linked: DetectionView | None
-    near: tuple[DetectionView, ...]
+    neighbours: tuple[DetectionView, ...]
 
 
 @dataclass(frozen=True)
@@ -232,7 +234,7 @@ class FruitContext:
         The representative view.
     views : tuple of DetectionView
         All its views, the representative one first.
-    near : tuple of DetectionView
+    neighbours : tuple of DetectionView
         Other fruit of the same row, the nearest first.
     earlier, later : OtherDay, optional
         The same on the day before and after, where a round of it is there.
@@ -240,7 +242,7 @@ class FruitContext:
 
     fruit: DetectionView
     views: tuple[DetectionView, ...]
-    near: tuple[DetectionView, ...]
+    neighbours: tuple[DetectionView, ...]
     earlier: OtherDay | None = None
     later: OtherDay | None = None
 
@@ -257,20 +259,22 @@ def around(store: Store, round_key: str, key: str) -> FruitContext | None:
     key : str
         Any of its views.
     """
-    every = store.detections(round_key)
-    group = next((view.group for view in every if view.key == key), None)
+    detections = store.detections(round_key)
+    group = next((view.group for view in detections if view.key == key), None)
     if group is None:
         return None
-    views = sorted((v for v in every if v.group == group), key=lambda v: not v.best)
+    views = sorted((v for v in detections if v.group == group), key=lambda v: not v.best)
     fruit = next(view for view in views if view.best)
-    others = [v for v in every if v.best and v.group != group and v.verdict is not Verdict.REJECTED]
+    candidates = [
+        v for v in detections if v.best and v.group != group and v.verdict is not Verdict.REJECTED
+    ]
     links = store.links(round_key, LinkKind.GROWTH)
     keys = {view.key for view in views}
     before, after = earlier_round(store, round_key), later_rounds(store, round_key)[:1]
     return FruitContext(
         fruit,
         tuple(views),
-        nearest(fruit, others, _NEAR_M),
+        nearest(fruit, candidates, _NEAR_M),
         None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
         _other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
     )
@@ -278,26 +282,28 @@ def around(store: Store, round_key: str, key: str) -> FruitContext | None:
 
 def _ends(links: Iterable[LinkRecord], keys: set[str]) -> set[str]:
     """Return the other ends of the links of some detections."""
-    found = set()
+    linked_keys = set()
     for link in links:
         if link.first in keys:
-            found.add(link.second)
+            linked_keys.add(link.second)
         elif link.second in keys:
-            found.add(link.first)
-    return found
+            linked_keys.add(link.first)
+    return linked_keys
 
 
-def _other_day(store: Store, one: RoundView, fruit: DetectionView, ends: set[str]) -> OtherDay:
-    every = store.detections(one.key)
-    group = next((view.group for view in every if view.key in ends), None)
-    best = counted_fruit(every)
+def _other_day(
+    store: Store, round_view: RoundView, fruit: DetectionView, ends: set[str]
+) -> OtherDay:
+    detections = store.detections(round_view.key)
+    group = next((view.group for view in detections if view.key in ends), None)
+    best = counted_fruit(detections)
     linked = next((view for view in best if view.group == group), None)
-    others = [view for view in best if view.group != group]
-    return OtherDay(one, linked, nearest(fruit, others, _FAR_M))
+    candidates = [view for view in best if view.group != group]
+    return OtherDay(round_view, linked, nearest(fruit, candidates, _FAR_M))
 
 
 def nearest(
-    fruit: DetectionView, others: Sequence[DetectionView], reach_m: float
+    fruit: DetectionView, candidates: Sequence[DetectionView], reach_m: float
 ) -> tuple[DetectionView, ...]:
     """Return the few fruit of the same row that hang nearest along it, within a reach."""
     if fruit.along_m is None:
@@ -305,7 +311,7 @@ def nearest(
     at_m = fruit.along_m
     placed = [
         (abs(view.along_m - at_m), view.key, view)
-        for view in others
+        for view in candidates
         if view.row == fruit.row and view.along_m is not None
     ]
     return tuple(view for gap, _, view in sorted(placed)[:_SHOWN] if gap <= reach_m)

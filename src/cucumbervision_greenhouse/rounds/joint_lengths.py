@@ -99,7 +99,7 @@ def measure_jointly(
     content = read_round(store, round_key)
     groups = joint_groups(content)
     waiting = [(key, views) for key, views in groups.items() if key not in content.joint]
-    waiting.sort(key=lambda one: (one[1][0].row or "", one[1][0].along_m or 0.0))
+    waiting.sort(key=lambda fruit: (fruit[1][0].row or "", fruit[1][0].along_m or 0.0))
     source = _Source(store, content)
     done: list[JointRecord] = []
     failures: list[Failure] = []
@@ -137,13 +137,17 @@ class _StoredView:
     @property
     def site(self) -> SiteCalibration | None:
         """The site's calibration that it was measured with."""
-        details = [one.details for one in self.stop.artifacts if one.kind == "calibration"]
+        details = [
+            artifact.details for artifact in self.stop.artifacts if artifact.kind == "calibration"
+        ]
         return SiteCalibration.model_validate(dict(details[0])) if details else None
 
     @property
     def definition(self) -> LengthDefinition:
         """Which length was asked for."""
-        options = [one.details for one in self.stop.artifacts if one.kind == "config"]
+        options = [
+            artifact.details for artifact in self.stop.artifacts if artifact.kind == "config"
+        ]
         asked = options[0].get("length") if options else None
         kind = self.record.length and self.record.length.kind
         return LengthDefinition(asked or kind or LengthDefinition.CENTRELINE)
@@ -165,27 +169,27 @@ class _Source:
         try:
             stored = [self._stored(view) for view in views]
             site, definition = stored[0].site, stored[0].definition
-            if any((one.site, one.definition) != (site, definition) for one in stored):
+            if any((view.site, view.definition) != (site, definition) for view in stored):
                 return JointRecord(key, first, 0, _MIXED)
-            known = site is not None and site.depth_scale is not None
-            seen = [one.as_seen(self._pose(one.view)) for one in stored]
-            found = measure_views(seen, definition, scale_known=known)
+            scale_known = site is not None and site.depth_scale is not None
+            fruit_views = [view.as_seen(self._pose(view.view)) for view in stored]
+            joint = measure_views(fruit_views, definition, scale_known=scale_known)
         except (StoredImageError, InstancesError):
             return JointRecord(key, first, 0, _NO_PICTURE)
-        if found is None or len(found.poses) < 2 or found.fruit.selected is None:
+        if joint is None or len(joint.poses) < 2 or joint.fruit.selected is None:
             return JointRecord(key, first, 0, _NOT_MEASURED)
-        return _joint_record(key, stored, found, site, definition)
+        return _joint_record(key, stored, joint, site, definition)
 
     def _stored(self, view: DetectionView) -> _StoredView:
         stop = self._read_stop(view.stop_key)
         number, capture = view.record.number, self._read_capture(view.stop_key, view.capture)
-        taken = next(one for one in stop.captures if one.name == view.capture)
-        original = next(one for one in taken.fruit if one.number == number)
+        taken = next(capture for capture in stop.captures if capture.name == view.capture)
+        original = next(fruit for fruit in taken.fruit if fruit.number == number)
         return _StoredView(view, self._corrected.get(view.key, original), stop, capture)
 
     def _capture(self, stop_key: str, name: str) -> Capture:
         stop = self._read_stop(stop_key)
-        taken = next(one for one in stop.captures if one.name == name)
+        taken = next(capture for capture in stop.captures if capture.name == name)
         return stored_capture(self._images, taken, stop)
 
     def _pose(self, view: DetectionView) -> NDArray[np.float64]:
@@ -201,18 +205,18 @@ class _Source:
 def _joint_record(
     key: str,
     stored: Sequence[_StoredView],
-    found: JointFruit,
+    joint: JointFruit,
     site: SiteCalibration | None,
     definition: LengthDefinition,
 ) -> JointRecord:
-    fruit, first = found.fruit, stored[found.first]
-    doubts = {doubt for one in stored for doubt in one.capture.doubts}
+    fruit, first = joint.fruit, stored[joint.first]
+    doubts = {doubt for view in stored for doubt in view.capture.doubts}
     fruit = fruit.flagged(*(Flag(doubt) for doubt in sorted(doubts)))
     if site is not None:
         fruit = calibrated_fruit(fruit, site, definition)
     record = fruit_record(NumberedFruit(first.capture, first.record.number, fruit))
     poses = {
-        stored[k].view.key: tuple(pose.round(9).ravel().tolist()) for k, pose in found.poses.items()
+        stored[k].view.key: tuple(pose.round(9).ravel().tolist()) for k, pose in joint.poses.items()
     }
     reason = _ENDED if record.partial else "ok"
     return JointRecord(

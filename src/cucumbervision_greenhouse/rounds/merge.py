@@ -55,30 +55,32 @@ def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> In
         Each view's fruit, from now on.
     """
     cluster = cluster.copy()
-    of = np.concatenate([i, j])
-    other = np.concatenate([j, i])
-    both = np.concatenate([ratio, ratio])
-    order = np.argsort(of, kind="stable")
-    of, other, both = of[order], other[order], both[order]
-    starts = np.searchsorted(of, np.arange(len(views) + 1))
+    end = np.concatenate([i, j])
+    partner = np.concatenate([j, i])
+    end_ratio = np.concatenate([ratio, ratio])
+    order = np.argsort(end, kind="stable")
+    end, partner, end_ratio = end[order], partner[order], end_ratio[order]
+    starts = np.searchsorted(end, np.arange(len(views) + 1))
     sizes = np.bincount(cluster, minlength=len(views)).astype(np.intp)
     members = _members(views)
     free = np.flatnonzero(sizes == 0).tolist()
-    for own in members:
-        np.subtract.at(sizes, cluster[own], 1)
-        picked = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in own.tolist()])
-        target = cluster[other[picked]]
+    for capture_views in members:
+        np.subtract.at(sizes, cluster[capture_views], 1)
+        picked = np.concatenate(
+            [np.arange(starts[k], starts[k + 1]) for k in capture_views.tolist()]
+        )
+        target = cluster[partner[picked]]
         candidates, column = np.unique(target, return_inverse=True)
-        row = np.searchsorted(own, of[picked])
-        at = _assign(own, row, column, both[picked], sizes[candidates])
-        left = [int(c) for c in cluster[own] if sizes[c] == 0]
-        for k, found in zip(own.tolist(), at.tolist(), strict=True):
-            if found >= 0:
-                cluster[k] = candidates[found]
+        row = np.searchsorted(capture_views, end[picked])
+        fruit_columns = _assign(capture_views, row, column, end_ratio[picked], sizes[candidates])
+        emptied = [int(c) for c in cluster[capture_views] if sizes[c] == 0]
+        for k, fruit_column in zip(capture_views.tolist(), fruit_columns.tolist(), strict=True):
+            if fruit_column >= 0:
+                cluster[k] = candidates[fruit_column]
             else:
-                cluster[k] = left.pop() if left else free.pop()
-        free += left
-        np.add.at(sizes, cluster[own], 1)
+                cluster[k] = emptied.pop() if emptied else free.pop()
+        free += emptied
+        np.add.at(sizes, cluster[capture_views], 1)
     return cluster
 
 
@@ -89,11 +91,11 @@ def _members(views: RowViews) -> list[Ints]:
     return [np.sort(part) for part in np.split(order, cuts) if len(part)]
 
 
-def _assign(own: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> Ints:
+def _assign(capture_views: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> Ints:
     """Return for each of a capture's views the column of its fruit, or -1."""
     from scipy.optimize import linear_sum_assignment
 
-    rows, columns = len(own), len(sizes)
+    rows, columns = len(capture_views), len(sizes)
     if not columns:
         return np.full(rows, -1)
     total, count = np.zeros((rows, columns)), np.zeros((rows, columns))
@@ -103,8 +105,8 @@ def _assign(own: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> I
     mean[:, sizes == 0] = -1e6
     # A column of its own for each view: to be no known fruit costs nothing.
     cost = np.hstack([-mean, np.where(np.eye(rows, dtype=bool), 0.0, 1e6)])
-    _, at = linear_sum_assignment(cost)
-    return np.where(at < columns, at, -1).astype(np.intp)
+    _, fruit_columns = linear_sum_assignment(cost)
+    return np.where(fruit_columns < columns, fruit_columns, -1).astype(np.intp)
 
 
 def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
@@ -281,19 +283,19 @@ def _views_per_m(stops: RowStops, views: RowViews) -> float:
     """Return how many views a capture has per metre of row that it shows."""
     if not len(views):
         return 0.0
-    captures, at = np.unique(views.capture, return_index=True)
-    far = float(np.median(np.abs(views.offset_m[:, DEPTH])))
-    shown = 2 * stops.reach[views.stop[at], 0] * far
-    return len(views) / max(float(shown.sum()), 1e-6 * len(captures))
+    captures, first_view = np.unique(views.capture, return_index=True)
+    typical_depth_m = float(np.median(np.abs(views.offset_m[:, DEPTH])))
+    width_m = 2 * stops.reach[views.stop[first_view], 0] * typical_depth_m
+    return len(views) / max(float(width_m.sum()), 1e-6 * len(captures))
 
 
 def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
     """Return pairs of views of different captures that may be one fruit, by their place alone."""
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
-    own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
-    i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * own)
-    other = views.capture[i] != views.capture[j]
-    return i[other], j[other]
+    place_sd_m = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
+    i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * place_sd_m)
+    different_capture = views.capture[i] != views.capture[j]
+    return i[different_capture], j[different_capture]
 
 
 def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, Floats]:
@@ -313,8 +315,8 @@ def _rated(
 ) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(fitted, views)
-    known = np.vstack([by_hand.same, by_hand.apart])
-    i, j = np.concatenate([i, known[:, 0]]), np.concatenate([j, known[:, 1]])
+    hand_pairs = np.vstack([by_hand.same, by_hand.apart])
+    i, j = np.concatenate([i, hand_pairs[:, 0]]), np.concatenate([j, hand_pairs[:, 1]])
     i, j = np.minimum(i, j), np.maximum(i, j)
     _, once = np.unique(i * len(views) + j, return_index=True)
     i, j = i[once], j[once]
@@ -337,11 +339,11 @@ def _vote_across(
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     i, j = i[across], j[across]
     gap, variance = _gaps(fitted, views, i, j)
-    found = np.abs(gap[:, DEPTH])
+    distance_m = np.abs(gap[:, DEPTH])
     gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
     tried = _ACROSS_M + _ACROSS_SD_M * np.linspace(-3, 3, 121)
-    fit = -0.5 * (found[:, None] - tried) ** 2 / depth_variance[:, None]
+    fit = -0.5 * (distance_m[:, None] - tried) ** 2 / depth_variance[:, None]
     score = np.log1p(np.exp(np.minimum(ratio[:, None] + fit, 20.0))).sum(axis=0)
     score -= 0.5 * ((tried - _ACROSS_M) / _ACROSS_SD_M) ** 2
     weight = np.exp(score - score.max())
@@ -351,46 +353,46 @@ def _vote_across(
 
 
 def _set_across(stops: RowStops, across: tuple[float, float]) -> RowStops:
-    other = stops.side == 1
+    opposite = stops.side == 1
     at_m, sd_m = stops.at_m.copy(), stops.sd_m.copy()
-    at_m[other, DEPTH] += across[0]
-    sd_m[other, DEPTH] = np.hypot(sd_m[other, DEPTH], across[1])
+    at_m[opposite, DEPTH] += across[0]
+    sd_m[opposite, DEPTH] = np.hypot(sd_m[opposite, DEPTH], across[1])
     return replace(stops, at_m=at_m, sd_m=sd_m)
 
 
 def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]:
     """Return the sides whose views agree far better if their offsets are mirrored."""
-    found = []
+    sides = []
     for side in np.unique(stops.side).tolist():
         support = []
         for sign in (1.0, -1.0):
             turned = replace(views, offset_m=views.offset_m * [sign, 1.0, 1.0])
             i, j = _candidates(prior_stops(stops), turned)
             s, t = views.stop[i], views.stop[j]
-            kept = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
-            support.append(vote_pairs(stops, turned, i[kept], j[kept], crowd)[2])
+            of_side = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
+            support.append(vote_pairs(stops, turned, i[of_side], j[of_side], crowd)[2])
         if support[1] > 2 * max(support[0], 0.0) + 20:
-            found.append(int(side))
-    return tuple(found)
+            sides.append(int(side))
+    return tuple(sides)
 
 
 def _numbered(cluster: Ints, along: Floats) -> Ints:
     """Return the clusters numbered along the row, from 0."""
-    names, at = np.unique(cluster, return_inverse=True)
-    middle = np.bincount(at, along) / np.bincount(at)
+    names, name_index = np.unique(cluster, return_inverse=True)
+    middle = np.bincount(name_index, along) / np.bincount(name_index)
     rank = np.empty(len(names), np.int64)
     rank[np.argsort(middle, kind="stable")] = np.arange(len(names))
-    return rank[at]
+    return rank[name_index]
 
 
 def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats, size: int) -> Floats:
     """Return the probability that each pair is one fruit; 0.5 where a pair was not rated."""
     codes = i * size + j
     order = np.argsort(codes)
-    wanted = pairs[:, 0] * size + pairs[:, 1]
-    at = np.minimum(np.searchsorted(codes[order], wanted), max(len(codes) - 1, 0))
-    value = np.zeros(len(wanted))
+    pair_codes = pairs[:, 0] * size + pairs[:, 1]
+    place = np.minimum(np.searchsorted(codes[order], pair_codes), max(len(codes) - 1, 0))
+    value = np.zeros(len(pair_codes))
     if len(codes):
-        rated = codes[order][at] == wanted
-        value[rated] = ratio[order][at][rated]
+        rated = codes[order][place] == pair_codes
+        value[rated] = ratio[order][place][rated]
     return 1.0 / (1.0 + np.exp(-np.clip(value, -30, 30)))

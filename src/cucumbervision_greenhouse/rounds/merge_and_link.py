@@ -79,7 +79,7 @@ class RowReport:
     @property
     def expected(self) -> float:
         """How many fruit there are; of those without a place or row as many as were found."""
-        return self.fruit - len(self.count.seen) + self.count.expected
+        return self.fruit - len(self.count.view_counts) + self.count.expected
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) ->
         len(row.views),
         fruit,
         # Without a row, pictures need not be of one place: nothing is said of what none shows.
-        count if row.name else CountEstimate.counted(len(count.seen)),
+        count if row.name else CountEstimate.counted(len(count.view_counts)),
         done,
         float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         tuple(row.sides[side] for side in merged.mirrored),
@@ -199,7 +199,7 @@ def link_rounds(
     RoundError
         If one of them is not there, or the later does not come later.
     """
-    walked = {one.key: one.walked_s for one in store.rounds()}
+    walked = {round_view.key: round_view.walked_s for round_view in store.rounds()}
     if gone := {earlier, later} - walked.keys():
         raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
     days = (walked[later] - walked[earlier]) / DAY_S
@@ -210,30 +210,33 @@ def link_rounds(
         )
     growth: tuple[float, ...] = ()
     if profile is not None:
-        of = profile.growth
-        growth = of.mean / 100, math.hypot(of.house_sd, of.row_sd, of.fruit_sd) / 100
+        growth_prior = profile.growth
+        growth = (
+            growth_prior.mean / 100,
+            math.hypot(growth_prior.house_sd, growth_prior.row_sd, growth_prior.fruit_sd) / 100,
+        )
     contents = read_round(store, earlier), read_round(store, later)
     first = {row.name: row for row in contents[0].rows if len(row.views)}
-    links, found = [], []
+    links, row_links = [], []
     for row in contents[1].rows:
         before = first.get(row.name)
         if before is None or not len(row.views):
             continue
         fruit = [
-            row_fruit(stored_merging(content, one), one.views)
-            for content, one in zip(contents, (before, row), strict=True)
+            row_fruit(stored_merging(content, row_content), row_content.views)
+            for content, row_content in zip(contents, (before, row), strict=True)
         ]
         linked = link_days(fruit[0], fruit[1], days, *growth)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
-            one = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
-            links.append(LinkRecord(LinkKind.GROWTH, *one, chance))
+            keys = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
+            links.append(LinkRecord(LinkKind.GROWTH, *keys, chance))
         shift = float(np.median(linked.shift_m[:, ALONG]))
         sd = float(np.median(linked.shift_sd_m[:, ALONG]))
         sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
-        found.append(RowLinks(row.name, *sizes, shift, sd))
+        row_links.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
     store.save_growth(later, earlier, ())  # as they were linked before captures of that day came
-    return found
+    return row_links
 
 
 _SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
@@ -260,12 +263,12 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     try:
         merge_round(store, round_key)
         before, after = earlier_round(store, round_key), later_rounds(store, round_key)
-        for one in () if before is None else (before,):
-            link_rounds(store, one.key, round_key, profile)
-        for one in after[:1]:
-            link_rounds(store, round_key, one.key, profile)
+        for earlier in () if before is None else (before,):
+            link_rounds(store, earlier.key, round_key, profile)
+        for later in after[:1]:
+            link_rounds(store, round_key, later.key, profile)
             if before is not None:  # they were neighbours while this round was not there
-                store.save_growth(before.key, one.key, ())
+                store.save_growth(before.key, later.key, ())
     except (RoundError, StoreError) as error:  # a round or fruit may be deleted meanwhile
         return str(error)
     return ""
@@ -310,13 +313,13 @@ def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list
     StoreError
         If it is not there.
     """
-    waits = sum(one.round_key == round_key for one in waiting.captures())
+    waits = sum(capture.round_key == round_key for capture in waiting.captures())
     if waits:
         words = "1 capture waits" if waits == 1 else f"{waits} captures wait"
         raise RoundError(f"{words} to be measured into it", remedy="delete it afterwards")
     after = later_rounds(store, round_key)[:1]
     store.delete_round(round_key)
-    return [one.key for one in after]  # its fruit are those of the round before now
+    return [later.key for later in after]  # its fruit are those of the round before now
 
 
 def undo(store: Store, round_key: str | None = None, *, number: int | None = None) -> str:
@@ -333,7 +336,7 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
         If there is nothing to undo, or a later action depends on it.
     """
     done = store.undo(round_key, number=number)
-    line = next(one for one in store.log(round_key, limit=None) if one.number == done)
+    line = next(entry for entry in store.log(round_key, limit=None) if entry.number == done)
     return (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
 
 
@@ -342,23 +345,25 @@ def earlier_round(store: Store, round_key: str) -> RoundView | None:
 
     Days are those of the captures (`RoundView.walked_s`), whenever a round was begun.
     """
-    one, others = _neighbours(store, round_key)
-    near = [x for x in others if _SAME_DAY_S < one.walked_s - x.walked_s < _FARTHEST_S]
-    return near[0] if near else None
+    current, same_house = _neighbours(store, round_key)
+    before = [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < _FARTHEST_S]
+    return before[0] if before else None
 
 
 def later_rounds(store: Store, round_key: str) -> list[RoundView]:
     """Return the rounds of the same house of later days, the nearest first."""
-    one, others = _neighbours(store, round_key)
-    return [x for x in others[::-1] if _SAME_DAY_S < x.walked_s - one.walked_s < _FARTHEST_S]
+    current, same_house = _neighbours(store, round_key)
+    return [
+        x for x in same_house[::-1] if _SAME_DAY_S < x.walked_s - current.walked_s < _FARTHEST_S
+    ]
 
 
 def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:
     """Return a round, and the others of its house that hold fruit, the one walked last first."""
     rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
-    one = next((x for x in rounds if x.key == round_key), None)
-    if one is None:
+    current = next((x for x in rounds if x.key == round_key), None)
+    if current is None:
         raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
-    house = house_key(one.record.house)
-    others = (x for x in rounds if x.key != round_key and x.fruit)
-    return one, [x for x in others if house_key(x.record.house) == house]
+    house = house_key(current.record.house)
+    different = (x for x in rounds if x.key != round_key and x.fruit)
+    return current, [x for x in different if house_key(x.record.house) == house]

@@ -99,7 +99,7 @@ class Placed:
         RoundError
             If a pose file has no line for it.
         """
-        place, own = place or Place(), capture.stop
+        place, stop = place or Place(), capture.stop
         line = place.poses.get(capture.name)
         if place.poses and line is None:
             raise RoundError(
@@ -107,11 +107,11 @@ class Placed:
                 source=capture.name,
                 remedy="add one, or leave the pose file out",
             )
-        position = own.position_m
+        position = stop.position_m
         if place.position_m is not None:
             position = place.position_m + number * (place.spacing_m or 0.0)
-        row, side = place.row or own.row, place.side or own.side
-        step = number + 1 if own.step is None else own.step
+        row, side = place.row or stop.row, place.side or stop.side
+        step = number + 1 if stop.step is None else stop.step
         sd, turned = place.position_sd_m, {}
         if line is not None:
             row, side, position = line.row or row, line.side or side, line.position_m

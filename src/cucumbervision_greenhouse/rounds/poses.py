@@ -94,8 +94,8 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
         if path.stat().st_size > _LARGEST:
             raise RoundError("larger than 64 MiB", source=path, remedy="give one line a capture")
         if path.suffix.lower() == ".json":
-            found = read_json(path, RoundError, "give CSV or JSON")
-            lines = found if isinstance(found, list) else [found]
+            content = read_json(path, RoundError, "give CSV or JSON")
+            lines = content if isinstance(content, list) else [content]
         else:
             lines = _lines(read_text(path, RoundError))
     poses: dict[str, PoseLine] = {}
@@ -243,17 +243,17 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
     >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
     -0.1
     """
-    found = offset_of(fruit, pose)
-    if found is None:
+    offset = offset_of(fruit, pose)
+    if offset is None:
         return fruit
-    offset_m, sd_m = (round(float(values[0]), 5) for values in found)
+    offset_m, sd_m = (round(float(values[0]), 5) for values in offset)
     return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)
 
 
 def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
     """Return a stop whose fruit have their offsets along the row from the camera's pose."""
     captures = tuple(
-        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
-        for one in stop.captures
+        replace(capture, fruit=tuple(placed_fruit(fruit, pose) for fruit in capture.fruit))
+        for capture in stop.captures
     )
     return replace(stop, captures=captures)

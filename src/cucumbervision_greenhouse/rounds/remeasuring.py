@@ -85,16 +85,18 @@ def measure_round_again(
             except CucumberVisionError as error:
                 yield Failure.of(error, key, name)
                 continue
-            for one in stop.captures:
-                load = partial(_as_read, store, one, stop, options)
-                ref = CaptureRef(one.name, one.frame or 0, load)
-                yield Listed(key, ref, one.name)
+            for capture in stop.captures:
+                load = partial(_as_read, store, capture, stop, options)
+                ref = CaptureRef(capture.name, capture.frame or 0, load)
+                yield Listed(key, ref, capture.name)
 
     measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.is_cancelled)
     for number, (key, group) in enumerate(groupby(measured, lambda pair: pair[0].input), 1):
         outcomes = [outcome for _, outcome in group]
-        results = [one.value for one in outcomes if one.value is not None]
-        failures += [why for one in outcomes if one.value is None for why in one.failures]
+        results = [outcome.value for outcome in outcomes if outcome.value is not None]
+        failures += [
+            why for outcome in outcomes if outcome.value is None for why in outcome.failures
+        ]
         if len(results) == len(outcomes):
             with Boundary(failures, store.name, stops[key]):
                 measure_stop_again(store, key, results, measurer)
@@ -111,9 +113,9 @@ def _as_read(
     capture = stored_capture(store.images, record, stop)
     if options.camera_up is not None and capture.gravity in GRAVITY_BY_EDGE.values():
         capture = replace(capture, gravity=None)  # an option's, which is named anew
-    for one in stop.artifacts:
-        if one.kind == "calibration":
-            site = SiteCalibration.model_validate(dict(one.details))
+    for artifact in stop.artifacts:
+        if artifact.kind == "calibration":
+            site = SiteCalibration.model_validate(dict(artifact.details))
             depth_m = capture.depth_m * np.float32(site.depth_divisor)
             capture = replace(capture, depth_m=depth_m)
             if site.lens is not None:
@@ -153,31 +155,35 @@ def measure_stop_again(
     """
     stop = store.stop(key)
     views = store.detections(stop.round_key, DetectionFilter(stop_key=key))
-    links = [one for one in store.links(stop.round_key) if one.by_hand]
+    links = [link for link in store.links(stop.round_key) if link.by_hand]
     decided = {end for link in links for end in (link.first, link.second)}
     decided |= {
-        one.key for one in views if one.verdict or one.corrected or one.picked_s is not None
+        view.key for view in views if view.verdict or view.corrected or view.picked_s is not None
     }
     by_hand = store.corrected(stop.round_key)
-    found: list[CaptureResult] = []
+    results_with_old: list[CaptureResult] = []
     same: dict[str, tuple[str, int]] = {}
     corrected: dict[str, DetectionRecord] = {}
     for result, taken in zip(results, stop.captures, strict=True):
         if result.error is not None:
             raise CucumberVisionError(result.error.message, source=taken.name)
-        own = {one.number: one for one in taken.fruit}
-        before = {one.key: own[one.record.number] for one in views if one.capture == taken.name}
+        record_of_number = {record.number: record for record in taken.fruit}
+        before = {
+            view.key: record_of_number[view.record.number]
+            for view in views
+            if view.capture == taken.name
+        }
         result, numbers = _with_old(result, before, decided, measurer)
-        same |= {one: (taken.name, number) for one, number in numbers.items()}
-        for one in by_hand.keys() & numbers.keys():
+        same |= {key: (taken.name, number) for key, number in numbers.items()}
+        for fruit_key in by_hand.keys() & numbers.keys():
             fruit = measurer.measure_instance(
-                result.capture, instance_of(by_hand[one], result.capture.depth_m.shape)
+                result.capture, instance_of(by_hand[fruit_key], result.capture.depth_m.shape)
             )
-            record = fruit_record(NumberedFruit(result.capture, numbers[one], fruit))
-            corrected[one] = placed_fruit(record, stored_pose(stop.pose, stop.side))
-        found.append(result)
-    store.measure_again(_stop_of(stop, found, measurer, store), same, corrected)
-    return sum(len(result.fruit) for result in found)
+            record = fruit_record(NumberedFruit(result.capture, numbers[fruit_key], fruit))
+            corrected[fruit_key] = placed_fruit(record, stored_pose(stop.pose, stop.side))
+        results_with_old.append(result)
+    store.measure_again(_stop_of(stop, results_with_old, measurer, store), same, corrected)
+    return sum(len(result.fruit) for result in results_with_old)
 
 
 def _with_old(
@@ -193,8 +199,8 @@ def _with_old(
     shape = (result.capture.height, result.capture.width)
     old = {key: instance_of(record, shape) for key, record in before.items()}
     if fruit and old:
-        boxes = np.array([one.box for one in old.values()])
-        overlap = box_ious(boxes, np.array([one.instance.box for one in fruit]))
+        boxes = np.array([instance.box for instance in old.values()])
+        overlap = box_ious(boxes, np.array([measurement.instance.box for measurement in fruit]))
         keys = list(old)
         for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             if overlap[i, j] >= _SAME_BOX:
@@ -206,9 +212,9 @@ def _with_old(
 
 
 def _stop_of(
-    stop: StopRecord, found: Sequence[CaptureResult], measurer: Measurer, store: Store
+    stop: StopRecord, results: Sequence[CaptureResult], measurer: Measurer, store: Store
 ) -> StopRecord:
     """Return what is saved of a stop that was measured again: its place is as it was."""
-    new = stop_record(stop.round_key, found, measurer, key=stop.key, images=store.images)
+    new = stop_record(stop.round_key, results, measurer, key=stop.key, images=store.images)
     new = placed_stop(new, stored_pose(stop.pose, stop.side))
     return replace(stop, captures=new.captures, artifacts=new.artifacts, failures=new.failures)

@@ -78,10 +78,12 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
     best = best_views(merged, views)
     length_m, length_sd = views.length_m[best], views.length_sd[best]
     for f in np.flatnonzero(~views.partial[best]):
-        own = np.flatnonzero(merged.cluster == f)
-        found = pooled_length(views.length_m[own], views.length_sd[own], views.partial[own])
-        if found is not None:
-            length_m[f], length_sd[f] = found[0], found[1] / found[0]
+        members = np.flatnonzero(merged.cluster == f)
+        length = pooled_length(
+            views.length_m[members], views.length_sd[members], views.partial[members]
+        )
+        if length is not None:
+            length_m[f], length_sd[f] = length[0], length[1] / length[0]
     place = merged.place_m(views)
     weight = 1.0 / views.offset_sd_m**2
     count = len(best)
@@ -187,7 +189,7 @@ class CountEstimate:
     ----------
     expected, sd : float
         Number of fruit that the captures could show, those included that none did.
-    seen, shown : ndarray of int64, shape (F,)
+    view_counts, capture_counts : ndarray of int64, shape (F,)
         For each fruit found: how many views it has, and how many captures could show it.
     real : ndarray of float64, shape (F,)
         How likely it is a fruit and no false positive.
@@ -197,8 +199,8 @@ class CountEstimate:
 
     expected: float
     sd: float
-    seen: Ints
-    shown: Ints
+    view_counts: Ints
+    capture_counts: Ints
     real: Floats
     seen_again: float
 
@@ -233,8 +235,8 @@ class CountEstimate:
         """
         z = NormalDist().inv_cdf(0.5 + level / 2)
         reach = z * math.sqrt(self.sd**2 + self.expected_variance())
-        low, high = math.floor(self.expected - reach), math.ceil(self.expected + reach)
-        return max(low, 0), high
+        lower, upper = math.floor(self.expected - reach), math.ceil(self.expected + reach)
+        return max(lower, 0), upper
 
     def expected_variance(self) -> float:
         """Return the variance of `expected` that the uncertainty of q gives it.
@@ -245,7 +247,11 @@ class CountEstimate:
         """
         if self.seen_again == 1.0:
             return 0.0
-        q, k, nothing = self.seen_again, self.shown, (1 - self.seen_again) ** self.shown
+        q, k, nothing = (
+            self.seen_again,
+            self.capture_counts,
+            (1 - self.seen_again) ** self.capture_counts,
+        )
         mean = k * q / (1 - nothing)
         spread = mean * (1 - q + k * q - mean)
         information = _SEEN_WEIGHT / (q * (1 - q)) + (self.real * spread).sum() / (q * (1 - q)) ** 2
@@ -274,18 +280,18 @@ def count_fruit(
     false : FalseShare
         Prior of the share of false positives.
     """
-    seen = np.bincount(merged.cluster)
-    shown = np.maximum(times_shown(merged, stops, views), seen)
-    score = np.zeros(len(seen))
+    view_counts = np.bincount(merged.cluster)
+    capture_counts = np.maximum(times_shown(merged, stops, views), view_counts)
+    score = np.zeros(len(view_counts))
     np.maximum.at(score, merged.cluster, views.score)
-    chances = int((shown - 1).sum())
-    if chances >= _CHANCES and (seen - 1).sum() < _LEAST_AGAIN * chances:
-        return CountEstimate.counted(len(seen))
-    known = np.zeros(len(seen), bool)
+    chances = int((capture_counts - 1).sum())
+    if chances >= _CHANCES and (view_counts - 1).sum() < _LEAST_AGAIN * chances:
+        return CountEstimate.counted(len(view_counts))
+    accepted_fruit = np.zeros(len(view_counts), bool)
     if accepted is not None:
-        known[merged.cluster[accepted]] = True
-    sure = views.score[(seen > 1)[merged.cluster] | known[merged.cluster]]
-    return estimate_count(seen, shown, score, sure, known, false)
+        accepted_fruit[merged.cluster[accepted]] = True
+    sure = views.score[(view_counts > 1)[merged.cluster] | accepted_fruit[merged.cluster]]
+    return estimate_count(view_counts, capture_counts, score, sure, accepted_fruit, false)
 
 
 def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
@@ -312,14 +318,14 @@ def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
     >>> [round(share, 3) for share in found_share([count])]
     [0.9, 0.067, 0.0]
     """
-    seen = sum(len(one.seen) for one in counts)
-    real = sum(float(one.real.sum()) for one in counts)
-    expected = sum(one.expected for one in counts)
-    if not seen or not real:
+    detections = sum(len(count.view_counts) for count in counts)
+    real = sum(float(count.real.sum()) for count in counts)
+    expected = sum(count.expected for count in counts)
+    if not detections or not real:
         return _SEEN, float(np.sqrt(_SEEN * (1 - _SEEN) / _SEEN_WEIGHT)), _FALSE
-    found = min(real / expected, 1.0)
-    sd = np.sqrt(sum(one.expected_variance() for one in counts)) / expected
-    return found, found * float(sd), 1.0 - real / seen
+    share = min(real / expected, 1.0)
+    sd = np.sqrt(sum(count.expected_variance() for count in counts)) / expected
+    return share, share * float(sd), 1.0 - real / detections
 
 
 def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> Ints:
@@ -335,30 +341,30 @@ def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> Ints:
     )
     by_side = np.zeros((count, 2), bool)
     by_side[merged.cluster, stops.side[views.stop]] = True
-    _, at = np.unique(views.capture, return_index=True)
-    captures = views.stop[at]
-    shown = np.zeros(count, np.int64)
+    _, first_view = np.unique(views.capture, return_index=True)
+    captures = views.stop[first_view]
+    times = np.zeros(count, np.int64)
     for s in captures.tolist():
         gap = np.abs(middle - merged.stops.at_m[s])
         half = stops.reach[s] * gap[:, DEPTH, None] - _MARGIN_M
-        shown += (gap[:, :2] < half).all(axis=1) & by_side[:, stops.side[s]]
-    return shown
+        times += (gap[:, :2] < half).all(axis=1) & by_side[:, stops.side[s]]
+    return times
 
 
 def estimate_count(
-    seen: Ints,
-    shown: Ints,
+    view_counts: Ints,
+    capture_counts: Ints,
     score: Floats,
     sure_scores: Floats,
-    known: Bools | None = None,
+    accepted_fruit: Bools | None = None,
     false: FalseShare = USUAL,
 ) -> CountEstimate:
     """Estimate how many fruit there are from how often each was seen.
 
     Parameters
     ----------
-    seen, shown : ndarray of int64, shape (F,)
-        Views of each fruit, and captures that could show it; shown is at least seen.
+    view_counts, capture_counts : ndarray of int64, shape (F,)
+        Views of each fruit, and captures that could show it, at least as many.
     score : ndarray of float64, shape (F,)
         The detector's confidence in each.
     sure_scores : ndarray of float64, shape (V,)
@@ -379,25 +385,27 @@ def estimate_count(
     >>> round(found.expected), round(float(found.real[-1]), 1)
     (100, 0.1)
     """
-    if not len(seen):
+    if not len(view_counts):
         return CountEstimate.of_nothing()
     likelier = _score_ratio(score, sure_scores)
-    once = (seen == 1) if known is None else (seen == 1) & ~known
+    once = (view_counts == 1) if accepted_fruit is None else (view_counts == 1) & ~accepted_fruit
     q, real = _SEEN, np.where(once, 0.5, 1.0)
     for _ in range(_STEPS):
-        nothing = (1 - q) ** shown
-        single = shown * q * (1 - q) ** (shown - 1) / (1 - nothing)
+        nothing = (1 - q) ** capture_counts
+        single = capture_counts * q * (1 - q) ** (capture_counts - 1) / (1 - nothing)
         false_views = (1 - real).sum() + false.share * false.weight
-        false_views *= seen.sum() / (seen.sum() + false.weight)
+        false_views *= view_counts.sum() / (view_counts.sum() + false.weight)
         odds = real.sum() / max(float(false_views), 1e-9) * single * likelier
         real = np.where(once, odds / (1 + odds), 1.0)
         unseen = real * nothing / (1 - nothing)
-        hits = (real * seen).sum() + _SEEN * _SEEN_WEIGHT
-        q = float(hits / (((real + unseen) * shown).sum() + _SEEN_WEIGHT))
+        hits = (real * view_counts).sum() + _SEEN * _SEEN_WEIGHT
+        q = float(hits / (((real + unseen) * capture_counts).sum() + _SEEN_WEIGHT))
         q = min(max(q, 0.05), 0.995)
     uncertain = float((real * (1 - real)).sum()) * _share_learnt(real[once])
     sd = np.sqrt(uncertain + (unseen * (1 + unseen)).sum())
-    return CountEstimate(float((real + unseen).sum()), float(sd), seen, shown, real, q)
+    return CountEstimate(
+        float((real + unseen).sum()), float(sd), view_counts, capture_counts, real, q
+    )
 
 
 def _share_learnt(real: Floats) -> float:
@@ -421,11 +429,11 @@ def _score_ratio(score: Floats, sure: Floats) -> Floats:
 
     if len(sure) < 20 or float(sure.std()) < 1e-3:
         return np.ones(len(score))
-    low, high = min(float(score.min()), float(sure.min())), 1.0
-    spread = max(high - low, 1e-3)
-    scaled = np.clip((sure - low) / spread, 0.01, 0.99)
+    lowest, highest = min(float(score.min()), float(sure.min())), 1.0
+    spread = max(highest - lowest, 1e-3)
+    scaled = np.clip((sure - lowest) / spread, 0.01, 0.99)
     mean, variance = float(scaled.mean()), float(scaled.var())
     common = max(mean * (1 - mean) / variance - 1, 0.1)
-    at = np.clip((score - low) / spread, 0.01, 0.99)
-    density = beta.pdf(at, mean * common, (1 - mean) * common)
+    scaled_score = np.clip((score - lowest) / spread, 0.01, 0.99)
+    density = beta.pdf(scaled_score, mean * common, (1 - mean) * common)
     return np.asarray(np.clip(density, 0.02, 5.0), np.float64)

@@ -114,9 +114,9 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     second = first + 1 + np.arange(len(first)) - start
     i, j = order[first], order[second]
     if np.ndim(gate):
-        own = np.broadcast_to(gate, values.shape)
-        near = np.abs(values[i] - values[j]) <= np.maximum(own[i], own[j])
-        return i[near], j[near]
+        reach = np.broadcast_to(gate, values.shape)
+        within = np.abs(values[i] - values[j]) <= np.maximum(reach[i], reach[j])
+        return i[within], j[within]
     return i, j
 
 
@@ -132,9 +132,9 @@ _LONGEST_PAST = 0.02  # noise of the logarithm that a lower bound has at least
 def crowd_of(views: RowViews, per_m: float) -> Crowd:
     """Return the crowd of a row's own views, each width that of a uniform band of equal spread."""
 
-    def width(values: Floats, least: float) -> float:
-        known = values[np.isfinite(values)]
-        return max(float(np.sqrt(12) * known.std()), least) if len(known) else least
+    def width(values: Floats, minimum: float) -> float:
+        finite = values[np.isfinite(values)]
+        return max(float(np.sqrt(12) * finite.std()), minimum) if len(finite) else minimum
 
     return Crowd(
         per_m=max(per_m, 0.1),
@@ -174,22 +174,22 @@ def _size_ratio(
 
     gap = np.log(second) - np.log(first)
     core = np.exp(-0.5 * np.square(gap / sd)) / (np.sqrt(2 * np.pi) * sd)
-    wide = (np.abs(gap) < _SIZE_REACH) / (2 * _SIZE_REACH)
-    known = np.isfinite(gap)
-    both = partial[0] & partial[1]
+    tail = (np.abs(gap) < _SIZE_REACH) / (2 * _SIZE_REACH)
+    comparable = np.isfinite(gap)
+    both_partial = partial[0] & partial[1]
     # A bound lies below the full size by anything up to `MOST_HIDDEN`.
     short = np.where(partial[0], gap, -gap)
     noise = np.maximum(sd, _LONGEST_PAST)
     below = (ndtr(short / noise) - ndtr((short - _MOST_HIDDEN) / noise)) / _MOST_HIDDEN
     density = np.where(partial[0] | partial[1], below, core)
-    mixed = (1 - _SIZE_TAIL) * density + _SIZE_TAIL * np.maximum(wide, 0.05)
-    ratio = np.log(np.where(known, mixed, 1.0) * width)
-    return np.asarray(np.where(known & ~both, ratio, 0.0), np.float64)
+    mixed = (1 - _SIZE_TAIL) * density + _SIZE_TAIL * np.maximum(tail, 0.05)
+    ratio = np.log(np.where(comparable, mixed, 1.0) * width)
+    return np.asarray(np.where(comparable & ~both_partial, ratio, 0.0), np.float64)
 
 
 def shape_ratio(views: RowViews, i: Ints, j: Ints, crowd: Crowd) -> Floats:
     """Return the log likelihood ratio of length and diameter of views i and j, shape (K,)."""
-    whole = np.zeros(len(i), bool)
+    not_partial = np.zeros(len(i), bool)
     length_sd = np.hypot(views.length_sd[i], views.length_sd[j])
     diameter_sd = np.hypot(views.diameter_sd[i], views.diameter_sd[j])
     hidden = views.partial[i], views.partial[j]
@@ -197,6 +197,10 @@ def shape_ratio(views: RowViews, i: Ints, j: Ints, crowd: Crowd) -> Floats:
         views.length_m[i], views.length_m[j], length_sd, hidden, crowd.length_width
     )
     diameter = _size_ratio(
-        views.diameter_m[i], views.diameter_m[j], diameter_sd, (whole, whole), crowd.diameter_width
+        views.diameter_m[i],
+        views.diameter_m[j],
+        diameter_sd,
+        (not_partial, not_partial),
+        crowd.diameter_width,
     )
     return length + diameter

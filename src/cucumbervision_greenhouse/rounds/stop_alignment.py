@@ -49,16 +49,18 @@ class FittedStops:
 
     def gap_variance(self, s: Ints, t: Ints) -> Floats:
         """Return the variance of how far stops s and t lie apart, shape (K, 3)."""
-        own = np.einsum("css->sc", self.covariance_m2)
+        variance_m2 = np.einsum("css->sc", self.covariance_m2)
         between = np.moveaxis(self.covariance_m2[:, s, t], 0, -1)
-        return np.asarray(np.maximum(own[s] + own[t] - 2 * between, 0.0), np.float64)
+        return np.asarray(
+            np.maximum(variance_m2[s] + variance_m2[t] - 2 * between, 0.0), np.float64
+        )
 
 
 def prior_stops(stops: RowStops) -> FittedStops:
     """Return the stops as they were declared, before any fruit is looked at."""
     covariance = np.zeros((3, len(stops), len(stops)))
-    at = np.arange(len(stops))
-    covariance[:, at, at] = stops.sd_m.T**2
+    index = np.arange(len(stops))
+    covariance[:, index, index] = stops.sd_m.T**2
     return FittedStops(stops.at_m, covariance)
 
 
@@ -124,7 +126,7 @@ def _fit_one(
     """Solve one coordinate: x_t - x_s = between, with x about the prior; stops in order."""
     from scipy.linalg import solveh_banded
 
-    mean, own = prior
+    mean, prior_variance = prior
     s, t = ends
     size, x = len(mean), mean
     band = int(np.abs(s - t).max(initial=0))
@@ -133,9 +135,11 @@ def _fit_one(
         misfit = (between - (x[t] - x[s])) ** 2 / variance
         trust = weight * (_FREEDOM + 1) / (_FREEDOM + misfit) / variance
         information = np.zeros((band + 1, size))
-        information[0] = 1.0 / own + np.bincount(s, trust, size) + np.bincount(t, trust, size)
+        information[0] = (
+            1.0 / prior_variance + np.bincount(s, trust, size) + np.bincount(t, trust, size)
+        )
         np.subtract.at(information, (np.abs(s - t), np.minimum(s, t)), trust)
-        target = mean / own
+        target = mean / prior_variance
         target += np.bincount(t, trust * between, size) - np.bincount(s, trust * between, size)
         x = solveh_banded(information, target, lower=True)
     return x, solveh_banded(information, np.eye(size), lower=True)
@@ -174,21 +178,23 @@ def vote_pairs(
     noise = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2
     shift_sd = np.sqrt(stops.sd_m[s] ** 2 + stops.sd_m[t] ** 2)
     variance = noise + np.where(np.arange(3) == ALONG, _STEP_M**2 / 4, shift_sd**2)
-    rest = position_ratio(np.where(np.arange(3) == ALONG, 0.0, gap), variance, crowd)
-    rest += shape_ratio(views, i, j, crowd) - log_density(0.0, variance[:, ALONG])
+    other_ratio = position_ratio(np.where(np.arange(3) == ALONG, 0.0, gap), variance, crowd)
+    other_ratio += shape_ratio(views, i, j, crowd) - log_density(0.0, variance[:, ALONG])
     widest = _REACH_SD * float(shift_sd[:, ALONG].max())
     tried = np.linspace(-widest, widest, min(2 * int(widest / _STEP_M) + 1, _MOST_TRIED))
-    ratio = rest[:, None] + log_density(gap[:, ALONG, None] - tried, variance[:, ALONG, None])
+    ratio = other_ratio[:, None] + log_density(
+        gap[:, ALONG, None] - tried, variance[:, ALONG, None]
+    )
     group = _starts(s, t)
-    each = _starts(s, t, i)
-    of_one = np.log1p(np.add.reduceat(np.exp(np.minimum(ratio, 50.0)), each, axis=0))
-    score = np.add.reduceat(of_one, np.searchsorted(each, group), axis=0)
+    view_starts = _starts(s, t, i)
+    of_one = np.log1p(np.add.reduceat(np.exp(np.minimum(ratio, 50.0)), view_starts, axis=0))
+    score = np.add.reduceat(of_one, np.searchsorted(view_starts, group), axis=0)
     score -= 0.5 * (tried / shift_sd[group, ALONG, None]) ** 2
     best = score.argmax(axis=1)
     sizes = np.diff(np.append(group, len(i)))
     at_best = ratio[np.arange(len(i)), np.repeat(best, sizes)]
-    kept = _mutual(np.repeat(np.arange(len(group)), sizes), i, j, at_best)
-    return i[kept], j[kept], float(score.max(axis=1).sum())
+    mutual = _mutual(np.repeat(np.arange(len(group)), sizes), i, j, at_best)
+    return i[mutual], j[mutual], float(score.max(axis=1).sum())
 
 
 def _starts(*keys: Ints) -> Ints:
@@ -202,10 +208,10 @@ def _starts(*keys: Ints) -> Ints:
 
 def _mutual(group: Ints, i: Ints, j: Ints, ratio: Floats) -> Bools:
     """Return which pairs are the best of both their views within a group, and likelier than not."""
-    kept = ratio > 0
+    is_best = ratio > 0
     for view in (i, j):
         key = group * (max(int(i.max()), int(j.max())) + 1) + view
         best: Floats = np.full(int(key.max()) + 1, -np.inf)
         np.maximum.at(best, key, ratio)
-        kept &= ratio >= best[key]
-    return kept
+        is_best &= ratio >= best[key]
+    return is_best

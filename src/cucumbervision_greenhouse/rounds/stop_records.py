@@ -91,9 +91,9 @@ def stop_record(
         **asdict(first.stop if first else Stop()),
         position_sd_m=position_sd_m,
         taken_s=taken_s or time.time(),
-        captures=tuple(_capture_record(one, images) for one in results),
+        captures=tuple(_capture_record(result, images) for result in results),
         artifacts=() if measurer is None else _artifact_records(measurer, results),
-        failures=tuple(vars(failure) for one in results for failure in one.failures),
+        failures=tuple(vars(failure) for result in results for failure in result.failures),
     )
 
 
@@ -132,7 +132,7 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
         provenance=json_value(capture.provenance),
         doubts=tuple(map(str, capture.doubts)) or None,
-        fruit=tuple(fruit_record(one) for one in result.numbered_fruit),
+        fruit=tuple(fruit_record(numbered) for numbered in result.numbered_fruit),
         **_pictures(capture, images),
     )
 
@@ -170,7 +170,9 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
 
 def _gravity_by_option(stop: StopRecord) -> tuple[float, float, float] | None:
     """Return the direction of gravity that the options of a stop named; None without one."""
-    options = next((one.details for one in stop.artifacts if one.kind == "config"), {})
+    options = next(
+        (artifact.details for artifact in stop.artifacts if artifact.kind == "config"), {}
+    )
     return GRAVITY_BY_EDGE.get(str(options.get("camera_up")))
 
 
@@ -185,27 +187,27 @@ def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
     }
 
 
-def fruit_record(seen: NumberedFruit) -> DetectionRecord:
+def fruit_record(numbered: NumberedFruit) -> DetectionRecord:
     """Return a record of one fruit.
 
     The fruit's offset along the row is how far right of the camera its middle lies; who knows that
     the row runs the other way, or the camera's pose, replaces it.
     """
-    fruit = seen.fruit
+    fruit = numbered.fruit
     keypoints = fruit.instance.keypoints
-    cells: dict[str, Any] = {k: v for k, v in si_values(seen).items() if k in _STORED}
-    centre = _centre(seen)
+    cells: dict[str, Any] = {k: v for k, v in si_values(numbered).items() if k in _STORED}
+    centre = _centre(numbered)
     if centre is not None:
         cells["centre_x_m"], cells["centre_y_m"], cells["centre_z_m"] = centre
         cells["offset_m"] = centre[0]
     return DetectionRecord(
-        number=seen.number,
+        number=numbered.number,
         view_score=view_score(fruit),
         length=fruit.length,
         raw_length=fruit.raw_length,
         keypoints=() if keypoints is None else _rows_of(keypoints),
         mask=None if fruit.mask is None else encode_rle(fruit.mask),
-        methods=tuple(_method_record(one) for one in fruit.measurements.values()),
+        methods=tuple(_method_record(measurement) for measurement in fruit.measurements.values()),
         **cells,
     )
 
@@ -251,8 +253,10 @@ def measured_from(
     """
     names = [str(stage) for stage in stages]
     camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
-    own = capture.masks if Stage.DATASET in names else ()
-    masks = sorted(hashlib.sha256(np.packbits(mask).tobytes()).hexdigest() for mask in own)
+    dataset_masks = capture.masks if Stage.DATASET in names else ()
+    masks = sorted(
+        hashlib.sha256(np.packbits(mask).tobytes()).hexdigest() for mask in dataset_masks
+    )
     text = json.dumps([hashes.of(names), camera, masks], sort_keys=True)
     sha256 = hashlib.sha256(text.encode()).hexdigest()
     return ArtifactRecord(_MEASURED_FROM, " ".join(names), sha256)
@@ -266,10 +270,10 @@ def holds_still(artifacts: Iterable[ArtifactRecord], capture: Capture, measurer:
     CucumberVisionError
         If a file that the options name cannot be read.
     """
-    for one in artifacts:
-        if one.kind == _MEASURED_FROM:
-            names, hashes = one.name.split(), measurer.hashes
-            return names[0] in hashes.sources and one == measured_from(capture, names, hashes)
+    for artifact in artifacts:
+        if artifact.kind == _MEASURED_FROM:
+            names, hashes = artifact.name.split(), measurer.hashes
+            return names[0] in hashes.sources and artifact == measured_from(capture, names, hashes)
     return False
 
 
@@ -283,10 +287,10 @@ def _artifact_records(
         ArtifactRecord("config", "measure", options.sha256, options.as_json()),
     ]
     models = [model for result in results for model in result.models]
-    for model in [one for k, one in enumerate(models) if one not in models[:k]]:
-        rest = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
+    for model in [candidate for k, candidate in enumerate(models) if candidate not in models[:k]]:
+        details = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
         sha256 = str(model.get("sha256") or "")
-        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(rest)))
+        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(details)))
     if site is not None:
         sha256 = hashlib.sha256(site.as_text().encode()).hexdigest()
         details = site.model_dump(mode="json")
@@ -301,10 +305,10 @@ def _method_record(measurement: Measurement) -> MethodRecord:
     if fit is not None:
         path = fit.traits.axis_m
         diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
-    kept = np.zeros(0, int)
+    kept_points = np.zeros(0, int)
     if path is not None:
-        kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round())
-        kept = kept.astype(int)
+        kept_points = np.unique(np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round())
+        kept_points = kept_points.astype(int)
     return MethodRecord(
         method=str(measurement.method),
         length_m=measurement.length_m,
@@ -317,21 +321,21 @@ def _method_record(measurement: Measurement) -> MethodRecord:
         chord_m=None if tube is None else tube.chord_m,
         centreline_sd_m=None if fit is None else fit.centreline_sd_m,
         thread_sd_m=None if fit is None else fit.thread_sd_m,
-        path_m=() if path is None else _rows_of(np.round(path[kept], 6)),
-        diameter_m=() if diameter is None else tuple(np.round(diameter[kept], 6).tolist()),
+        path_m=() if path is None else _rows_of(np.round(path[kept_points], 6)),
+        diameter_m=() if diameter is None else tuple(np.round(diameter[kept_points], 6).tolist()),
     )
 
 
-def _centre(seen: NumberedFruit) -> Point | None:
-    fruit = seen.fruit
+def _centre(numbered: NumberedFruit) -> Point | None:
+    fruit = numbered.fruit
     path = None if fruit.selected is None else fruit.selected.path_m
     if path is not None and len(path):
         return tuple(np.round(path.mean(axis=0), 5).tolist())
     z = fruit.distance_m
     if z is None:
         return None
-    left, top, right, bottom = fruit.instance.box
-    x, y = seen.capture.intrinsics.rays((left + right) / 2, (top + bottom) / 2)
+    x_min, top, right, bottom = fruit.instance.box
+    x, y = numbered.capture.intrinsics.rays((x_min + right) / 2, (top + bottom) / 2)
     return round(float(x) * z, 5), round(float(y) * z, 5), round(z, 5)
 
 

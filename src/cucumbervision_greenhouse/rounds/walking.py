@@ -88,16 +88,18 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
     >>> next_place([Stop("3", "right", 2.0, 5), Stop("3", "right", 1.5, 6)])
     NextPlace(row='3', side='right', position_m=1.0, step_m=0.5, back=True)
     """
-    placed = [one for one in stops if one.position_m is not None]
+    placed = [stop for stop in stops if stop.position_m is not None]
     if not placed:
         return NextPlace()
     last = placed[-1]
     row, side, at_m = last.row or "", last.side or "left", last.position_m or 0.0
-    own = [one.position_m or 0.0 for one in placed if (one.row, one.side) == (last.row, last.side)]
-    apart = own[-1] - own[-2] if len(own) > 1 else _STEP_M
-    known = 0.0 < abs(apart) <= _WIDEST_M
-    step_m = round(abs(apart), 2) if known else _STEP_M
-    return NextPlace(row, side, round(at_m, 2), step_m, known and apart < 0).onward()
+    positions_m = [
+        stop.position_m or 0.0 for stop in placed if (stop.row, stop.side) == (last.row, last.side)
+    ]
+    apart = positions_m[-1] - positions_m[-2] if len(positions_m) > 1 else _STEP_M
+    plausible = 0.0 < abs(apart) <= _WIDEST_M
+    step_m = round(abs(apart), 2) if plausible else _STEP_M
+    return NextPlace(row, side, round(at_m, 2), step_m, plausible and apart < 0).onward()
 
 
 def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
@@ -123,26 +125,28 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     """
     if not stops_at(stop, taken):
         return stop
-    own = [one for one in taken if (one.row, one.side) == (stop.row, stop.side)]
-    on = next_place(own)
+    same_side = [placed for placed in taken if (placed.row, placed.side) == (stop.row, stop.side)]
+    on = next_place(same_side)
     if on.back and on.position_m == 0.0:  # a row ends there: on from its other end
-        on = replace(on, position_m=max(one.position_m or 0.0 for one in own), back=False).onward()
-    while stops_at(moved := replace(stop, position_m=on.position_m), own):
+        on = replace(
+            on, position_m=max(placed.position_m or 0.0 for placed in same_side), back=False
+        ).onward()
+    while stops_at(moved := replace(stop, position_m=on.position_m), same_side):
         on = replace(on, back=False).onward()
     return moved
 
 
-def stops_at(stop: _Placed, others: Iterable[_T]) -> list[_T]:
+def stops_at(stop: _Placed, stops: Iterable[_T]) -> list[_T]:
     """Return the stops that are where this one is; none where its place is not known."""
     at_m = stop.position_m
     if at_m is None:
         return []
     return [
-        one
-        for one in others
-        if (one.row, one.side) == (stop.row, stop.side)
-        and one.position_m is not None
-        and abs(one.position_m - at_m) < _SAME_M
+        candidate
+        for candidate in stops
+        if (candidate.row, candidate.side) == (stop.row, stop.side)
+        and candidate.position_m is not None
+        and abs(candidate.position_m - at_m) < _SAME_M
     ]
 
 
@@ -170,13 +174,13 @@ def refuse_taken(
     RoundError
         If one is there.
     """
-    near = [one for one in stops_at(stop, store.stops(round_key)) if one.key != but]
-    cameras = store.cameras(round_key) if near else {}
-    for one in near:
-        if camera.is_one_with(cameras[one.key]):
-            name = "a stop" if one.step is None else f"stop {one.step}"
+    same_place = [view for view in stops_at(stop, store.stops(round_key)) if view.key != but]
+    cameras = store.cameras(round_key) if same_place else {}
+    for view in same_place:
+        if camera.is_one_with(cameras[view.key]):
+            name = "a stop" if view.step is None else f"stop {view.step}"
             raise RoundError(
-                f"{name} is at {one.position_m:.2f} m of that row and side",
+                f"{name} is at {view.position_m:.2f} m of that row and side",
                 remedy="choose another position, or move or delete that stop first",
             )
 
@@ -190,7 +194,7 @@ def last_step(*walks: Sequence[_Placed]) -> int:
     >>> last_step([Stop(step=2), Stop(step=7)], [Stop()])
     7
     """
-    return max((one.step or 0 for stops in walks for one in stops), default=0)
+    return max((stop.step or 0 for stops in walks for stop in stops), default=0)
 
 
 def sides_of(stops: Iterable[_Placed]) -> list[str]:
@@ -203,5 +207,5 @@ def sides_of(stops: Iterable[_Placed]) -> list[str]:
     (['left', 'right'], ['A', 'B'])
     """
     usual = ["left", "right"]
-    found = sorted({one.side for one in stops if one.side})
-    return usual if set(found) <= set(usual) else found
+    sides = sorted({stop.side for stop in stops if stop.side})
+    return usual if set(sides) <= set(usual) else sides

@@ -68,14 +68,14 @@ def test_views_neighbours_and_days_stand_about_a_fruit(store: Store) -> None:
     assert found is not None
     assert {view.key for view in found.views} == {second.key, again.key}
     assert found.views[0].best
-    assert [view.key for view in found.near] == [first.key]  # the other is a metre away
-    assert far.key not in {view.key for view in found.near}
+    assert [view.key for view in found.neighbours] == [first.key]  # the other is a metre away
+    assert far.key not in {view.key for view in found.neighbours}
     assert found.later is None
     assert found.earlier is not None
     assert found.earlier.linked is None
     monday = store.detections(MONDAY.key)
-    assert [view.key for view in found.earlier.near][:2] == [monday[1].key, monday[2].key] or [
-        view.key for view in found.earlier.near
+    assert [view.key for view in found.earlier.neighbours][:2] == [monday[1].key, monday[2].key] or [
+        view.key for view in found.earlier.neighbours
     ][:2] == [monday[2].key, monday[1].key]
     number = store.link_growth(monday[1].key, second.key)
     linked = around(store, TUESDAY.key, second.key)
@@ -106,7 +106,7 @@ def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store:
     assert content.false == FalseShare.learnt(1, 4)
     assert content.false.share > FalseShare().share
     (row,) = row_reports(read_round(store, MONDAY.key))
-    assert len(row.count.seen) == 3  # without the rejected one
+    assert len(row.count.view_counts) == 3  # without the rejected one
     assert row.count.real.max() == 1.0  # the accepted one is a fruit
     low, high = row.count.interval()
     assert low <= row.count.expected <= high

@@ -63,7 +63,7 @@ def test_corrected_intrinsics_are_measured_again(store: Store, folder: Path) -> 
     before, wrong = fruit_of(store), chords_m(store)
     change_camera(folder, 0.97)
     [again] = add_captures(store, MORNING, [folder], OPTIONS)
-    assert (again.again, again.new, again.fruit, again.failure) == (True, False, 3, None)
+    assert (again.remeasured, again.new, again.fruit, again.failure) == (True, False, 3, None)
     assert again.stop_key == first.stop_key
     assert fruit_of(store).keys() == before.keys()
     # Hanging fruit lie across the picture: x and y grow by 1 / 0.97, z stays.
@@ -73,7 +73,7 @@ def test_corrected_intrinsics_are_measured_again(store: Store, folder: Path) -> 
     assert stop.camera["fx"] == manifest["camera"]["fx"]
     # Nothing has changed since.
     [third] = add_captures(store, MORNING, [folder], OPTIONS)
-    assert (third.again, third.new) == (False, False)
+    assert (third.remeasured, third.new) == (False, False)
     assert len(store.stops(MORNING)) == 1
     assert check_store(store).sound
 
@@ -84,10 +84,10 @@ def test_other_options_are_measured_again_and_what_has_no_part_is_not(
     add_captures(store, MORNING, [folder], OPTIONS)
     # No network looked at a data set's own masks.
     [other] = add_captures(store, MORNING, [folder], replace(OPTIONS, confidence=0.9))
-    assert not other.again
+    assert not other.remeasured
     chord = replace(OPTIONS, length=LengthDefinition.CHORD)
     [again] = add_captures(store, MORNING, [folder], chord)
-    assert again.again
+    assert again.remeasured
     assert {kind_of(one) for one in fruit_of(store).values()} == {"chord"}
 
 
@@ -107,7 +107,7 @@ def test_what_people_said_stays(store: Store, folder: Path) -> None:
     sorted((folder / "mask_visib").iterdir())[0].unlink()
     change_camera(folder, 0.97)
     [again] = add_captures(store, MORNING, [folder], OPTIONS)
-    assert again.again
+    assert again.remeasured
     now = fruit_of(store)
     assert now.keys() == {rejected, corrected, picked, added}
     assert now[rejected].verdict is Verdict.REJECTED

@@ -172,7 +172,7 @@ def _same(found: FruitContext) -> None:
     seen = f"Seen {counted(len(found.views), 'time', 'times')}"
     _pictures(fruit, seen, found.views, apart)
     same = ("Same fruit", "merge", partial(store.merge, fruit.key))
-    _pictures(fruit, "Fruit nearby", found.near, same)
+    _pictures(fruit, "Fruit nearby", found.neighbours, same)
     for day, is_earlier in ((found.earlier, True), (found.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
@@ -195,7 +195,7 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
     if day.linked is not None:
         act = ("Different fruit", "link_off", part)
         _pictures(fruit, f"The same fruit on {when}", [day.linked], act)
-    _pictures(fruit, f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
+    _pictures(fruit, f"Fruit nearby on {when}", day.neighbours, ("Same fruit", "link", link))
 
 
 def _pictures(

@@ -53,14 +53,14 @@ def answer(
         except HTTPException as error:  # too large, or it does not come on: `AccessGuard` says so
             return JSONResponse({"error": error.detail}, error.status_code, error.headers)
         try:
-            found = await run_in_threadpool(work, request, content)
+            answer = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
             return JSONResponse({"error": str(error)}, 409)
         except ValidationError:
             return JSONResponse({"error": "the request is damaged; reload the page"}, 400)
-        if isinstance(found, Response):
-            return found
-        return JSONResponse(found, headers={"cache-control": "no-store"})
+        if isinstance(answer, Response):
+            return answer
+        return JSONResponse(answer, headers={"cache-control": "no-store"})
 
     return route
 
@@ -76,16 +76,16 @@ async def news(socket: WebSocket) -> None:
 
     The same ones are sent again every `_BEAT_S`, by which a page knows that its line is not dead.
     """
-    known: dict[str, Any] = {}
+    sent: dict[str, Any] = {}
 
     def look() -> str | None:
-        found = round_caches.news(socket.query_params.get("round", ""))
-        now_s = found.pop("now_s")
-        is_due = abs(now_s - known.get("at_s", 0.0)) >= _BEAT_S
-        if known.get("last") == found and not is_due:
+        changes = round_caches.news(socket.query_params.get("round", ""))
+        now_s = changes.pop("now_s")
+        is_due = abs(now_s - sent.get("at_s", 0.0)) >= _BEAT_S
+        if sent.get("last") == changes and not is_due:
             return None
-        known.update(last=found, at_s=now_s)
-        return json.dumps({**found, "now_s": now_s})
+        sent.update(last=changes, at_s=now_s)
+        return json.dumps({**changes, "now_s": now_s})
 
     await send_changes(socket, look, _NEWS_S)
 
@@ -107,13 +107,13 @@ async def send_changes(
     gone = asyncio.create_task(listen())
     try:
         while not gone.done():
-            found = await run_in_threadpool(look) if ready.is_set() else None
-            if found is not None:
+            message = await run_in_threadpool(look) if ready.is_set() else None
+            if message is not None:
                 ready.clear()
                 await (
-                    socket.send_bytes(found)
-                    if isinstance(found, bytes)
-                    else socket.send_text(found)
+                    socket.send_bytes(message)
+                    if isinstance(message, bytes)
+                    else socket.send_text(message)
                 )
             await asyncio.wait({gone}, timeout=every_s)
     except (WebSocketDisconnect, RuntimeError):  # it left while something was sent

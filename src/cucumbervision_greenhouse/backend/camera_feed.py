@@ -102,22 +102,24 @@ class CameraBurst:
 
     simulated = False
 
-    def __init__(self, feed: CameraFeed, wanted: int, pressed_s: float, reach_s: float) -> None:
+    def __init__(
+        self, feed: CameraFeed, frame_count: int, pressed_s: float, reach_s: float
+    ) -> None:
         self._feed, self._reach_s = feed, reach_s
-        self.wanted, self.pressed_s = wanted, pressed_s
+        self.frame_count, self.pressed_s = frame_count, pressed_s
         self.frames: list[RingFrame] = []
         self.is_full = False
         self.look()
 
     def look(self) -> bool:
         """Take the nearest of the frames that are there; return whether no later one is nearer."""
-        frames = [one for one in self._feed.frames() if one.at_s >= self._earliest_s]
+        frames = [frame for frame in self._feed.frames() if frame.at_s >= self._earliest_s]
         if frames and not self.is_full:
             by_distance = sorted(frames, key=self._away_s)
-            within = [one for one in by_distance if self._away_s(one) <= self._reach_s]
-            nearest = (within or by_distance[:1])[: self.wanted]
-            self.frames = sorted(nearest, key=lambda one: one.at_s)
-            enough_s = self.farthest_s if len(nearest) == self.wanted else self._reach_s
+            within = [frame for frame in by_distance if self._away_s(frame) <= self._reach_s]
+            nearest = (within or by_distance[:1])[: self.frame_count]
+            self.frames = sorted(nearest, key=lambda frame: frame.at_s)
+            enough_s = self.farthest_s if len(nearest) == self.frame_count else self._reach_s
             self.is_full = frames[-1].at_s - self.pressed_s >= enough_s
         return self.is_full
 
@@ -154,10 +156,10 @@ class CameraBurst:
             self._feed.wait_for(self)
             if self.nearest_s > FAR_S:
                 break
-            paths = [one.path for one in self.frames]
-            about = (stop, key, round_key, self.pressed_s, self._feed.source)
+            paths = [frame.path for frame in self.frames]
+            description = (stop, key, round_key, self.pressed_s, self._feed.source)
             try:
-                return waiting.put_frames(paths, *about)
+                return waiting.put_frames(paths, *description)
             except StoreError as error:
                 if not isinstance(error.__cause__, FileNotFoundError):
                     raise
@@ -173,7 +175,7 @@ class CameraBurst:
             If the camera is not there, or sends nothing in time.
         """
         self._feed.wait_for(self)
-        frames = [one.load() for one in self.frames]
+        frames = [frame.load() for frame in self.frames]
         fused = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
         name = f"capture_{frames[0].frame:06d}"
         return replace(frames[fused.burst_frame], **vars(fused), name=name, frame=frames[0].frame)
@@ -304,7 +306,7 @@ class CameraFeed:
         CameraError
             If the camera is not there, or sends nothing in time.
         """
-        until = time.monotonic() + self._config.timeout_s + grabbed.wanted
+        until = time.monotonic() + self._config.timeout_s + grabbed.frame_count
         while not grabbed.is_full:
             with self._lock:
                 self._begin_watched()
@@ -359,7 +361,7 @@ class CameraFeed:
     def _shown(self, state: str, frames: list[RingFrame]) -> Preview | None:
         """Return the last of two frames with how much it moved since the one before."""
         try:
-            *before, capture = [one.load() for one in frames]
+            *before, capture = [frame.load() for frame in frames]
         except CaptureError:  # one has just left the ring
             return None
         looked_at = capture

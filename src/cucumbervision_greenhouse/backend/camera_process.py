@@ -73,11 +73,11 @@ class CameraFolder:
     def asked(self) -> tuple[CameraConfig, float, bool]:
         """Return what to stream, for how long after somebody looked last, and whether paced."""
         asked = json.loads(self._config.read_text(encoding="utf-8"))
-        about: dict[str, Any] = asked["config"]
-        settings = CameraSettings(**about.pop("settings"))
-        playback = about.pop("playback")
+        values: dict[str, Any] = asked["config"]
+        settings = CameraSettings(**values.pop("settings"))
+        playback = values.pop("playback")
         config = CameraConfig(
-            **about, settings=settings, playback=None if playback is None else Path(playback)
+            **values, settings=settings, playback=None if playback is None else Path(playback)
         )
         return config, asked["unwatched_s"], asked["paced"]
 
@@ -175,7 +175,7 @@ def stream(folder: CameraFolder) -> None:
 
 def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
     """Write frames; return True where nobody looks any more, False where it is to begin anew."""
-    version, shown = folder.config_version(), 0
+    version, frame_count = folder.config_version(), 0
     config, unwatched_s, paced = folder.asked()
     state = "live" if config.playback is None else "playing"
     with RealSenseCamera(config) as camera:
@@ -188,15 +188,15 @@ def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
             except DepthError:  # something lies close before the camera: the next may be better
                 continue
             except CameraError:
-                if config.playback is None or not shown:
+                if config.playback is None or not frame_count:
                     raise
                 return False
             folder.ring.write(capture, _taken_s(capture, time.time()))
-            if not shown:
+            if not frame_count:
                 folder.tell(state)
-            shown += 1
+            frame_count += 1
             if paced:
-                time.sleep(max(0.0, begun_s + shown / config.fps - time.monotonic()))
+                time.sleep(max(0.0, begun_s + frame_count / config.fps - time.monotonic()))
     return True
 
 

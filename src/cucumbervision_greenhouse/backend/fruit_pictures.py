@@ -118,13 +118,15 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     valid = valid_depth(depth_m)
     if not valid.any():
         return np.zeros((*depth_m.shape, 3), np.uint8), "no reading at all"
-    low, high = np.percentile(depth_m[valid], [1, 99])
-    share = np.clip((high - depth_m) / max(high - low, 1e-3), 0, 1)
+    nearest_m, farthest_m = np.percentile(depth_m[valid], [1, 99])
+    share = np.clip((farthest_m - depth_m) / max(farthest_m - nearest_m, 1e-3), 0, 1)
     colored = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
     picture = np.ascontiguousarray(colored[..., ::-1])
     picture[~valid] = 0
-    near, far = (f"{units.value(float(x)):.0f} {units.name}" for x in (low, high))
-    words = f"red {near}, blue {far}, black no reading"
+    nearest_words, farthest_words = (
+        f"{units.value(float(x)):.0f} {units.name}" for x in (nearest_m, farthest_m)
+    )
+    words = f"red {nearest_words}, blue {farthest_words}, black no reading"
     return cast("NDArray[np.uint8]", picture), words
 
 
@@ -160,8 +162,8 @@ def fruit_layers(
         layers.append(layer("Outline", _MASK_COLOR, True, areas))
     layers.append(layer("Box", _BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
-        seen = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
-        dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in seen]
+        visible = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
+        dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in visible]
         layers.append(layer("Keypoints", _KEYPOINT_COLOR, False, dots))
     for method in record.methods:
         if shapes := _path_shapes(method, camera):
@@ -215,10 +217,10 @@ def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
     path = np.array(tube.path_m, np.float64).reshape(-1, 3)
     if len(path) < 2 or len(tube.diameter_m) != len(path) or (path[:, 2] <= 0).any():
         return np.empty((0, 2))
-    given = np.arange(len(path))
-    fine = np.linspace(0, given[-1], _OUTLINE_STEPS * given[-1] + 1)
-    path = np.stack([np.interp(fine, given, values) for values in path.T], axis=1)
-    diameter_m = np.sqrt(np.interp(fine, given, np.square(tube.diameter_m)))
+    index = np.arange(len(path))
+    fine = np.linspace(0, index[-1], _OUTLINE_STEPS * index[-1] + 1)
+    path = np.stack([np.interp(fine, index, values) for values in path.T], axis=1)
+    diameter_m = np.sqrt(np.interp(fine, index, np.square(tube.diameter_m)))
     line = camera.project(path)
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -257,7 +259,7 @@ def stop_layers(
     grades : mapping of str to str
         Names of their classes, by the fruit's keys.
     """
-    masks = {one.number: one.mask for one in capture.fruit}
+    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
     layers: dict[str, dict[str, Any]] = {}
     for view in fruit:
         record, name = view.record, grades[view.key]
@@ -269,9 +271,12 @@ def stop_layers(
         else:
             mask = decode_rle(rle, capture.height_px, capture.width_px)
             lines = [{"kind": "area", "points": line} for line in mask_outline(mask)]
-        at = [(record.box_x1_px + record.box_x2_px) / 2, (record.box_y1_px + record.box_y2_px) / 2]
+        centre_px = [
+            (record.box_x1_px + record.box_x2_px) / 2,
+            (record.box_y1_px + record.box_y2_px) / 2,
+        ]
         text = length_words(record, units)
-        shapes["shapes"] += [*lines, {"kind": "label", "points": at, "text": text}]
+        shapes["shapes"] += [*lines, {"kind": "label", "points": centre_px, "text": text}]
     return list(layers.values())
 
 
@@ -300,10 +305,12 @@ def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
     >>> mask_outline(mask)
     [[1, 1, 1, 4, 3, 4, 3, 1]]
     """
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    contours, _ = cv2.findContours(
+        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
     return [
         cv2.approxPolyDP(line, 0.7, closed=True).reshape(-1).tolist()
-        for line in found
+        for line in contours
         if len(line) > 2
     ]
 
@@ -321,8 +328,8 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
     if not distance_m:
         return None
     length_m = _BAR_M[units.name]
-    at = units.value(distance_m)
-    label = f"{units.value(length_m):g} {units.name} at {at:.0f} {units.name} distance"
+    distance = units.value(distance_m)
+    label = f"{units.value(length_m):g} {units.name} at {distance:.0f} {units.name} distance"
     return {"px": round(length_m * camera.fx_px / distance_m, 1), "label": label}
 
 
@@ -382,12 +389,12 @@ def crop(
     x1, y1 = record.box_x1_px * scale, record.box_y1_px * scale
     x2, y2 = record.box_x2_px * scale, record.box_y2_px * scale
     half = max(x2 - x1, y2 - y1, 8.0) * half_share
-    left, top = round((x1 + x2) / 2 - half), round((y1 + y2) / 2 - half)
+    first_x, top = round((x1 + x2) / 2 - half), round((y1 + y2) / 2 - half)
     side = max(round(2 * half), 8)
     reach = side + max(thumbnail.shape[:2])
     padded = cv2.copyMakeBorder(thumbnail, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
-    left, top = np.clip([left + reach, top + reach], 0, 2 * reach).tolist()
-    cut = padded[top : top + side, left : left + side]
+    first_x, top = np.clip([first_x + reach, top + reach], 0, 2 * reach).tolist()
+    cut = padded[top : top + side, first_x : first_x + side]
     small = cv2.resize(cut, (side_px, side_px), interpolation=cv2.INTER_AREA)
     return cast("NDArray[np.uint8]", small)
 

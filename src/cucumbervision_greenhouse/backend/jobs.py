@@ -116,7 +116,7 @@ class Worker:
         with self._lock:
             job = Job(self._next, title, round_key=round_key)
             self._next += 1
-            old = [number for number, one in self._jobs.items() if one.finished]
+            old = [number for number, job in self._jobs.items() if job.finished]
             for number in old[: max(0, len(old) - KEPT)]:
                 del self._jobs[number]
             job.future = self._pool.submit(_run, work, job)

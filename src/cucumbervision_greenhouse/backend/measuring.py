@@ -88,13 +88,13 @@ class SharedMeasurer:
         InstancesError
             If there is none.
         """
-        there = _some(self._sam().mask_at(capture.color, *at_px))
-        x1, y1, x2, y2 = box_of_mask(there).tolist()
+        segmented = _some(self._sam().mask_at(capture.color, *at_px))
+        x1, y1, x2, y2 = box_of_mask(segmented).tolist()
         try:
             drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
         except InstancesError:
-            return there
-        return drawn if mask_iou(drawn, there) > _SAME_IOU else there
+            return segmented
+        return drawn if mask_iou(drawn, segmented) > _SAME_IOU else segmented
 
     def mask_from_box(
         self, capture: Capture, box_px: tuple[float, float, float, float]
@@ -108,8 +108,8 @@ class SharedMeasurer:
         """
         x1, y1, x2, y2 = box_px
         box = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
-        (found,) = self._sam().segment(capture.color, [Instance(box)])
-        return _some(found.mask)
+        (segmented,) = self._sam().segment(capture.color, [Instance(box)])
+        return _some(segmented.mask)
 
     def mask_of(
         self,
@@ -151,8 +151,10 @@ class SharedMeasurer:
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, drawn_by, None, keypoints
         )
-        found = self.with_options(options).measure_instance(capture, instance)
-        return store.correct(detail.view.key, _placed(capture, detail.stop, found, record.number))
+        measurement = self.with_options(options).measure_instance(capture, instance)
+        return store.correct(
+            detail.view.key, _placed(capture, detail.stop, measurement, record.number)
+        )
 
     def add(
         self,
@@ -191,12 +193,12 @@ class SharedMeasurer:
                 "no fruit was found there: the outline takes most of the picture",
                 remedy="tap its middle or draw a closer box",
             )
-        taken = next(one for one in stop.captures if one.name == capture.name)
+        taken = next(candidate for candidate in stop.captures if candidate.name == capture.name)
         _refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
-        found = self.with_options(options).measure_instance(capture, instance)
-        fruit = _placed(capture, stop, found, 1)
-        if is_doubtful(found, capture):
+        measurement = self.with_options(options).measure_instance(capture, instance)
+        fruit = _placed(capture, stop, measurement, 1)
+        if is_doubtful(measurement, capture):
             flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
             fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
@@ -244,33 +246,38 @@ def measure_waiting(
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    left: list[Waiting] = []
+    queue: list[Waiting] = []
     measures = measurer.with_options(options)
     measures.load()  # without it none is tried
 
     def items() -> Iterator[RoundCapture | Failure]:
         nonlocal left
-        while left := waiting.captures():
-            one = left[0]
-            waiting.begin(one)
+        while queue := waiting.captures():
+            queued_capture = queue[0]
+            waiting.begin(queued_capture)
             try:
                 yield RoundCapture.to_add(
-                    store, one.round_key, one.load(), measures, key=one.key, keep=True
+                    store,
+                    queued_capture.round_key,
+                    queued_capture.load(),
+                    measures,
+                    key=queued_capture.key,
+                    keep=True,
                 )
             except CucumberVisionError as error:
-                yield Failure.of(error, one.key)
+                yield Failure.of(error, queued_capture.key)
 
     # In turn: each is let go, or dropped, before the next is looked at.
     for _, added in add_all(store, items(), measures, in_turn):
-        one = left[0]
+        queued_capture = queue[0]
         if added.failure is not None:
             job.notes.append(added.failure.message)
             continue
         job.notes += filter(None, [added.note])
-        job.measured[one.key] = one.round_key
-        waiting.done(one)
-        last_of_round = all(other.round_key != one.round_key for other in left[1:])
-        if last_of_round and (fault := settle(one.round_key)):
+        job.measured[queued_capture.key] = queued_capture.round_key
+        waiting.done(queued_capture)
+        last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
+        if last_of_round and (fault := settle(queued_capture.round_key)):
             job.notes.append(fault)
     return len(job.measured)
 
@@ -312,12 +319,12 @@ def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
     if mask is None:
         return False
     size = 2 * _RING_PX + 1
-    wide = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
-    known = valid_depth(capture.depth_m)
-    own, about = capture.depth_m[mask & known], capture.depth_m[wide & ~mask & known]
-    if not len(own) or not len(about):
+    widened = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    valid = valid_depth(capture.depth_m)
+    inside_m, around_m = capture.depth_m[mask & valid], capture.depth_m[widened & ~mask & valid]
+    if not len(inside_m) or not len(around_m):
         return False
-    farther = about > float(np.median(own)) + _STANDS_OUT_M
+    farther = around_m > float(np.median(inside_m)) + _STANDS_OUT_M
     return bool(farther.mean() > _STANDS_OUT_SHARE)
 
 
@@ -340,7 +347,7 @@ def _refuse_copy(
     """
     views = store.detections(stop.round_key, DetectionFilter(stop_key=stop.key))
     corrected = store.corrected(stop.round_key)
-    masks = {one.number: one.mask for one in capture.fruit}
+    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
     for view in views:
         number = view.record.number
         if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
@@ -348,8 +355,8 @@ def _refuse_copy(
         rle = corrected[view.key].mask if view.key in corrected else masks.get(number)
         if rle is None:
             continue
-        other = decode_rle(rle, *mask.shape)
-        shared, smaller = int((mask & other).sum()), min(int(mask.sum()), int(other.sum()))
+        existing = decode_rle(rle, *mask.shape)
+        shared, smaller = int((mask & existing).sum()), min(int(mask.sum()), int(existing.sum()))
         if shared > _COPY_SHARE * max(smaller, 1):
             raise InstancesError(
                 f"that is fruit {number}, which is there already",

@@ -70,8 +70,8 @@ class Progress:
             captures = f"Measuring: {self.measured} of {counted(total, 'capture', 'captures')}"
         files = f"checking {counted(self.checking, 'file', 'files')}" if self.checking else ""
         if captures or files:
-            others = f"{self.elsewhere} of other rounds wait too" if self.elsewhere else ""
-            words = "; ".join(filter(None, (captures, files, others)))
+            elsewhere = f"{self.elsewhere} of other rounds wait too" if self.elsewhere else ""
+            words = "; ".join(filter(None, (captures, files, elsewhere)))
             return words[0].upper() + words[1:]
         if self.title:
             return f"{self.title}: {self.done} of {self.total}" if self.total else f"{self.title} …"
@@ -96,9 +96,9 @@ class Progress:
         if self.checking:
             return "Uploaded files are being read. Their results appear here."
         if self.aside:
-            kept = "it is" if self.aside == 1 else "they are"
+            verb = "it is" if self.aside == 1 else "they are"
             lost = counted(self.aside, "capture", "captures")
-            return f"{lost} could not be measured; {kept} kept beside the store."
+            return f"{lost} could not be measured; {verb} kept beside the store."
         return ""
 
     @property
@@ -138,17 +138,20 @@ def progress_of(
     fault : str
         Why the queue cannot be measured; empty where it can.
     """
-    own = [one for one in uploads if one.sending.round == round_key]
+    of_round = [upload for upload in uploads if upload.sending.round == round_key]
     stops = measured or {}
-    queued = [one.round_key == round_key for one in captures if one.key not in stops]
-    counted_ones = [one for one in own if one.captures is not None]
-    job = next((one for one in jobs if one.round_key in ("", round_key)), None)
+    queued = [capture.round_key == round_key for capture in captures if capture.key not in stops]
+    counted_ones = [upload for upload in of_round if upload.captures is not None]
+    job = next((candidate for candidate in jobs if candidate.round_key in ("", round_key)), None)
     return Progress(
-        waiting=sum(queued) + sum(_left(one) for one in counted_ones),
-        measured=list(stops.values()).count(round_key) + sum(one.measured for one in own),
-        checking=sum(len(one.sending.files) for one in own if one.captures is None),
-        aside=sum(one.round_key == round_key for one in aside),
-        elsewhere=len(queued) - sum(queued) + sum(_left(one) for one in uploads if one not in own),
+        waiting=sum(queued) + sum(_left(upload) for upload in counted_ones),
+        measured=list(stops.values()).count(round_key)
+        + sum(upload.measured for upload in of_round),
+        checking=sum(len(upload.sending.files) for upload in of_round if upload.captures is None),
+        aside=sum(capture.round_key == round_key for capture in aside),
+        elsewhere=len(queued)
+        - sum(queued)
+        + sum(_left(upload) for upload in uploads if upload not in of_round),
         fault=fault,
         title=job.title if job else "",
         done=job.done if job else 0,

@@ -114,9 +114,9 @@ def _profile(name: str) -> tuple[str, CropProfile]:
         return "long-cucumber", load_profile("long-cucumber")
 
 
-def profile_of(one: RoundView) -> tuple[str, CropProfile]:
+def profile_of(round_view: RoundView) -> tuple[str, CropProfile]:
     """Return name and crop profile of a round; the settings' where it names none that is here."""
-    return _profile(one.record.profile or settings().profile)
+    return _profile(round_view.record.profile or settings().profile)
 
 
 def rounds() -> list[RoundView]:
@@ -124,14 +124,17 @@ def rounds() -> list[RoundView]:
 
     That is nobody's work.
     """
-    return sorted(store().rounds(), key=lambda one: (is_demonstration(one.key), -one.walked_s))
+    return sorted(
+        store().rounds(),
+        key=lambda round_view: (is_demonstration(round_view.key), -round_view.walked_s),
+    )
 
 
 def houses() -> list[str]:
     """Return the known houses, each by the name that it was given first."""
-    named = sorted(store().rounds(), key=lambda one: one.record.started_s)
-    found: dict[str, str] = {}
-    for one in named:
-        if one.record.house:
-            found.setdefault(house_key(one.record.house), one.record.house)
-    return sorted(found.values())
+    named = sorted(store().rounds(), key=lambda round_view: round_view.record.started_s)
+    name_of_house: dict[str, str] = {}
+    for round_view in named:
+        if round_view.record.house:
+            name_of_house.setdefault(house_key(round_view.record.house), round_view.record.house)
+    return sorted(name_of_house.values())

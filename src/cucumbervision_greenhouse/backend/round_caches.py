@@ -46,8 +46,11 @@ def news(round_key: str) -> dict[str, Any]:
     round_key : str
         The round that is looked at; its `version` changes whenever a page of it would.
     """
-    one = next((x for x in store().rounds() if x.key == round_key), None)
-    counts = worker().finished + uploads().changes, 0 if one is None else hash(_version(one))
+    round_view = next((x for x in store().rounds() if x.key == round_key), None)
+    counts = (
+        worker().finished + uploads().changes,
+        0 if round_view is None else hash(_version(round_view)),
+    )
     return {
         "version": f"{counts[0]}-{counts[1]}",
         "now_s": time.time(),
@@ -55,14 +58,14 @@ def news(round_key: str) -> dict[str, Any]:
     }
 
 
-def _version(one: RoundView) -> tuple[object, ...]:
+def _version(round_view: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a page of the round would."""
-    return (*_measured_version(one), store().newest_action(one.key))
+    return (*_measured_version(round_view), store().newest_action(round_view.key))
 
 
-def _measured_version(one: RoundView) -> tuple[object, ...]:
-    counts = one.stops, one.fruit, one.last_s
-    return (one.key, *counts, mergings()[one.key], profile_of(one)[0])
+def _measured_version(round_view: RoundView) -> tuple[object, ...]:
+    counts = round_view.stops, round_view.fruit, round_view.last_s
+    return (round_view.key, *counts, mergings()[round_view.key], profile_of(round_view)[0])
 
 
 _OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
@@ -73,51 +76,53 @@ _OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def content_of(one: RoundView) -> RoundContent:
+def content_of(round_view: RoundView) -> RoundContent:
     """Return what the store holds of a round; read again only when something changed."""
-    return read_round(store(), one.key)
+    return read_round(store(), round_view.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def graded_round(one: RoundView) -> GradedRound:
+def graded_round(round_view: RoundView) -> GradedRound:
     """Return a round's fruit and grades; read again only when something changed."""
-    return grade_round(content_of(one), fruit_of(one), profile_of(one)[1])
+    return grade_round(content_of(round_view), fruit_of(round_view), profile_of(round_view)[1])
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def methods_of(one: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
+def methods_of(round_view: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
     """Return every method's length by the fruit's keys, for what few look at."""
-    return store().measurements(one.key)
+    return store().measurements(round_view.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def rows_of(one: RoundView) -> list[RowReport]:
+def rows_of(round_view: RoundView) -> list[RowReport]:
     """Return a round's rows with their counts; read again only when something changed."""
-    return row_reports(content_of(one))
+    return row_reports(content_of(round_view))
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def doubts_of(one: RoundView) -> list[str]:
+def doubts_of(round_view: RoundView) -> list[str]:
     """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
-    return round_doubts(store(), content_of(one).views)
+    return round_doubts(store(), content_of(round_view).views)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def fruit_of(one: RoundView) -> list[RoundFruit]:
+def fruit_of(round_view: RoundView) -> list[RoundFruit]:
     """Return a round's fruit with the lengths by all their views; read again when that changed."""
-    return fruit_table(content_of(one))
+    return fruit_table(content_of(round_view))
 
 
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def forecast_of(one: RoundView) -> Forecast:
+def forecast_of(round_view: RoundView) -> Forecast:
     """Return a round's forecast from today on; computed again only when something changed."""
-    return forecast_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
+    return forecast_today(
+        store(), round_view, profile_of(round_view)[1], time.time(), content_of(round_view)
+    )
 
 
-def _unpicked_version(one: RoundView) -> tuple[object, ...]:
+def _unpicked_version(round_view: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a round's list of picks would, but for what is picked of it."""
-    newest = store().newest_action(one.key, without=("pick", "unpick"))
-    return (*_measured_version(one), newest, midnight_s(time.time()))
+    newest = store().newest_action(round_view.key, without=("pick", "unpick"))
+    return (*_measured_version(round_view), newest, midnight_s(time.time()))
 
 
 @st.cache_resource(
@@ -126,20 +131,22 @@ def _unpicked_version(one: RoundView) -> tuple[object, ...]:
     ttl=3600,
     hash_funcs={RoundView: _unpicked_version},
 )
-def today_of(one: RoundView) -> Today:
+def today_of(round_view: RoundView) -> Today:
     """Return what a round says of today; fruit that are picked today stay in it."""
-    return read_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
+    return read_today(
+        store(), round_view, profile_of(round_view)[1], time.time(), content_of(round_view)
+    )
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
+def fruit_detail(round_view: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
     """Return one fruit with everything."""
     return store().detection(fruit_key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=2000)
 def _capture_widths(stop_key: str) -> dict[str, int]:
-    return {one.name: one.width_px for one in store().stop(stop_key).captures}
+    return {capture.name: capture.width_px for capture in store().stop(stop_key).captures}
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
@@ -163,7 +170,7 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
 
     `joint` is drawn on it where it was fitted to this view.
     """
-    captures = {one.name: one for one in store().stop(view.stop_key).captures}
+    captures = {capture.name: capture for capture in store().stop(view.stop_key).captures}
     taken = captures[view.capture]
     if taken.color is None:
         return None
@@ -177,9 +184,9 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
 
 def read_ahead() -> None:
     """Read the newest round, so that the first page that is opened need not wait for it."""
-    for one in rounds()[:1]:
-        for view in graded_round(one).fruit[:LINES]:
+    for round_view in rounds()[:1]:
+        for view in graded_round(round_view).fruit[:LINES]:
             thumbnail_of(view)
-        rows_of(one)
-        forecast_of(one)
-        today_of(one)
+        rows_of(round_view)
+        forecast_of(round_view)
+        today_of(round_view)

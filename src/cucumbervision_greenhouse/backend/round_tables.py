@@ -55,11 +55,11 @@ def grade_round(
     content: RoundContent, table: Sequence[RoundFruit], profile: CropProfile
 ) -> GradedRound:
     """Return a round's fruit with their grades; `table` has its lengths."""
-    shown = {line.view.key: line.view for line in table}
+    view_of_fruit = {line.view.key: line.view for line in table}
     best = [view for view in content.views if view.best]
-    fruit = tuple(shown[view.key] for view in best if view.key in shown)
-    deleted = tuple(view for view in best if view.key not in shown)
-    grades = {view.key: grade(shown.get(view.key, view).record, profile) for view in best}
+    fruit = tuple(view_of_fruit[view.key] for view in best if view.key in view_of_fruit)
+    deleted = tuple(view for view in best if view.key not in view_of_fruit)
+    grades = {view.key: grade(view_of_fruit.get(view.key, view).record, profile) for view in best}
     return GradedRound(fruit, deleted, grades, round_figures(content, table))
 
 
@@ -82,11 +82,11 @@ def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
     {'What': 'Largest diameter', 'Value': '41.2 mm'}
     """
     lines = []
-    for one in FIELDS:
-        cell = one.cell(getattr(record, one.si_name, None), one.digits)
-        if one.type == "number" and cell is not None and not one.name.startswith("box_"):
-            value = f"{cell:g} {one.unit}".strip()
-            lines.append({"What": one.says[0].upper() + one.says[1:], "Value": value})
+    for column in FIELDS:
+        cell = column.cell(getattr(record, column.si_name, None), column.digits)
+        if column.type == "number" and cell is not None and not column.name.startswith("box_"):
+            value = f"{cell:g} {column.unit}".strip()
+            lines.append({"What": column.says[0].upper() + column.says[1:], "Value": value})
     return lines
 
 
@@ -127,9 +127,9 @@ def row_and_side(view: DetectionView) -> str:
 
 def map_words(view: DetectionView, graded: GradedRound, units: Units) -> str:
     """Return what the map says of a fruit: its place, length and class."""
-    known = [graded.grades[view.key].words] if view.key in graded.grades else []
+    grade_words = [graded.grades[view.key].words] if view.key in graded.grades else []
     place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
-    return ", ".join([f"{place}: {length_words(view.record, units)}", *known])
+    return ", ".join([f"{place}: {length_words(view.record, units)}", *grade_words])
 
 
 def _mark_of(view: DetectionView) -> str:

@@ -82,8 +82,8 @@ EXPOSURE_US = 100.0, 200_000.0  # the shortest and the longest that may be chose
 
 def _exposure_us(value: float) -> float:
     """Return an exposure within what may be chosen; 0 is automatic."""
-    low, high = EXPOSURE_US
-    return min(max(value, low), high) if value else 0.0
+    shortest_us, longest_us = EXPOSURE_US
+    return min(max(value, shortest_us), longest_us) if value else 0.0
 
 
 class Settings(BaseModel):

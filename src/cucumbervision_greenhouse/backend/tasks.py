@@ -74,13 +74,15 @@ def _measure_upload(key: str, _: Job) -> None:
         measure_upload(uploads(), key, measurer(), store(), settings().options)
     finally:
         _uploading().discard(key)
-    for round_key in {one.sending.round for one in uploads().all() if one.sending.key == key}:
+    for round_key in {
+        upload.sending.round for upload in uploads().all() if upload.sending.key == key
+    }:
         merge(round_key)
 
 
 def _settle(round_key: str) -> str:
-    one = next((x for x in store().rounds() if x.key == round_key), None)
-    fault = settle(store(), round_key, profile_of(one)[1] if one else None)
+    round_view = next((x for x in store().rounds() if x.key == round_key), None)
+    fault = settle(store(), round_key, profile_of(round_view)[1] if round_view else None)
     mergings()[round_key] += 1
     work = partial(_measure_all_views, round_key)
     worker().submit("Measuring fruit by all their views", work, round_key)
@@ -113,14 +115,14 @@ def merge(round_key: str) -> None:
     worker().submit("Merging views of the same fruit", work, round_key)
 
 
-def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
+def undo(store: Store, round_key: str, *, number: int | None = None) -> ActionView:
     """Take back the last thing that the viewer did in a round, and only that; return it.
 
     A round one of whose stops was moved is merged anew.
 
     Parameters
     ----------
-    of : Store
+    store : Store
         Signed by the viewer.
     round_key : str
         The round.
@@ -132,11 +134,11 @@ def undo(of: Store, round_key: str, *, number: int | None = None) -> ActionView:
     StoreError
         If there is nothing to undo, or a later action depends on it.
     """
-    actions = of.own_actions(round_key)
+    actions = store.own_actions(round_key)
     action = next((x for x in actions if number in (None, x.number)), None)
     if action is None:
         raise StoreError("nothing to undo", remedy="see the log")
-    moved = undo_in(of, number=action.number)
+    moved = undo_in(store, number=action.number)
     if moved:
         merge(moved)
     return action
@@ -146,10 +148,10 @@ def progress(round_key: str) -> Progress:
     """Return what waits and is measured of a round, for every page alike."""
     going_on = [uploads().read(key) for key in sorted(_uploading())]
     measured = next((job.measured for job in _measuring() if not job.finished), None)
-    there = [one for one in going_on if one is not None and not one.done]
+    unfinished = [upload for upload in going_on if upload is not None and not upload.done]
     queue = waiting().captures(), waiting().set_aside()
     jobs = worker().unfinished()
-    return progress_of(round_key, *queue, there, measured, jobs, measuring_fault())
+    return progress_of(round_key, *queue, unfinished, measured, jobs, measuring_fault())
 
 
 @st.cache_resource(show_spinner=False)
@@ -170,7 +172,7 @@ def _demonstrate(job: Job) -> None:
     places = [example_captures()]
     job.total = open_source(places[0]).total or 0
     done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
-    job.notes += (one.failure.message for one in done if one.failure is not None)
+    job.notes += (added.failure.message for added in done if added.failure is not None)
     merge(DEMONSTRATION)
     worker().submit("Loading the networks", _warm_up)
 

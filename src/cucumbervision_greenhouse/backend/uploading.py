@@ -112,14 +112,14 @@ def measure_upload(
         except UploadError as error:
             note(*(_failed(name, error.message) for name, _ in files), done=True)
             return
-        opened = [_open(one, options.reading, sending.camera) for one in accepted.sources]
-        there = [one for one in opened if not isinstance(one, UploadOutcome)]
+        opened = [_open(source, options.reading, sending.camera) for source in accepted.sources]
+        readable = [source for source in opened if not isinstance(source, UploadOutcome)]
         note(
-            *(_failed(str(one.source), one.message) for one in accepted.refused),
-            *(one for one in opened if isinstance(one, UploadOutcome)),
-            captures=sum(source.total or 0 for _, source in there),
+            *(_failed(str(refusal.source), refusal.message) for refusal in accepted.refused),
+            *(outcome for outcome in opened if isinstance(outcome, UploadOutcome)),
+            captures=sum(source.total or 0 for _, source in readable),
         )
-        for item, added in add_all(store, items(there), measures, in_turn):
+        for item, added in add_all(store, items(readable), measures, in_turn):
             if isinstance(item, RoundCapture):
                 note(_outcome(item, added, sending.round), measured=next(measured))
     note(done=True)
@@ -183,11 +183,11 @@ def _open_with(source: AcceptedSource, reading: ReadOptions, camera: str) -> Cap
 
 def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:
     """Return a capture with its place, its own first, and where the next one is."""
-    own = capture.stop
-    if own.position_m is None:
-        own, place = replace(own, position_m=place.position_m), place.onward()
-    own = replace(own, row=own.row or place.row or None, side=own.side or place.side)
-    return replace(capture, stop=own), place
+    stop = capture.stop
+    if stop.position_m is None:
+        stop, place = replace(stop, position_m=place.position_m), place.onward()
+    stop = replace(stop, row=stop.row or place.row or None, side=stop.side or place.side)
+    return replace(capture, stop=stop), place
 
 
 def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) -> RoundCapture:
@@ -220,9 +220,9 @@ def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
     if item.place is None or not added.new:
         return _failed(item.input, "is in the round already")
     stop = item.place.capture.stop
-    at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
+    place = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
     moved = (
         "; computer-made, so in the round 'Demonstration'" if item.round_key != round_key else ""
     )
     words = added.note or f"{added.fruit} fruit"
-    return UploadOutcome(name=item.input, saved=True, words=f"{words} ({at}{moved})")
+    return UploadOutcome(name=item.input, saved=True, words=f"{words} ({place}{moved})")

@@ -93,13 +93,13 @@ class Sending(_Frozen):
     @property
     def key(self) -> str:
         """The same whenever the same files are sent into the same round."""
-        parts = (f"{one.name}/{one.size}/{one.changed}" for one in self.files)
+        parts = (f"{file.name}/{file.size}/{file.changed}" for file in self.files)
         return key_of("upload", self.round, *parts)
 
     @property
     def size(self) -> int:
         """Bytes of all files."""
-        return sum(one.size for one in self.files)
+        return sum(file.size for file in self.files)
 
 
 class Upload(_Frozen):
@@ -161,8 +161,8 @@ class Uploads:
                 remedy="send it in smaller parts, or change the limit in 'Settings'",
             )
         with self._lock:
-            known = self.read(sending.key)
-            if known is None or known.done:
+            upload = self.read(sending.key)
+            if upload is None or upload.done:
                 self.folder.mkdir(parents=True, exist_ok=True)
                 free = shutil.disk_usage(self.folder).free
                 if sending.size + _RESERVE_BYTES > free:
@@ -205,10 +205,10 @@ class Uploads:
             raise UploadError("there is no such file", remedy="choose the files again")
         path = self._part(key, number)
         with self._lock, path.open("ab") as stream:
-            there = stream.tell()
-            if there != offset:  # a part that is sent again
-                return there
-            if there + len(data) > sending.files[number].size:
+            received = stream.tell()
+            if received != offset:  # a part that is sent again
+                return received
+            if received + len(data) > sending.files[number].size:
                 raise UploadError(
                     "is larger than it was",
                     source=sending.files[number].name,
@@ -217,32 +217,34 @@ class Uploads:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-            return there + len(data)
+            return received + len(data)
 
     def is_whole(self, key: str) -> bool:
         """Return whether every file is there."""
-        return self.received(key) == [one.size for one in self._known(key).files]
+        return self.received(key) == [file.size for file in self._known(key).files]
 
     def files(self, key: str) -> list[tuple[str, Path]]:
         """Return the files of an upload by their senders' names."""
         files = self._known(key).files
         for number in range(len(files)):
             self._part(key, number).touch()  # an empty one has no parts
-        return [(one.name, self._part(key, number)) for number, one in enumerate(files)]
+        return [(file.name, self._part(key, number)) for number, file in enumerate(files)]
 
     def to_measure(self) -> list[str]:
         """Return the uploads that are there and not measured, the oldest first."""
         return [
-            one.sending.key
-            for one in reversed(self.all())
-            if not one.done and self.is_whole(one.sending.key)
+            upload.sending.key
+            for upload in reversed(self.all())
+            if not upload.done and self.is_whole(upload.sending.key)
         ]
 
     def all(self, round_key: str | None = None) -> list[Upload]:
         """Return the uploads, or those into a round, the newest first."""
-        found = [self.read(path.parent.name) for path in self.folder.glob(f"*/{_ABOUT}")]
-        known = [one for one in found if one and round_key in (None, one.sending.round)]
-        return sorted(known, key=lambda one: one.begun_s, reverse=True)
+        uploads = [self.read(path.parent.name) for path in self.folder.glob(f"*/{_ABOUT}")]
+        of_round = [
+            upload for upload in uploads if upload and round_key in (None, upload.sending.round)
+        ]
+        return sorted(of_round, key=lambda upload: upload.begun_s, reverse=True)
 
     def try_once(self, key: str) -> Upload:
         """Note that measuring begins, and return the upload as it was before."""
@@ -265,9 +267,12 @@ class Uploads:
             if upload is None:
                 return
             # One that a killed run saved stays saved, though its capture is there already now.
-            saved = {one.name: one for one in upload.outcomes if one.saved}
-            kept = tuple(one if one.saved else saved.get(one.name, one) for one in outcomes)
-            self._write(upload.model_copy(update={"outcomes": kept, "done": done, **counts}))
+            saved = {outcome.name: outcome for outcome in upload.outcomes if outcome.saved}
+            merged = tuple(
+                outcome if outcome.saved else saved.get(outcome.name, outcome)
+                for outcome in outcomes
+            )
+            self._write(upload.model_copy(update={"outcomes": merged, "done": done, **counts}))
             if done:
                 for number in range(len(upload.sending.files)):
                     self._part(key, number).unlink(missing_ok=True)

@@ -154,13 +154,13 @@ def height_words(record: DetectionRecord, units: Units) -> str:
     """
     if record.centre_y_m is None:
         return ""
-    at = units.value(abs(record.centre_y_m)) or 0.0
-    if round(at) == 0:
+    height = units.value(abs(record.centre_y_m)) or 0.0
+    if round(height) == 0:
         return "as high as the camera"
-    return f"{at:.0f} {units.name} {'below' if record.centre_y_m > 0 else 'above'} the camera"
+    return f"{height:.0f} {units.name} {'below' if record.centre_y_m > 0 else 'above'} the camera"
 
 
-def counted(number: int, one: str, many: str) -> str:
+def counted(number: int, singular: str, many: str) -> str:
     """Return a number with its word.
 
     Examples
@@ -168,7 +168,7 @@ def counted(number: int, one: str, many: str) -> str:
     >>> counted(1, "stop", "stops"), counted(2, "stop", "stops")
     ('1 stop', '2 stops')
     """
-    return f"{number} {one if number == 1 else many}"
+    return f"{number} {singular if number == 1 else many}"
 
 
 def round_day(at_s: float) -> str:
@@ -182,11 +182,13 @@ def round_day(at_s: float) -> str:
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
 
 
-def round_name(one: RoundView) -> str:
+def round_name(round_view: RoundView) -> str:
     """Return what a round is called in a list: its name, house, day and number of stops."""
-    house = f", {one.record.house}" if one.record.house else ""
-    stops = counted(one.stops, "stop", "stops")
-    return f"{one.record.name or 'Round'}{house} · {round_day(one.walked_s)} · {stops}"
+    house = f", {round_view.record.house}" if round_view.record.house else ""
+    stops = counted(round_view.stops, "stop", "stops")
+    return (
+        f"{round_view.record.name or 'Round'}{house} · {round_day(round_view.walked_s)} · {stops}"
+    )
 
 
 _ACTIONS = {
@@ -259,8 +261,8 @@ def stop_name(stop: Stop | StopView) -> str:
     >>> stop_name(Stop("3", "left", 1.2, 4))
     'Stop 4: row 3, left, 1.20 m'
     """
-    at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
-    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
+    position = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
+    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, position)))
     return f"{step_words(stop.step)}: {where or 'no place given'}"
 
 
@@ -272,13 +274,13 @@ def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
     >>> told_apart({"a": "Row 3", "b": "Row 3", "c": "Row 4", "d": "Row 3"})
     {'a': 'Row 3', 'b': 'Row 3 (2)', 'c': 'Row 4', 'd': 'Row 3 (3)'}
     """
-    found: dict[Option, str] = {}
+    labels: dict[Option, str] = {}
     used: set[str] = set()
     for option, name in names.items():
         numbered = (f"{name} ({number})" for number in count(2))
-        found[option] = next(label for label in chain([name], numbered) if label not in used)
-        used.add(found[option])
-    return found
+        labels[option] = next(label for label in chain([name], numbered) if label not in used)
+        used.add(labels[option])
+    return labels
 
 
 def step_words(step: int | None) -> str:
@@ -315,16 +317,16 @@ def count_words(report: RowReport) -> str:
     """
     if report.fruit == 0:
         return "no fruit found"
-    low, high = (
+    lower, upper = (
         report.fruit - len(report.count.view_counts) + end for end in report.count.interval()
     )
-    if low == high == report.fruit:
+    if lower == upper == report.fruit:
         return f"{report.fruit} fruit found"
-    there = f"{low} to {high}" if low < high else f"{low}"
-    return f"{report.fruit} seen, about {report.expected:.0f} real ({there})"
+    range_words = f"{lower} to {upper}" if lower < upper else f"{lower}"
+    return f"{report.fruit} seen, about {report.expected:.0f} real ({range_words})"
 
 
-def span_words(of: Span) -> str:
+def span_words(span: Span) -> str:
     """Return a number of fruit with its interval, both whole.
 
     Examples
@@ -333,15 +335,15 @@ def span_words(of: Span) -> str:
     >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
     ('4 (3 to 5)', '0 to 1', '–')
     """
-    if of.high < 0.5:
+    if span.high < 0.5:
         return "–"
-    if of.expected < 0.5:
-        return f"0 to {of.high:.0f}"
-    words = f"{of.expected:.0f}"
-    return words if of.low == of.high else f"{words} ({of.low:.0f} to {of.high:.0f})"
+    if span.expected < 0.5:
+        return f"0 to {span.high:.0f}"
+    words = f"{span.expected:.0f}"
+    return words if span.low == span.high else f"{words} ({span.low:.0f} to {span.high:.0f})"
 
 
-def hours_span_words(of: Span) -> str:
+def hours_span_words(span: Span) -> str:
     """Return hours of work with their interval, as `hours_words` says each.
 
     Examples
@@ -350,5 +352,5 @@ def hours_span_words(of: Span) -> str:
     >>> hours_span_words(Span(0.31, 0.2, 0.5)), hours_span_words(Span(3.24, 2.9, 4.0))
     ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
     """
-    low, at, high = map(hours_words, (of.low, of.expected, of.high))
-    return at if low == high else f"{at} ({low} to {high})"
+    lower, expected, upper = map(hours_words, (span.low, span.expected, span.high))
+    return expected if lower == upper else f"{expected} ({lower} to {upper})"

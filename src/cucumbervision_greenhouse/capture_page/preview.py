@@ -30,14 +30,14 @@ _STILL_PX, _STILL_LEVELS = (64, 36), 3  # a camera's noise is less, in blocks of
 async def preview(socket: WebSocket) -> None:
     """Send a feed's pictures, each when the one before was shown, and only where they change."""
     kind: Any = "replay" if socket.query_params.get("source") == "replay" else "camera"
-    shown = Shown()
+    sent = Shown()
 
     def look() -> bytes | None:
         try:
-            seen = cameras.feed(kind).preview()
+            preview_now = cameras.feed(kind).preview()
         except CucumberVisionError as error:
-            return _framed({"state": "absent", "message": str(error)}) if shown.fails() else None
-        return encoded(seen) if shown.changes(seen) else None
+            return _framed({"state": "absent", "message": str(error)}) if sent.fails() else None
+        return encoded(preview_now) if sent.changes(preview_now) else None
 
     await send_changes(socket, look, _LOOK_S)
 
@@ -54,15 +54,15 @@ class Shown:
         before, self._state = self._state, ("failed",)
         return before != self._state
 
-    def changes(self, seen: Preview) -> bool:
+    def changes(self, preview: Preview) -> bool:
         """Return whether a picture differs from the one before by more than a camera's noise."""
-        words = None if seen.quality is None else seen.quality.advice
-        state = seen.state, words, seen.message
-        if seen.capture is None:
+        words = None if preview.quality is None else preview.quality.advice
+        state = preview.state, words, preview.message
+        if preview.capture is None:
             changed = state != self._state
         else:
             size = _STILL_PX
-            small = cv2.resize(seen.capture.color[::4, ::4], size, interpolation=cv2.INTER_AREA)
+            small = cv2.resize(preview.capture.color[::4, ::4], size, interpolation=cv2.INTER_AREA)
             before, changed = self._small, state != self._state
             if before is None or before.shape != small.shape:
                 changed = True
@@ -76,26 +76,26 @@ class Shown:
 
 
 @lru_cache(maxsize=4)  # one for all viewers
-def encoded(seen: Preview) -> bytes:
+def encoded(preview: Preview) -> bytes:
     """Return a preview as a message: the header's length, the header as JSON, colour, depth.
 
     Two JPEGs follow the header where there is a picture; it gives the first one's length.
     """
-    header: dict[str, Any] = {"state": seen.state, "message": seen.message}
-    capture, quality = seen.capture, seen.quality
+    header: dict[str, Any] = {"state": preview.state, "message": preview.message}
+    capture, quality = preview.capture, preview.quality
     if capture is None:
         return _framed(header)
     color = as_jpeg(capture.color, _PREVIEW_PX)
     units = resources.settings().units
     depth, words = depth_picture(capture.depth_m[::2, ::2], units)
-    near = None if quality is None else quality.distance_m
+    distance_m = None if quality is None else quality.distance_m
     header |= {
         "color_bytes": len(color),
         "size": [capture.width, capture.height],
         "name": capture.name,
         "simulated": capture.simulated,
         "depth": words,
-        "bar": scale_bar(capture.intrinsics, near, units),
+        "bar": scale_bar(capture.intrinsics, distance_m, units),
     }
     if quality is not None:
         header["quality"] = {

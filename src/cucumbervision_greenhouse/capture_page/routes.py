@@ -111,25 +111,30 @@ def _walk(request: Request, _: bytes) -> Any:
 @answer
 def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
     sent = SentPresses.model_validate_json(content).presses
-    burst, known = resources.settings().burst, {one.key for one in resources.rounds()}
+    burst, round_keys = (
+        resources.settings().burst,
+        {round_view.key for round_view in resources.rounds()},
+    )
     taken: list[Pressed | str | None] = []
-    for one in sent:  # all at once, so that none waits for another's last frames
+    for sent_press in sent:  # all at once, so that none waits for another's last frames
         try:
-            stop = Stop(one.row.strip() or None, one.side or None, one.position_m)
+            stop = Stop(
+                sent_press.row.strip() or None, sent_press.side or None, sent_press.position_m
+            )
         except NameRefusedError as error:
             taken.append(str(error))
             continue
-        press = Press(one.number, one.at_s)
-        if one.round not in known:
+        press = Press(sent_press.number, sent_press.at_s)
+        if sent_press.round not in round_keys:
             taken.append("the round was deleted")
             continue
-        feed = cameras.feed(one.source)
-        taken.append(_shutter().press(feed, burst, one.round, stop, press))
+        feed = cameras.feed(sent_press.source)
+        taken.append(_shutter().press(feed, burst, sent_press.round, stop, press))
     until_s = time.monotonic() + _PRESS_S
     return {
         "presses": [
-            {"number": one.number, **state.outcome(pressed, until_s - time.monotonic())}
-            for one, pressed in zip(sent, taken, strict=True)
+            {"number": sent_press.number, **state.outcome(pressed, until_s - time.monotonic())}
+            for sent_press, pressed in zip(sent, taken, strict=True)
         ]
     }
 
@@ -169,12 +174,12 @@ def _retry(request: Request, content: bytes) -> Any:  # noqa: ARG001
 @answer
 def _picture(request: Request, _: bytes) -> Any:
     stop, name = request.path_params["stop"], request.path_params["capture"]
-    taken = {one.name: one for one in resources.store().stop(stop).captures}.get(name)
+    taken = {capture.name: capture for capture in resources.store().stop(stop).captures}.get(name)
     if taken is None or taken.color is None:
         raise HTTPException(404)
     picture = as_jpeg(resources.store().images.read_color(taken.color))
-    kept = {"cache-control": "private, max-age=86400, immutable"}
-    return Response(picture, media_type="image/jpeg", headers=kept)
+    headers = {"cache-control": "private, max-age=86400, immutable"}
+    return Response(picture, media_type="image/jpeg", headers=headers)
 
 
 async def _capture_page(_: Request) -> Response:

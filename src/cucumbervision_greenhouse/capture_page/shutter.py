@@ -61,30 +61,30 @@ class Pressed:
         Where it was pressed.
     pressed_s : float
         When.
-    kept : Future of Waiting
+    queued : Future of Waiting
         The capture, once it is on disk.
     """
 
     stop: Stop
     pressed_s: float
-    kept: Future[Waiting]
+    queued: Future[Waiting]
 
     @property
     def error(self) -> str:
         """Why there is no capture; empty where there is one, or will be."""
-        return fault_of(self.kept)
+        return fault_of(self.queued)
 
     @property
     def is_lost(self) -> bool:
         """Whether its picture is not there any more: sent again, it would be refused again."""
-        return self.kept.done() and isinstance(self.kept.exception(), PictureGoneError)
+        return self.queued.done() and isinstance(self.queued.exception(), PictureGoneError)
 
     @property
     def moved(self) -> Stop | None:
         """Where it was put because another stop has the place where it was pressed, if so."""
-        if not self.kept.done() or self.kept.exception() is not None:
+        if not self.queued.done() or self.queued.exception() is not None:
             return None
-        stop = self.kept.result().stop
+        stop = self.queued.result().stop
         return None if stop.position_m == self.stop.position_m else stop
 
 
@@ -97,12 +97,14 @@ class Shutter:
         Where the rounds are.
     waiting : WaitingCaptures
         Where captures are kept until they are measured.
-    kept : callable
-        Called after each capture that was kept: it is to be measured.
+    on_queued : callable
+        Called after each capture that was written to the queue.
     """
 
-    def __init__(self, store: Store, waiting: WaitingCaptures, kept: Callable[[], object]) -> None:
-        self._store, self._waiting, self._kept = store, waiting, kept
+    def __init__(
+        self, store: Store, waiting: WaitingCaptures, on_queued: Callable[[], object]
+    ) -> None:
+        self._store, self._waiting, self._on_queued = store, waiting, on_queued
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
         self._coder = ThreadPoolExecutor(1, thread_name_prefix="coding", initializer=give_way)
         self._lock = threading.Lock()
@@ -126,16 +128,16 @@ class Shutter:
                 return before
             if self._was_kept(key_of("press", *name)):  # before this program was started
                 return None
-            kept: Future[Waiting] = Future()
+            queued: Future[Waiting] = Future()
             try:
                 grabbed = feed.grab(burst, at_s)
             except CameraError as error:
-                kept.set_exception(error)
+                queued.set_exception(error)
             else:
-                kept = self._pool.submit(
+                queued = self._pool.submit(
                     self._keep, grabbed, round_key, stop, Press(press.number, at_s)
                 )
-            self._pressed[name] = Pressed(stop, at_s, kept)
+            self._pressed[name] = Pressed(stop, at_s, queued)
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
             return self._pressed[name]
@@ -146,7 +148,7 @@ class Shutter:
     def pressed(self, round_key: str) -> list[Pressed]:
         """Return the presses of a round that are remembered, the oldest first."""
         with self._lock:
-            return [one for (key, _), one in self._pressed.items() if key == round_key]
+            return [press for (key, _), press in self._pressed.items() if key == round_key]
 
     def close(self) -> None:
         """Keep what was pressed, then end."""
@@ -155,18 +157,20 @@ class Shutter:
 
     def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
         home = round_for_capture(self._store, round_key, simulated=grabbed.simulated)
-        waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
+        waiting = [
+            capture.stop for capture in self._waiting.captures() if capture.round_key == home
+        ]
         taken: list[Stop | StopView] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         key = key_of("press", round_key, press.number)
-        kept = grabbed.keep(self._waiting, key, home, stop)
-        self._kept()
-        self._coder.submit(self._code, kept)
-        return kept
+        queued_capture = grabbed.keep(self._waiting, key, home, stop)
+        self._on_queued()
+        self._coder.submit(self._code, queued_capture)
+        return queued_capture
 
-    def _code(self, kept: Waiting) -> None:
+    def _code(self, queued_capture: Waiting) -> None:
         """Code a capture that is not measured at once: as it is, it takes five times the room."""
-        waiting = {one.key: one for one in self._waiting.captures()[_SOON:]}
-        if kept.key in waiting:
+        waiting = {capture.key: capture for capture in self._waiting.captures()[_SOON:]}
+        if queued_capture.key in waiting:
             with suppress(CucumberVisionError):  # it stays as it is
-                self._waiting.code(waiting[kept.key])
+                self._waiting.code(waiting[queued_capture.key])

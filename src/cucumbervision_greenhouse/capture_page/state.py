@@ -48,25 +48,27 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     round_key : str
         The round that is open; empty for the newest. Where there is none of that key, none is.
     source : str
-        'camera' or 'replay'; by what the server was started with where it is neither.
+        'camera' or 'replay'; with any other value, the one that the server was started with.
     """
-    every = resources.rounds()
+    rounds = resources.rounds()
     if source not in ("camera", "replay"):
         source = "replay" if cameras.replay_named() else "camera"
-    one = next((x for x in every if round_key in ("", x.key)), None)
-    shown = _preview_of(source)
-    home = DEMONSTRATION if shown is not None and shown.simulated else one.key if one else ""
-    stops = resources.store().stops(home) if any(x.key == home for x in every) else []
+    round_view = next((x for x in rounds if round_key in ("", x.key)), None)
+    preview = _preview_of(source)
+    home = round_view.key if round_view else ""
+    if preview is not None and preview.simulated:
+        home = DEMONSTRATION
+    stops = resources.store().stops(home) if any(x.key == home for x in rounds) else []
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
     aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
     progress = tasks.progress(home)
     return {
         "now_s": time.time(),
-        "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
+        "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
         "houses": resources.houses(),
-        "round": one.key if one else "",
-        "missing": bool(round_key) and one is None,
+        "round": round_view.key if round_view else "",
+        "missing": bool(round_key) and round_view is None,
         "home": home,
         "source": source,
         "place": asdict(place),
@@ -75,19 +77,19 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "sides": sides_of(stops),
         "work": progress.told,
         "first": progress.first_words,
-        "doubts": [line for x in every if x.key == home for line in round_caches.doubts_of(x)],
+        "doubts": [line for x in rounds if x.key == home for line in round_caches.doubts_of(x)],
         "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
         f"beside the store in {aside[0].folder.parent.name}."
         if aside
         else tasks.measuring_fault(),
-        "last": _last_stop(one, last) if one and last else None,
+        "last": _last_stop(round_view, last) if round_view and last else None,
         "done": _done(store, home),
     }
 
 
 def _rows(stops: Sequence[Stop | StopView]) -> dict[str, dict[str, Any]]:
     """Return where the walk of each row goes on, by the rows' names."""
-    rows = dict.fromkeys(one.row or "" for one in stops)
+    rows = dict.fromkeys(stop.row or "" for stop in stops)
     return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
 
 
@@ -104,26 +106,26 @@ def _preview_of(source: str) -> Any:
         return None
 
 
-def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
+def _last_stop(round_view: RoundView, last: StopView) -> dict[str, Any]:
     """Return the stop that was measured last: its pictures, with the outlines of its fruit."""
     store, units = resources.store(), resources.settings().units
-    record, profile = store.stop(last.key), resources.profile_of(one)[1]
+    record, profile = store.stop(last.key), resources.profile_of(round_view)[1]
     views = [
         view
         for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
         if view.verdict is not Verdict.REJECTED
     ]
     grades = {view.key: grade(view.record, profile) for view in views}
-    names = {key: found.label for key, found in grades.items()}
+    names = {key: graded.label for key, graded in grades.items()}
     captures = []
     for taken in record.captures:
-        own = [view for view in views if view.capture == taken.name]
+        capture_views = [view for view in views if view.capture == taken.name]
         captures.append(
             {
                 "name": taken.name,
                 "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
                 "size": [taken.width_px, taken.height_px],
-                "layers": stop_layers(taken, own, names, units),
+                "layers": stop_layers(taken, capture_views, names, units),
                 "fruit": [
                     {
                         "key": view.key,
@@ -131,7 +133,7 @@ def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
                         "length": length_words(view.record, units),
                         "class": grades[view.key].words,
                     }
-                    for view in own
+                    for view in capture_views
                 ],
             }
         )
@@ -160,14 +162,14 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     if isinstance(pressed, str):
         return {"state": "refused", "words": pressed}
     try:
-        kept = pressed.kept.result(max(patience_s, 0.0))
+        queued = pressed.queued.result(max(patience_s, 0.0))
     except Exception:  # `error` has its words, none where it is not decided yet
         state = "refused" if pressed.is_lost else "waiting"
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
-    words = f"{stop_name(kept.stop)}: saved"
+    words = f"{stop_name(queued.stop)}: saved"
     if pressed.moved is not None:
         words += f". Another stop is already at {pressed.stop.position_m:.2f} m"
-    where = {"stop": kept.key, "home": kept.round_key, "place": _place(kept.stop)}
+    where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
     return {"state": "saved", "words": words, **where}
 
 
@@ -199,19 +201,19 @@ def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
 
 def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
     """Return the round of a stop that is measured or waits, and when it was taken."""
-    for one in resources.waiting().captures():
-        if one.key == stop:
-            return one.round_key, one.pressed_s
-    there = store.stop(stop)
-    return there.round_key, there.taken_s
+    for queued in resources.waiting().captures():
+        if queued.key == stop:
+            return queued.round_key, queued.pressed_s
+    saved = store.stop(stop)
+    return saved.round_key, saved.taken_s
 
 
 def _last_action(store: Store, round_key: str) -> ActionView | None:
     """Return what a viewer did last in a round; a press that was taken back is over."""
-    if not any(one.key == round_key for one in resources.rounds()):
+    if not any(round_view.key == round_key for round_view in resources.rounds()):
         return None
     actions = store.own_actions(round_key)
-    return next((one for one in actions if one.kind != TAKE_BACK), None)
+    return next((action for action in actions if action.kind != TAKE_BACK), None)
 
 
 def _delete_stop(store: Store, key: str) -> str:
@@ -273,7 +275,7 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
 def _picture_of(asked: SentFruit) -> tuple[StopRecord, Capture]:
     store = resources.store()
     record = store.stop(asked.stop)
-    taken = next((one for one in record.captures if one.name == asked.capture), None)
+    taken = next((capture for capture in record.captures if capture.name == asked.capture), None)
     if taken is None:
         raise StoreError("this picture is not there any more", remedy="reload the page")
     return record, stored_capture(store.images, taken, record)

@@ -91,8 +91,8 @@ def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
     if chosen.title in _WITH_FRUIT:
         st.html('<a class="skip" href="#list">To the fruit</a>')
     with st.container(horizontal=True, key="nav", gap="small"):
-        for one in pages[:-1]:
-            st.page_link(one, label=one.title, query_params=page_elements.here())
+        for page in pages[:-1]:
+            st.page_link(page, label=page.title, query_params=page_elements.here())
 
 
 def read_address() -> None:

@@ -49,13 +49,13 @@ def finish_callbacks() -> None:
     SafeSessionState.on_script_will_rerun = _uninterrupted  # type: ignore[assignment]
 
 
-def _uninterrupted(state: SafeSessionState, *states: Any, **more: Any) -> None:
+def _uninterrupted(state: SafeSessionState, *states: Any, **options: Any) -> None:
     runner: Any = getattr(state._yield_callback, "__self__", None)
     if not getattr(runner, "_execing", False):
-        _will_rerun(state, *states, **more)
+        _will_rerun(state, *states, **options)
         return
     runner._execing = False  # it is not interrupted then
     try:
-        _will_rerun(state, *states, **more)
+        _will_rerun(state, *states, **options)
     finally:
         runner._execing = True

@@ -45,10 +45,11 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     """
     present = set(names)
     classes = sorted(present - set(OTHER_COLORS))  # 'class I' before 'class II'
-    others = [name for name in OTHER_COLORS if name in present]
+    other_names = [name for name in OTHER_COLORS if name in present]
     greens = [CLASS_GREENS[min(k, len(CLASS_GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
-        domain=[*classes, *others], range=[*greens, *(OTHER_COLORS[name] for name in others)]
+        domain=[*classes, *other_names],
+        range=[*greens, *(OTHER_COLORS[name] for name in other_names)],
     )
 
 
@@ -109,7 +110,7 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
 
 
 def map_picture(
-    lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
+    lines: list[dict[str, Any]], all_lines: list[dict[str, Any]], units: Units, *, by_length: bool
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return the fruit of one row and side as layers of a picture of `MAP_PX`, and its grid.
 
@@ -117,21 +118,21 @@ def map_picture(
     ----------
     lines : list of dict
         The fruit, as `round_tables.map_lines` gives them.
-    shown : list of dict
+    all_lines : list of dict
         All that are shown, which the scales fit.
     by_length : bool
         A layer for every step of the length; else one a class.
     """
-    ends = {name: _ends(shown, name) for name in ("along", "height")}
+    ends = {name: _ends(all_lines, name) for name in ("along", "height")}
 
     def place(name: str, value: float) -> float:
-        (low, high), size = ends[name], MAP_PX[name == "height"]
-        share = (value - low) / max(high - low, 0.1)
+        (start, end), size = ends[name], MAP_PX[name == "height"]
+        share = (value - start) / max(end - start, 0.1)
         across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
         return round(size - across if name == "height" else across, 1)
 
     layers: dict[str, dict[str, Any]] = {}
-    for line in sorted(lines, key=lambda one: one["length"] or 0.0):
+    for line in sorted(lines, key=lambda line: line["length"] or 0.0):
         name, color = _length_step(line["length"], units) if by_length else _class(line["class"])
         layer = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
         mark = {
@@ -144,8 +145,8 @@ def map_picture(
         }
         layer["shapes"].append(mark)
     grid = {
-        name: [(place(of, at), f"{at:g} m") for at in _round_values(*ends[of])]
-        for name, of in (("across", "along"), ("up", "height"))
+        name: [(place(axis, value), f"{value:g} m") for value in _round_values(*ends[axis])]
+        for name, axis in (("across", "along"), ("up", "height"))
     }
     return list(layers.values()), grid
 
@@ -164,7 +165,7 @@ def _length_step(length: float | None, units: Units) -> tuple[str, str]:
     return name, _STEP_COLORS[min(max(number - 1, 0), len(_STEP_COLORS) - 1)]
 
 
-def _round_values(low: float, high: float) -> list[float]:
+def _round_values(first_value: float, last_value: float) -> list[float]:
     """Return round values between two ends, at most ten.
 
     Examples
@@ -173,8 +174,8 @@ def _round_values(low: float, high: float) -> list[float]:
     ([-0.2, 0.0, 0.2, 0.4], [5.0, 10.0, 15.0, 20.0])
     """
     steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-    step = next((s for s in steps if (high - low) / s <= 5), 100.0)
-    first, last = math.ceil(low / step), math.floor(high / step)
+    step = next((s for s in steps if (last_value - first_value) / s <= 5), 100.0)
+    first, last = math.ceil(first_value / step), math.floor(last_value / step)
     return [round(k * step, 1) for k in range(first, last + 1)]
 
 
@@ -184,33 +185,35 @@ def _data(lines: list[dict[str, Any]]) -> Any:
 
 
 def _ends(lines: list[dict[str, Any]], name: str) -> tuple[float, float]:
-    known = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
-    return min(known), max(known)
+    values = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
+    return min(values), max(values)
 
 
-def forecast_chart(found: Forecast) -> alt.LayerChart:
+def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     """Return the expected number in each class on each day, with its interval."""
-    drawn = expected_classes(found)
+    drawn = expected_classes(prediction)
     share = 0.8 / max(len(drawn), 1)  # of a day, which is 1 wide
     lines = [
         {
             "day": day_name(day),
-            "class": class_name(found.classes[k]),
+            "class": class_name(prediction.classes[k]),
             "from": day - 0.4 + n * share,
             "to": day - 0.4 + (n + 0.85) * share,
             "middle": day - 0.4 + (n + 0.425) * share,
             "floor": 0.0,
-            "expected": float(found.house.expected[day, k]),
-            "low": float(found.house.low[day, k]),
-            "high": float(found.house.high[day, k]),
+            "expected": float(prediction.house.expected[day, k]),
+            "low": float(prediction.house.low[day, k]),
+            "high": float(prediction.house.high[day, k]),
         }
-        for day in found.days.tolist()
+        for day in prediction.days.tolist()
         for n, k in enumerate(drawn)
     ]
-    names = [class_name(found.classes[k]) for k in drawn]
-    days = found.days.tolist()
-    said = " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
-    axis = alt.Axis(values=days, labelExpr=said, labelAngle=0, grid=False)
+    names = [class_name(prediction.classes[k]) for k in drawn]
+    days = prediction.days.tolist()
+    label_expression = (
+        " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
+    )
+    axis = alt.Axis(values=days, labelExpr=label_expression, labelAngle=0, grid=False)
     ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
     base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
@@ -234,6 +237,6 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
     return chart
 
 
-def expected_classes(found: Forecast) -> list[int]:
+def expected_classes(prediction: Forecast) -> list[int]:
     """Return which classes any fruit may be in on any of the days."""
-    return [k for k in range(len(found.classes)) if found.house.high[:, k].max() >= 1]
+    return [k for k in range(len(prediction.classes)) if prediction.house.high[:, k].max() >= 1]

@@ -54,15 +54,15 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     around = np.zeros_like(mask)
     around[window] = (readings & slab & ~mask)[window]
     points, colors = _sample(capture, inside, _POINTS)
-    near, near_colors = _sample(capture, around, _POINTS // 3)
+    surroundings, near_colors = _sample(capture, around, _POINTS // 3)
     middle = np.median(points, axis=0)
 
     def scene_mm(at_m: NDArray[np.float64]) -> list[list[float]]:
-        found: list[list[float]] = np.round(1000 * (at_m - middle) * (1, -1, -1), 1).tolist()
-        return found
+        rounded: list[list[float]] = np.round(1000 * (at_m - middle) * (1, -1, -1), 1).tolist()
+        return rounded
 
     dots = zip(
-        [*scene_mm(points), *scene_mm(near)],
+        [*scene_mm(points), *scene_mm(surroundings)],
         [*colors.tolist(), *(near_colors // 2 + 90).tolist()],
         strict=True,
     )
@@ -74,7 +74,9 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     below = -float(reach_mm[1]) - 15
     bar = [[-25.0, below, 0.0], [25.0, below, 0.0]]
     lines.append({"path": bar, "color": _AXIS_COLOR, "width": 2.0})
-    return _scene([{"at": at, "color": color} for at, color in dots], lines, float(reach_mm.max()))
+    return _scene(
+        [{"at": place, "color": color} for place, color in dots], lines, float(reach_mm.max())
+    )
 
 
 def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: float) -> pydeck.Deck:
@@ -114,7 +116,7 @@ def _tube_lines(
     record: DetectionRecord,
 ) -> list[tuple[NDArray[np.float64], tuple[int, int, int], float]]:
     """Return rings and axis of the fitted tube, each with its colour and width."""
-    tube = next((one for one in record.methods if one.diameter_m), None)
+    tube = next((method for method in record.methods if method.diameter_m), None)
     if tube is None:
         return []
     axis = np.array(tube.path_m, np.float64)
@@ -149,22 +151,24 @@ def _tube_rings(
     ahead = np.gradient(axis_m, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
     turn = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)[:, None]
-    found = []
+    circles = []
     for k in chosen.tolist():
         # Any vector that is not along the axis serves to begin the circle.
-        one = np.cross(ahead[k], np.eye(3)[np.argmin(np.abs(ahead[k]))])
-        one /= np.linalg.norm(one)
-        other = np.cross(ahead[k], one)
-        found.append(axis_m[k] + diameter_m[k] / 2 * (np.cos(turn) * one + np.sin(turn) * other))
-    return found
+        normal = np.cross(ahead[k], np.eye(3)[np.argmin(np.abs(ahead[k]))])
+        normal /= np.linalg.norm(normal)
+        binormal = np.cross(ahead[k], normal)
+        circles.append(
+            axis_m[k] + diameter_m[k] / 2 * (np.cos(turn) * normal + np.sin(turn) * binormal)
+        )
+    return circles
 
 
 def _sample(
-    capture: Capture, where: NDArray[np.bool_], most: int
+    capture: Capture, where: NDArray[np.bool_], limit: int
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the 3D points and colours of at most about `most` pixels."""
+    """Return the 3D points and colours of at most about `limit` pixels."""
     v, u = np.nonzero(where)
-    step = max(1, len(v) // most)
+    step = max(1, len(v) // limit)
     v, u = v[::step], u[::step]
     z = capture.depth_m[v, u].astype(np.float64)
     x, y = capture.intrinsics.rays(u.astype(np.float64), v.astype(np.float64))

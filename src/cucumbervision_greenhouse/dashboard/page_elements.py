@@ -33,8 +33,8 @@ _PICTURE_PX = 168  # two abreast on a phone
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
     """Return a wide and a narrow column, under each other where a tablet is held upright."""
     with st.container(key="halves"):
-        left, right = st.columns([3, 2], gap="medium")
-    return left, right
+        first, right = st.columns([3, 2], gap="medium")
+    return first, right
 
 
 def button(
@@ -74,8 +74,10 @@ def draw_undo(round_key: str) -> None:
 
 def table(lines: list[dict[str, Any]]) -> None:
     """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
-    said = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
-    st.table([{plain(name): plain(line[name]) for name in said} for line in lines], hide_index=True)
+    columns = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
+    st.table(
+        [{plain(name): plain(line[name]) for name in columns} for line in lines], hide_index=True
+    )
 
 
 def fruit_list(
@@ -149,33 +151,33 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
 
     @wraps(draw)
     def page() -> None:
-        one = choose_round()
+        round_view = choose_round()
         if missing := missing_round():
             st.warning(
                 f"There is no round '{plain(missing[:40])}'. Choose one above, or start a new one.",
                 icon=":material/search_off:",
             )
-        elif one is None:
+        elif round_view is None:
             st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
         else:
-            draw(one)
+            draw(round_view)
 
     return page
 
 
 def link(page: str, label: str, **parts: str) -> None:
     """Draw a way to another page of the round, by the name that its address ends on."""
-    found = st.session_state.get("pages", {}).get(page)
-    if found is not None:
+    target = st.session_state.get("pages", {}).get(page)
+    if target is not None:
         st.page_link(
-            found, label=label, icon=found.icon, query_params=here(**parts), width="stretch"
+            target, label=label, icon=target.icon, query_params=here(**parts), width="stretch"
         )
 
 
 def leave_for(page: str, **parts: str) -> None:
     """Open another page of the round."""
-    if found := st.session_state.get("pages", {}).get(page):
-        st.switch_page(found, query_params=here(**parts))
+    if target := st.session_state.get("pages", {}).get(page):
+        st.switch_page(target, query_params=here(**parts))
 
 
 def here(**parts: str) -> dict[str, str]:
@@ -206,19 +208,19 @@ def name_in_address(name: str, value: str | None) -> None:
     note_address()
 
 
-def say_missing(name: str, there: Container[str | None], words: str) -> None:
+def say_missing(name: str, present: Container[str | None], words: str) -> None:
     """Say that what the address names is not there, so that nothing else is taken for it.
 
     Parameters
     ----------
     name : str
         The part of the address: 'fruit', 'stop' or 'row'.
-    there : container of str
+    present : container of str
         What it could name.
     words : str
         What is said.
     """
-    if (named := st.query_params.get(name)) is not None and named not in there:
+    if (named := st.query_params.get(name)) is not None and named not in present:
         st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
 
 
@@ -235,14 +237,14 @@ def keep_address() -> None:
     A browser that was slower sends the address of before along with them, which would show the
     list of fruit in place of the one that was just opened.
     """
-    context, (page, kept) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
+    context, (page, address) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
     news = getattr(st.session_state.get("live"), "changed", None)
     if not news or context is None or context.is_history_navigation:
         return
     sent = st.query_params.to_dict()
     is_link = dict(parse_qsl(str(news["at"]).lstrip("?"))) != sent
-    if page == context.page_script_hash and not is_link and kept != sent:
-        st.query_params.from_dict(kept)
+    if page == context.page_script_hash and not is_link and address != sent:
+        st.query_params.from_dict(address)
 
 
 def start_job(key: str, title: str, work: Work, round_key: str) -> None:

@@ -26,8 +26,8 @@ _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 def choose_round() -> RoundView | None:
     """Draw the choice, and return the round that is open; None where there is none."""
-    rounds = {one.key: one for one in resources.rounds()}
-    names = {key: round_name(one) for key, one in rounds.items()}
+    rounds = {round_view.key: round_view for round_view in resources.rounds()}
+    names = {key: round_name(round_view) for key, round_view in rounds.items()}
     label = label_options("round", names)
     asked = st.session_state.get("round")
     if asked in rounds:
@@ -47,18 +47,18 @@ def choose_round() -> RoundView | None:
         placeholder="Choose a round" if rounds else "No round yet",
         label_visibility="collapsed",
     )
-    one = rounds.get(key) if key else None
-    if one is not None and st.query_params.get("round") != one.key:
+    round_view = rounds.get(key) if key else None
+    if round_view is not None and st.query_params.get("round") != round_view.key:
         # A browser that was slower sends the round of before once more: that opens nothing.
         st.session_state["named_before"] = st.session_state.get("named")
-        st.query_params["round"] = st.session_state["named"] = one.key
+        st.query_params["round"] = st.session_state["named"] = round_view.key
     # They know whether they are open, so that what is done in them closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
     with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
         _begin()
     with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
-        _change(one)
-    return one
+        _change(round_view)
+    return round_view
 
 
 def missing_round() -> str:
@@ -69,9 +69,9 @@ def missing_round() -> str:
 def _begin() -> None:
     st.text_input("Name", placeholder="Morning round", key="new_name")
     houses = resources.houses()
-    known = [*houses, _NEW_HOUSE]
+    house_choices = [*houses, _NEW_HOUSE]
     if houses:
-        st.selectbox("House", known, key="known_house")
+        st.selectbox("House", house_choices, key="known_house")
     if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
         st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
 
@@ -96,16 +96,18 @@ def _begin() -> None:
         st.warning(sentence(fault), icon=":material/error:")
 
 
-def _change(one: RoundView | None) -> None:
+def _change(round_view: RoundView | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
-    if one is not None:
-        name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}")
+    if round_view is not None:
+        name = st.text_input(
+            "Name of this round", round_view.record.name, key=f"name_{round_view.key}"
+        )
         st.button(
             "Rename",
             width="stretch",
             on_click=_do,
-            args=(_rename, one.key),
+            args=(_rename, round_view.key),
             disabled=not name.strip(),
         )
         st.button(
@@ -113,7 +115,7 @@ def _change(one: RoundView | None) -> None:
             icon=":material/delete:",
             width="stretch",
             on_click=_do,
-            args=(_delete, one.key),
+            args=(_delete, round_view.key),
         )
     for gone in resources.store().rounds(deleted=True):
         st.button(

@@ -51,35 +51,37 @@ def _receive(request: Request, content: bytes) -> Any:
     part = UploadPart.model_validate({**request.path_params, **request.query_params})
     uploads = resources.uploads()
     try:
-        there = uploads.append(part.upload, part.number, part.offset, content)
+        received = uploads.append(part.upload, part.number, part.offset, content)
     except OSError as error:  # a full disk: it is sent again until there is room
         words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
         return JSONResponse({"error": words}, 507)
     if uploads.is_whole(part.upload):
         tasks.measure_uploads()
-    return {"received": there}
+    return {"received": received}
 
 
 @answer
 def _files(request: Request, _: bytes) -> Response:
     """Answer with a round's files in a zip, made anew."""
-    one = next((x for x in resources.rounds() if x.key == request.path_params["round"]), None)
-    if one is None:
+    round_view = next(
+        (x for x in resources.rounds() if x.key == request.path_params["round"]), None
+    )
+    if round_view is None:
         raise HTTPException(404)
     try:
         formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
     except ValueError:
         raise HTTPException(404) from None
-    profile_name, profile = resources.profile_of(one)
+    profile_name, profile = resources.profile_of(round_view)
     rates = resources.settings().rates
     tables = round_tables(
-        resources.store(), one.key, profile, profile_name=profile_name, rates=rates
+        resources.store(), round_view.key, profile, profile_name=profile_name, rates=rates
     )
     with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
         write_exports(tables, Path(folder) / "files", formats)
         packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
         content = packed.read_bytes()
-    name = safe_name(one.record.name or "round")
+    name = safe_name(round_view.record.name or "round")
     told = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
     return Response(content, media_type="application/zip", headers=told)
 

@@ -114,8 +114,8 @@ def serve(
         place += f"/?token={token}"
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
-    given = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}
-    os.environ.update({name: str(value) for name, value in given.items() if value})
+    variables = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}
+    os.environ.update({name: str(value) for name, value in variables.items() if value})
     if ready is not None:
         ready(place)
     from streamlit.web import cli

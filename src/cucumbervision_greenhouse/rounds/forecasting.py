@@ -436,7 +436,7 @@ def read_today(
     ----------
     store : Store
         Where it is.
-    one : RoundView
+    round_view : RoundView
         The round.
     profile : CropProfile
         Its classes, and the growth that is expected.

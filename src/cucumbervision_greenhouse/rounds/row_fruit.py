@@ -370,7 +370,7 @@ def estimate_count(
     sure_scores : ndarray of float64, shape (V,)
         Its confidence in views of fruit that were seen twice or more. False positives are assumed
         to have any confidence from the least to the highest alike.
-    known : ndarray of bool, shape (F,), optional
+    accepted_fruit : ndarray of bool, shape (F,), optional
         Whether a person accepted each as a fruit.
     false : FalseShare
         Prior of the share of false positives.

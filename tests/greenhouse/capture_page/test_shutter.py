@@ -309,12 +309,12 @@ def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(
     press = Press("a", time.time())
     refused = shutter.press(feed, 5, WALK, stop, press)
     assert refused is not None
-    assert isinstance(refused.kept.exception(60), StoreError)
+    assert isinstance(refused.queued.exception(60), StoreError)
     assert not refused.is_lost
     (tmp_path / "kept").unlink()
     saved = shutter.press(feed, 5, WALK, stop, press)
     assert saved is not None
-    saved.kept.result(60)
+    saved.queued.result(60)
     feed.close()
     shutter.close()
     assert [one.pressed_s for one in waiting.captures()] == [press.at_s]
@@ -331,7 +331,7 @@ def test_what_waits_for_long_is_coded_and_stays_the_same(
     for number in range(6):
         pressed = shutter.press(feed, 1, WALK, Stop("1"), Press(str(number), time.time()))
         assert pressed is not None
-        pressed.kept.result(60)
+        pressed.queued.result(60)
     feed.close()
     while not any(list(one.folder.glob("*.png")) for one in waiting.captures()):
         time.sleep(0.01)  # until the test's own limit

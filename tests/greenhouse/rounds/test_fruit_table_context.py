@@ -74,9 +74,10 @@ def test_views_neighbours_and_days_stand_about_a_fruit(store: Store) -> None:
     assert found.earlier is not None
     assert found.earlier.linked is None
     monday = store.detections(MONDAY.key)
-    assert [view.key for view in found.earlier.neighbours][:2] == [monday[1].key, monday[2].key] or [
-        view.key for view in found.earlier.neighbours
-    ][:2] == [monday[2].key, monday[1].key]
+    assert [view.key for view in found.earlier.neighbours][:2] == [
+        monday[1].key,
+        monday[2].key,
+    ] or [view.key for view in found.earlier.neighbours][:2] == [monday[2].key, monday[1].key]
     number = store.link_growth(monday[1].key, second.key)
     linked = around(store, TUESDAY.key, second.key)
     assert linked is not None

@@ -23,5 +23,7 @@ def page() -> None:
     else:
         st.write(f"Source code: {plain(offer)}")
     with st.expander("Details", icon=":material/list:"):
-        lines = [{"Package": name, "Version": at} for name, at in installed_versions().items()]
+        lines = [
+            {"Package": name, "Version": version} for name, version in installed_versions().items()
+        ]
         page_elements.table(lines)

@@ -89,36 +89,36 @@ def measured_round(
     report: dict[str, Any] = {"captures": captures}
     for key in dict.fromkeys(view.stop_key for view in fruit):
         stop = store.stop(key)
-        for one in stop.captures:
-            camera = dict(one.camera)
+        for capture in stop.captures:
+            camera = dict(capture.camera)
             for name in ("fx", "fy", "cx", "cy"):
                 camera[f"{name}_px"] = camera.pop(name)
             captures.append(
                 {
-                    "name": f"{key}/{one.name}",
+                    "name": f"{key}/{capture.name}",
                     "intrinsics": camera,
-                    "provenance": dict(one.provenance),
-                    "simulated": one.simulated,
+                    "provenance": dict(capture.provenance),
+                    "simulated": capture.simulated,
                     "fruit": [],
                 }
             )
         report.update(_made_with(stop.artifacts))
-    names = tuple(one["name"] for one in captures)
+    names = tuple(capture["name"] for capture in captures)
     return Measured(Path(f"round {round_key}"), readings, names, report)
 
 
 def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {"models": []}
-    for one in artifacts:
-        if one.kind == "config":
-            found |= {"config": dict(one.details), "config_sha256": one.sha256}
-        elif one.kind == "software":
-            found["software"] = one.name
-        elif one.kind == "model":
-            found["models"].append({"name": one.name, "sha256": one.sha256})
-        elif one.kind == "calibration":
-            found["calibration"] = dict(one.details)
-    return found
+    made_with: dict[str, Any] = {"models": []}
+    for artifact in artifacts:
+        if artifact.kind == "config":
+            made_with |= {"config": dict(artifact.details), "config_sha256": artifact.sha256}
+        elif artifact.kind == "software":
+            made_with["software"] = artifact.name
+        elif artifact.kind == "model":
+            made_with["models"].append({"name": artifact.name, "sha256": artifact.sha256})
+        elif artifact.kind == "calibration":
+            made_with["calibration"] = dict(artifact.details)
+    return made_with
 
 
 def _reading(
@@ -126,15 +126,15 @@ def _reading(
 ) -> Reading:
     """Return a find as a reading; what is reported is what all views of the fruit say."""
     record = view.record
-    lengths = {one.method: one.length_m for one in methods}
-    tube = next((one for one in methods if one.thread_m is not None), None)
+    lengths = {method.method: method.length_m for method in methods}
+    tube = next((method for method in methods if method.thread_m is not None), None)
     if tube is not None:
         lengths |= {"M6 thread": tube.thread_m, "M6 chord": tube.chord_m}
     return Reading(
         capture=capture_name(view),
         fruit=record.number,
         lengths_m={**lengths, REPORTED: reported.record.length_m},
-        fell_back=frozenset(one.method for one in methods if one.measured_by),
+        fell_back=frozenset(method.method for method in methods if method.measured_by),
         kind="" if record.length is None else str(record.length.kind),
         method=record.method or "",
         mask_source=record.mask_source or "",
@@ -207,13 +207,13 @@ def hand_lengths(
     if not path.exists():
         return {}
     keys = {(capture_name(view), str(view.record.number)): view.key for view in fruit}
-    found: dict[str, tuple[float | None, float | None]] = {}
+    lengths: dict[str, tuple[float | None, float | None]] = {}
     with path.open(encoding="utf-8", newline="") as stream:
         for line in csv.DictReader(stream):
             key = keys.get((line["capture"], line["fruit"]))
             if key is not None:
-                found[key] = (_cell_m(line["length_1_cm"]), _cell_m(line["length_2_cm"]))
-    return found
+                lengths[key] = (_cell_m(line["length_1_cm"]), _cell_m(line["length_2_cm"]))
+    return lengths
 
 
 def _cell_m(cell: str) -> float | None:
@@ -229,9 +229,9 @@ _LENGTHS = 0.5, 100.0  # that can be typed, in the unit of the page
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_view: RoundView) -> None:
     """Draw the page."""
-    graded = round_caches.graded_round(one)
+    graded = round_caches.graded_round(round_view)
     fruit = [view for view in graded.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
@@ -241,17 +241,17 @@ def page(one: RoundView) -> None:
         "method's error on your fruit. Measure some of them twice, without looking at the first "
         "value: no method can be shown to be more accurate than the measurements by hand."
     )
-    path = hand_file(resources.where(), one.key)
+    path = hand_file(resources.where(), round_view.key)
     _table(fruit, path)
     if path.exists():
-        _scores(one, path)
+        _scores(round_view, path)
 
 
 def _table(fruit: list[DetectionView], path: Path) -> None:
     units = resources.settings().units
-    known = hand_lengths(path, fruit)
+    saved = hand_lengths(path, fruit)
     page_elements.choose_page(fruit, "hand_page", _LINES)
-    shown = page_elements.page_of(fruit, "hand_page", _LINES)
+    page_fruit = page_elements.page_of(fruit, "hand_page", _LINES)
     kind = st.segmented_control(
         "Measured by hand",
         list(LengthDefinition),
@@ -263,11 +263,11 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     st.caption(f"Lengths in {units.name}.")
     name = f"hand_{path.stem}_{units.name}"
     typed: dict[str, list[str]] = st.session_state.setdefault(f"{name}_typed", {})
-    key = f"{name}_{shown[0].key}"
+    key = f"{name}_{page_fruit[0].key}"
     component("handlist")(
         key=key,
         data={
-            "lines": [_line(view, known.get(view.key, (None, None))) for view in shown],
+            "lines": [_line(view, saved.get(view.key, (None, None))) for view in page_fruit],
             "typed": typed,
             "least": _LENGTHS[0],
             "most": _LENGTHS[1],
@@ -275,7 +275,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         default={"typed": {}},
         on_typed_change=lambda: typed.update(st.session_state[key].typed or {}),
     )
-    bad = _read(typed, known)
+    bad = _read(typed, saved)
     if bad:
         st.warning(
             plain(f"{', '.join(bad)}: no length between {_LENGTHS[0]} and {_LENGTHS[1]}."),
@@ -284,7 +284,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     odd = [
         f"{units.text(hand_m)} by hand, {length_words(view.record, units)} by the program"
         for view in fruit
-        for hand_m in known.get(view.key, ())
+        for hand_m in saved.get(view.key, ())
         if is_odd(view.record, hand_m)
     ]
     if odd:
@@ -293,38 +293,38 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     unsure = bool(odd or bad)  # also where the button was pressed before that was known
     save: dict[str, Any] = {"type": "primary", "icon": ":material/save:", "disabled": unsure}
     if st.button("Save these lengths", **save) and not unsure:
-        if not write_hand_lengths(path, fruit, known, kind or LengthDefinition.CENTRELINE):
+        if not write_hand_lengths(path, fruit, saved, kind or LengthDefinition.CENTRELINE):
             path.unlink()  # every length was taken out again
         typed.clear()
         st.rerun()
 
 
 def _read(
-    typed: Mapping[str, Sequence[str]], known: dict[str, tuple[float | None, float | None]]
+    typed: Mapping[str, Sequence[str]], saved: dict[str, tuple[float | None, float | None]]
 ) -> list[str]:
     """Put what was typed among the known lengths; return what is none."""
     units, bad = resources.settings().units, list[str]()
     for key, cells in typed.items():
-        lengths = list(known.get(key, (None, None)))
-        for at, cell in enumerate(cells[:2]):
+        lengths = list(saved.get(key, (None, None)))
+        for index, cell in enumerate(cells[:2]):
             try:
-                lengths[at] = typed_m(str(cell), units)
+                lengths[index] = typed_m(str(cell), units)
             except ValueError:
                 bad.append(str(cell))
-        known[key] = lengths[0], lengths[1]
+        saved[key] = lengths[0], lengths[1]
     return bad
 
 
-def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict[str, Any]:
+def _line(view: DetectionView, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
-    at = metres_words(view.along_m) if view.along_m is not None else ""
+    position = metres_words(view.along_m) if view.along_m is not None else ""
     return {
         "key": view.key,
         "picture": round_caches.thumbnail_of(view),
-        "saved": ["" if x is None else f"{units.value(x):.5g}" for x in known],
+        "saved": ["" if x is None else f"{units.value(x):.5g}" for x in saved_m],
         "program": units.text(view.record.length_m),
-        "name": f"fruit {view.record.number}, {at or view.capture}",
-        "at": at,
+        "name": f"fruit {view.record.number}, {position or view.capture}",
+        "at": position,
         "row": view.row or "?",
     }
 
@@ -351,10 +351,12 @@ def typed_m(cell: str, units: Units) -> float | None:
     return units.metres(value)
 
 
-def _scores(one: RoundView, path: Path) -> None:
-    measured = measured_round(resources.store(), one.key, round_caches.methods_of(one))
+def _scores(round_view: RoundView, path: Path) -> None:
+    measured = measured_round(
+        resources.store(), round_view.key, round_caches.methods_of(round_view)
+    )
     truth = read_truth(path)
-    found: OwnTruth = evaluate_lengths(measured, truth)
+    own_truth: OwnTruth = evaluate_lengths(measured, truth)
     st.subheader("Errors")
     lines = [
         {
@@ -367,12 +369,12 @@ def _scores(one: RoundView, path: Path) -> None:
             else f"{score.low_percent:.1f} to {score.high_percent:.1f} %",
             "Measured": f"{100 * score.metrics.measured:.0f} %",
         }
-        for score in found.scores
+        for score in own_truth.scores
     ]
     page_elements.table(lines)
-    if any(score.metrics.measured < 1 for score in found.scores):
+    if any(score.metrics.measured < 1 for score in own_truth.scores):
         st.caption("A fruit that a method did not measure counts as an error of 100 %.")
-    for note in found.notes:
+    for note in own_truth.notes:
         st.caption(plain(note))
     st.subheader("Calibrate this site")
     name = st.text_input("Name of the calibration", "my house")

@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_view: RoundView) -> None:
     """Draw the page."""
-    found = round_caches.forecast_of(one)
-    if not found.fruit:
+    prediction = round_caches.forecast_of(round_view)
+    if not prediction.fruit:
         st.info(
             "Nothing to forecast: this round has no measured fruit left on the plant.",
             icon=":material/calendar_month:",
         )
         return
-    _age(one)
+    _age(round_view)
     days, work = st.tabs(["Next days", "Work and crates"])
     with days:
-        _days(found)
+        _days(prediction)
     with work:
-        _work(found)
+        _work(prediction)
 
 
-def _age(one: RoundView) -> None:
-    walked = one.walked_s
+def _age(round_view: RoundView) -> None:
+    walked = round_view.walked_s
     days, age = age_of(walked, time.time())
     if age is not Age.FRESH:
         useless = age is Age.USELESS
@@ -57,21 +57,21 @@ def _age(one: RoundView) -> None:
     page_elements.link("today", "Today's pick list")
 
 
-def _days(found: Forecast) -> None:
+def _days(prediction: Forecast) -> None:
     st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
-    st.altair_chart(forecast_chart(found))
-    house = found.house
+    st.altair_chart(forecast_chart(prediction))
+    house = prediction.house
     lines = []
-    for day in found.days.tolist():
+    for day in prediction.days.tolist():
         line = {"Day": day_name(day)}
-        for k in expected_classes(found):
-            more = "" if found.complete[day, k] else " or more"
+        for k in expected_classes(prediction):
+            suffix = "" if prediction.complete[day, k] else " or more"
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
             words = span_words(count)
-            line[class_name(found.classes[k])] = words if words == "–" else f"{words}{more}"
+            line[class_name(prediction.classes[k])] = words if words == "–" else f"{words}{suffix}"
         lines.append(line)
     page_elements.table(lines)
-    undecided = sum(class_of(possible) == UNDECIDED for possible in found.possible)
+    undecided = sum(class_of(possible) == UNDECIDED for possible in prediction.possible)
     words = "'Or more': fruit too small to be detected today are not counted."
     if undecided:
         fruit = counted(undecided, "undecided fruit is", "undecided fruit are")
@@ -84,17 +84,17 @@ def _days(found: Forecast) -> None:
         )
 
 
-def _work(found: Forecast) -> None:
-    now = resources.settings()
+def _work(prediction: Forecast) -> None:
+    saved = resources.settings()
     per_hour, per_row, per_crate = st.columns(3)
     resources.change_settings(
         fruit_per_hour=per_hour.number_input(
-            "Fruit picked in an hour", 1.0, 5000.0, now.fruit_per_hour, 10.0
+            "Fruit picked in an hour", 1.0, 5000.0, saved.fruit_per_hour, 10.0
         ),
         minutes_per_row=per_row.number_input(
-            "Minutes for each row", 0.0, 120.0, now.minutes_per_row, 0.5
+            "Minutes for each row", 0.0, 120.0, saved.minutes_per_row, 0.5
         ),
-        fruit_per_crate=per_crate.number_input("Fruit in a crate", 1, 500, now.fruit_per_crate),
+        fruit_per_crate=per_crate.number_input("Fruit in a crate", 1, 500, saved.fruit_per_crate),
     )
     lines = [
         {
@@ -103,7 +103,7 @@ def _work(found: Forecast) -> None:
             "Work": hours_span_words(day.hours),
             **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},
         }
-        for day in plan_work(found, resources.settings().rates)
+        for day in plan_work(prediction, resources.settings().rates)
         if day.fruit.high >= 1
     ]
     page_elements.table(lines)

@@ -56,28 +56,30 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionView, RoundView
 
 
-def show(one: RoundView, graded: GradedRound, key: str) -> None:
+def show(round_view: RoundView, graded: GradedRound, key: str) -> None:
     """Draw a fruit in place of the list."""
-    detail = round_caches.fruit_detail(one, key)
+    detail = round_caches.fruit_detail(round_view, key)
     _head(graded, key)
-    left, right = page_elements.halves()
+    picture_side, right = page_elements.halves()
     # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
     with right.container():
         _figures(graded, detail)
     with right.container():
-        _verdict(one, detail)
-    line = next((x for x in round_caches.fruit_of(one) if x.view.group == detail.view.group), None)
-    joint = _joint_of(one, line)
-    with left:
+        _verdict(round_view, detail)
+    line = next(
+        (x for x in round_caches.fruit_of(round_view) if x.view.group == detail.view.group), None
+    )
+    joint = _joint_of(round_view, line)
+    with picture_side:
         _pictures(detail, joint)
-    _show_stops(one, detail.view, line, joint)
+    _show_stops(round_view, detail.view, line, joint)
     _methods(detail)
 
 
 def _head(graded: GradedRound, key: str) -> None:
-    shown = {key, *(view.key for view in graded.fruit)}  # one marked as no fruit keeps its place
-    keys = [one for one in graded.grades if one in shown]
-    at = keys.index(key)
+    listed = {key, *(view.key for view in graded.fruit)}  # one marked as no fruit keeps its place
+    keys = [fruit_key for fruit_key in graded.grades if fruit_key in listed]
+    index = keys.index(key)
 
     def go(to: str | None) -> None:
         page_elements.name_in_address("fruit", to)
@@ -85,19 +87,19 @@ def _head(graded: GradedRound, key: str) -> None:
 
     with st.container(horizontal=True, gap="small", key="fruit_head"):
         button(st, "All fruit", "arrow_back", go, None)
-        for label, to, side in (("Previous", at - 1, "left"), ("Next", at + 1, "right")):
-            there = 0 <= to < len(keys)
-            target, how = keys[to] if there else key, {"disabled": not there}
+        for label, to, side in (("Previous", index - 1, "left"), ("Next", index + 1, "right")):
+            exists = 0 <= to < len(keys)
+            target, how = keys[to] if exists else key, {"disabled": not exists}
             # A keyboard walks through the fruit by its arrows.
             arrow = side.capitalize()
-            own = f"{side}_{key}"
-            button(st, label, f"chevron_{side}", go, target, shortcut=arrow, key=own, **how)
+            button_key = f"{side}_{key}"
+            button(st, label, f"chevron_{side}", go, target, shortcut=arrow, key=button_key, **how)
 
 
 def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
-    shown = {view.key: view for view in (*graded.fruit, *graded.deleted)}
-    record, units = shown[detail.view.key].record, resources.settings().units
-    found = graded.grades[detail.view.key]
+    view_of_key = {view.key: view for view in (*graded.fruit, *graded.deleted)}
+    record, units = view_of_key[detail.view.key].record, resources.settings().units
+    graded_fruit = graded.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
         kind_words(None if record.length is None else str(record.length.kind)),
@@ -106,10 +108,10 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{sentence(found.words)}**")
+    st.markdown(f"**{sentence(graded_fruit.words)}**")
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
-        "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
+        "Weight, about": None if not graded_fruit.mass_g else f"{graded_fruit.mass_g:.0f} g",
         "Distance": units.text(record.distance_m),
         "Outline by": record.mask_source and MaskSource(record.mask_source).words,
         "Hidden by leaves": None
@@ -120,13 +122,13 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     if words := remarks(record, units):
         st.caption(sentence(f"{words}."))
     with st.expander("Details", icon=":material/list:"):
-        for rule in found.rules:
+        for rule in graded_fruit.rules:
             st.caption(plain(rule))
         page_elements.table(figure_lines(record))
 
 
-def _verdict(one: RoundView, detail: DetectionDetail) -> None:
-    key, now, store = detail.view.key, detail.view.verdict, resources.store()
+def _verdict(round_view: RoundView, detail: DetectionDetail) -> None:
+    key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
     def judge(verdict: Verdict | None) -> None:
@@ -144,14 +146,14 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
             (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
         ):
             # Named after the fruit: a press means the one on the screen, not the one drawn next.
-            if now is verdict:
+            if verdict_before is verdict:
                 button(st, done, icon, judge, None, type="primary", key=f"clear_{key}")
             else:
                 button(st, name, icon, judge, verdict, key=f"{verdict}_{key}")
     with st.container(horizontal=True):
         words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
-        draw_undo(one.key)
+        draw_undo(round_view.key)
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
@@ -161,8 +163,8 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
         st.warning(plain(error), icon=":material/broken_image:")
         return
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
-    seen, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
-    with seen:
+    picture_tab, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
+    with picture_tab:
         _picture(detail, capture, joint)
     if turned.open:
         with turned:
@@ -238,22 +240,22 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
 
 def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
     """Return the other fruit of the picture as a layer, so that one that was added is seen."""
-    others = [
-        one
-        for one in _of_picture(detail.view)
-        if one.key != detail.view.key and one.verdict is not Verdict.REJECTED
+    neighbours = [
+        view
+        for view in _of_picture(detail.view)
+        if view.key != detail.view.key and view.verdict is not Verdict.REJECTED
     ]
-    names = dict.fromkeys((one.key for one in others), "Other fruit")
-    return stop_layers(detail.capture, others, names, resources.settings().units)
+    names = dict.fromkeys((view.key for view in neighbours), "Other fruit")
+    return stop_layers(detail.capture, neighbours, names, resources.settings().units)
 
 
 def _of_picture(view: DetectionView) -> list[DetectionView]:
     """Return all fruit of the picture that a view is of."""
     only = DetectionFilter(stop_key=view.stop_key)
     return [
-        one
-        for one in resources.store().detections(view.round_key, only)
-        if one.capture == view.capture
+        detection
+        for detection in resources.store().detections(view.round_key, only)
+        if detection.capture == view.capture
     ]
 
 
@@ -261,8 +263,12 @@ def _accept_others(detail: DetectionDetail) -> None:
     view = detail.view
 
     def accept() -> None:
-        if others := [one.key for one in _of_picture(view) if one.verdict is None]:
-            resources.store().set_verdict(others, Verdict.ACCEPTED)
+        if unjudged := [
+            view_of_picture.key
+            for view_of_picture in _of_picture(view)
+            if view_of_picture.verdict is None
+        ]:
+            resources.store().set_verdict(unjudged, Verdict.ACCEPTED)
 
     st.button(
         "Accept the rest of this picture",
@@ -344,13 +350,13 @@ def _remark(method: MethodRecord, record: DetectionRecord) -> str:
 
 
 def _show_stops(
-    one: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
+    round_view: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
 ) -> None:
     """Draw the views of a fruit, the representative one first; nothing if there is only one.
 
     Parameters
     ----------
-    one : RoundView
+    round_view : RoundView
         Its round.
     fruit : DetectionView
         Any of its views.
@@ -359,7 +365,7 @@ def _show_stops(
     joint : JointRecord, optional
         One tube in all of them.
     """
-    content, units = round_caches.content_of(one), resources.settings().units
+    content, units = round_caches.content_of(round_view), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
     if len(views) < 2:
         return
@@ -378,11 +384,11 @@ def _show_stops(
         st.caption(f"{how}: {_length(line.view.record, units)}")
 
 
-def _joint_of(one: RoundView, line: RoundFruit | None) -> JointRecord | None:
+def _joint_of(round_view: RoundView, line: RoundFruit | None) -> JointRecord | None:
     if line is None or line.joint is None:
         return None
     try:
-        return round_caches.joint_of(one.key, line.joint.key)
+        return round_caches.joint_of(round_view.key, line.joint.key)
     except CucumberVisionError:  # merged anew meanwhile
         return None
 

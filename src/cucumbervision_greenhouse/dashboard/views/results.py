@@ -43,7 +43,7 @@ _FORMATS = {
 }
 
 
-def _files(one: RoundView) -> None:
+def _files(round_view: RoundView) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
     formats = st.pills(
         "Formats",
@@ -55,26 +55,26 @@ def _files(one: RoundView) -> None:
     )
     if formats:
         asked = urlencode([("formats", str(chosen)) for chosen in formats])
-        st.html(f'<a class="load" href="/api/files/{one.key}?{asked}" download>Download</a>')
+        st.html(f'<a class="load" href="/api/files/{round_view.key}?{asked}" download>Download</a>')
 
 
 _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_view: RoundView) -> None:
     """Draw the page."""
-    graded = round_caches.graded_round(one)
-    groups = {view.key: view.group for view in round_caches.content_of(one).views}
+    graded = round_caches.graded_round(round_view)
+    groups = {view.key: view.group for view in round_caches.content_of(round_view).views}
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
-        fruit_page.show(one, graded, opened)
+        fruit_page.show(round_view, graded, opened)
         return
     page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")
     if not (graded.fruit or graded.deleted):
-        _empty(one)
+        _empty(round_view)
         return
-    _classes(one, graded)
+    _classes(round_view, graded)
     _statistics(graded)
     fruit = _filtered(graded)
     if not fruit:
@@ -83,54 +83,54 @@ def page(one: RoundView) -> None:
     _list(graded, fruit)
     _chart(graded, fruit)
     with st.expander("Files of this round", icon=":material/download:"):
-        _files(one)
+        _files(round_view)
 
 
-def _empty(one: RoundView) -> None:
-    if not one.stops and (words := tasks.progress(one.key).first_words):
+def _empty(round_view: RoundView) -> None:
+    if not round_view.stops and (words := tasks.progress(round_view.key).first_words):
         st.info(words, icon=":material/hourglass_empty:")
-    elif one.stops:
+    elif round_view.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
     else:
         st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
 
 
-def _classes(one: RoundView, graded: GradedRound) -> None:
+def _classes(round_view: RoundView, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
     counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
-    if round_caches.today_of(one).age_days:
+    if round_caches.today_of(round_view).age_days:
         says.caption("As measured. 'What is ready today' includes the growth expected since then.")
-    if is_demonstration(one.key):
+    if is_demonstration(round_view.key):
         says.caption("A computer-made example.")
     with go:
         page_elements.link("today", "What is ready today")
 
 
 def _statistics(graded: GradedRound) -> None:
-    found, units = graded.figures, resources.settings().units
-    shown: dict[str, tuple[int | str, str | None]] = {
-        "Fruit": (found.fruit, f"detected {found.detections} times"),
-        "Measured": (found.measured, None),
+    figures, units = graded.figures, resources.settings().units
+    metrics: dict[str, tuple[int | str, str | None]] = {
+        "Fruit": (figures.fruit, f"detected {figures.detections} times"),
+        "Measured": (figures.measured, None),
         "Mean length": (
-            units.text(found.mean_m),
-            f"± {units.text(found.sd_m)}" if found.sd_m else None,
+            units.text(figures.mean_m),
+            f"± {units.text(figures.sd_m)}" if figures.sd_m else None,
         ),
-        "Picked": (found.picked, None),
+        "Picked": (figures.picked, None),
         "Deleted": (len(graded.deleted), None),
     }
     how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
     with st.container(horizontal=True):
-        for label, (value, below) in shown.items():
+        for label, (value, below) in metrics.items():
             st.metric(label, value, below, **how)
 
 
 def _filtered(graded: GradedRound) -> list[DetectionView]:
     def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
-        known = sorted({value for value in values if value})
-        names: dict[str | None, str] = {None: "all", **{name: str(name) for name in known}}
+        choices = sorted({value for value in values if value})
+        names: dict[str | None, str] = {None: "all", **{name: str(name) for name in choices}}
         key = f"only_{label}"
         labelled = label_options(key, names)
         if st.session_state.get(key) not in names:
@@ -140,7 +140,9 @@ def _filtered(graded: GradedRound) -> list[DetectionView]:
     with st.expander("Filters", icon=":material/filter_alt:"):
         row, named, checked = st.columns(3)
         chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
-        chosen_name = choose(named, "Class", (found.label for found in graded.grades.values()))
+        chosen_name = choose(
+            named, "Class", (fruit_grade.label for fruit_grade in graded.grades.values())
+        )
         verdict = choose(checked, "Checked", Verdict)
     only = DetectionFilter(row=chosen_row, verdict=verdict)
     return [
@@ -157,15 +159,15 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     if not lines:
         return
     icon = ":material/bar_chart:"
-    shown = st.expander("Chart of the lengths", icon=icon, key="chart", on_change="rerun")
-    if shown.open:
-        shown.caption("Fruit on the plant: line at the mean, band of one standard deviation")
-        shown.altair_chart(charts.histogram(lines, units))
+    chart = st.expander("Chart of the lengths", icon=icon, key="chart", on_change="rerun")
+    if chart.open:
+        chart.caption("Fruit on the plant: line at the mean, band of one standard deviation")
+        chart.altair_chart(charts.histogram(lines, units))
 
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
-    shown = page_elements.page_of(fruit, "list_page", round_caches.LINES)
-    lines = [_line(graded, view) for view in shown]
+    page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
+    lines = [_line(graded, view) for view in page_fruit]
     words = f"{len(fruit)} fruit: tap one to open it"
     page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
     page_elements.choose_page(fruit, "list_page", round_caches.LINES)
@@ -174,13 +176,13 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     interval = interval_words(record, units)
-    at = "" if view.along_m is None else f", {metres_words(view.along_m)}"
+    position = "" if view.along_m is None else f", {metres_words(view.along_m)}"
     checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
     picked = "picked" if view.picked_s else ""
     says = [
         length_words(record, units) + (f" ({interval})" if interval else ""),
         graded.grades[view.key].words,
-        f"{row_name(view.row)} {view.side or ''}".strip() + at,
+        f"{row_name(view.row)} {view.side or ''}".strip() + position,
         ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
         remarks(record, units),
     ]

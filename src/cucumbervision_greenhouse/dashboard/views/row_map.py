@@ -37,27 +37,25 @@ _ROWS_AT_ONCE = 4
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_view: RoundView) -> None:
     """Draw the page."""
     maps, undo, views = st.container(), st.container(), st.container()
-    list_stops(one)  # before the rest, which a stop on a third side keeps from being drawn
+    list_stops(round_view)  # before the rest, which a stop on a third side keeps from being drawn
     with undo:
-        draw_undo(one.key)
+        draw_undo(round_view.key)
     with maps:
-        opened = _opened(one)
-        there = {view.key for view in opened.views} if opened else ()
-        page_elements.say_missing(
-            "fruit", there, "There is no such fruit in this round (any more)."
-        )
-        _maps(one, opened)
+        opened = _opened(round_view)
+        keys = {view.key for view in opened.views} if opened else ()
+        page_elements.say_missing("fruit", keys, "There is no such fruit in this round (any more).")
+        _maps(round_view, opened)
     with views:
         if opened is not None:
             _same(opened)
 
 
-def _maps(one: RoundView, opened: FruitContext | None) -> None:
+def _maps(round_view: RoundView, opened: FruitContext | None) -> None:
     units = resources.settings().units
-    graded = round_caches.graded_round(one)
+    graded = round_caches.graded_round(round_view)
     lines = map_lines(graded, units)
     if not lines:
         st.info(
@@ -76,19 +74,24 @@ def _maps(one: RoundView, opened: FruitContext | None) -> None:
         format_func=plain,
         selection_mode="multi",
     )
-    for report in round_caches.rows_of(one):
+    for report in round_caches.rows_of(round_view):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
     named = None if opened is None else row_and_side(opened.fruit)
     drawn = [row for row in rows if row in chosen or row == named]
-    shown = [line for line in lines if line["row"] in drawn]
+    drawn_lines = [line for line in lines if line["row"] in drawn]
     abreast = st.columns(min(2, max(len(drawn), 1)))
     for number, row in enumerate(drawn):
         with abreast[number % len(abreast)]:
             st.caption(plain(row))
-            here = [line for line in shown if line["row"] == row]
-            layers, grid = map_picture(here, shown, units, by_length=colored == "Length")
-            found = opened if row == named else None
-            _row(one, row, layers, {"grid": grid, "opened": found and _answer(graded, found)})
+            row_lines = [line for line in drawn_lines if line["row"] == row]
+            layers, grid = map_picture(row_lines, drawn_lines, units, by_length=colored == "Length")
+            opened_here = opened if row == named else None
+            _row(
+                round_view,
+                row,
+                layers,
+                {"grid": grid, "opened": opened_here and _answer(graded, opened_here)},
+            )
     st.caption(
         "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale if "
         "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
@@ -98,19 +101,19 @@ def _maps(one: RoundView, opened: FruitContext | None) -> None:
 
 
 def _row(
-    one: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+    round_view: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
 ) -> None:
     """Draw a row's map; a tap is answered beside the mark, where the fruit is judged too."""
-    key = f"map_{one.key}_{row}"
+    key = f"map_{round_view.key}_{row}"
 
     def tapped() -> None:
         page_elements.name_in_address("fruit", st.session_state[key].tapped or None)
 
     def judged() -> None:
         asked = st.session_state[key].judged
-        found = around(resources.store(), one.key, asked["key"])
-        if found is not None and asked["act"] != "open":
-            keys = [view.key for view in found.views]
+        context = around(resources.store(), round_view.key, asked["key"])
+        if context is not None and asked["act"] != "open":
+            keys = [view.key for view in context.views]
             verdict = Verdict(asked["act"])
             do(partial(resources.store().set_verdict, keys, verdict))
 
@@ -127,9 +130,9 @@ def _row(
         page_elements.leave_for("results", fruit=told.judged["key"])
 
 
-def _answer(graded: GradedRound, found: FruitContext) -> dict[str, Any]:
+def _answer(graded: GradedRound, context: FruitContext) -> dict[str, Any]:
     """Return what is said of a fruit beside its mark."""
-    fruit, units = found.fruit, resources.settings().units
+    fruit, units = context.fruit, resources.settings().units
     marked = {
         None: "",
         Verdict.ACCEPTED: ". Marked: a fruit.",
@@ -143,37 +146,37 @@ def _answer(graded: GradedRound, found: FruitContext) -> dict[str, Any]:
     }
 
 
-def _opened(one: RoundView) -> FruitContext | None:
+def _opened(round_view: RoundView) -> FruitContext | None:
     key = st.query_params.get("fruit")
-    return around(resources.store(), one.key, key) if key else None
+    return around(resources.store(), round_view.key, key) if key else None
 
 
 def _doubtful(graded: GradedRound) -> None:
-    left = least_sure_first(graded.fruit)
-    if not left:
+    unsure = least_sure_first(graded.fruit)
+    if not unsure:
         return
 
     def look() -> None:
-        keys = [view.key for view in left]
-        now = st.query_params.get("fruit")
-        at = keys.index(now) + 1 if now in keys else 0
-        page_elements.name_in_address("fruit", keys[at % len(keys)])
+        keys = [view.key for view in unsure]
+        current = st.query_params.get("fruit")
+        index = keys.index(current) + 1 if current in keys else 0
+        page_elements.name_in_address("fruit", keys[index % len(keys)])
 
-    words = counted(len(left), "fruit was", "fruit were")
+    words = counted(len(unsure), "fruit was", "fruit were")
     says, go = st.columns([3, 2], vertical_alignment="center")
     says.markdown(f"{words} seen from one stop only: may be wrong or counted twice.")
     button(go, "Show the least certain", "visibility", look)
 
 
-def _same(found: FruitContext) -> None:
+def _same(context: FruitContext) -> None:
     """Draw the views of a fruit, its neighbours and those of other days, to be told apart."""
-    fruit, store = found.fruit, resources.store()
-    apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
-    seen = f"Seen {counted(len(found.views), 'time', 'times')}"
-    _pictures(fruit, seen, found.views, apart)
+    fruit, store = context.fruit, resources.store()
+    apart = None if len(context.views) == 1 else ("Different fruit", "call_split", store.unmerge)
+    title = f"Seen {counted(len(context.views), 'time', 'times')}"
+    _pictures(fruit, title, context.views, apart)
     same = ("Same fruit", "merge", partial(store.merge, fruit.key))
-    _pictures(fruit, "Fruit nearby", found.neighbours, same)
-    for day, is_earlier in ((found.earlier, True), (found.later, False)):
+    _pictures(fruit, "Fruit nearby", context.neighbours, same)
+    for day, is_earlier in ((context.earlier, True), (context.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
 
@@ -199,12 +202,12 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
 
 def _pictures(
-    of: DetectionView,
+    shown_fruit: DetectionView,
     title: str,
     views: Sequence[DetectionView],
     act: tuple[str, str, Callable[[str], int]] | None,
 ) -> None:
-    """Draw views side by side, each with what can be done about it to the fruit `of`."""
+    """Draw views side by side, each with what can be done about it to `shown_fruit`."""
     if not views:
         return
     units = resources.settings().units
@@ -217,7 +220,7 @@ def _pictures(
     def draw(view: DetectionView) -> None:
         if act is not None:
             label, icon, change = act
-            name = f"{label}_{of.key}_{view.key}"
+            name = f"{label}_{shown_fruit.key}_{view.key}"
             button(st, label, icon, do, partial(change, view.key), key=name)
 
     page_elements.pictures(views, words, draw)

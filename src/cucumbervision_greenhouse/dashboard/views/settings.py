@@ -41,21 +41,21 @@ def page() -> None:
 
 def _crop() -> None:
     st.subheader("Crop and units")
-    now = resources.settings()
+    saved = resources.settings()
     entries = {entry.name: entry for entry in profiles()}
     good = [name for name, entry in entries.items() if entry.profile is not None]
     titles = told_apart({n: p.title if (p := entries[n].profile) else n for n in good})
     name = st.selectbox(
         "Crop profile of new rounds",
         good,
-        index=good.index(now.profile) if now.profile in good else 0,
+        index=good.index(saved.profile) if saved.profile in good else 0,
         format_func=titles.__getitem__,
     )
     unit = st.segmented_control(
         "Lengths in",
         ["cm", "in"],
         format_func={"cm": "Centimetres", "in": "Inches"}.__getitem__,
-        default=now.unit,
+        default=saved.unit,
         required=True,
     )
     resources.change_settings(profile=name, unit=unit)
@@ -80,13 +80,13 @@ def _crop() -> None:
 
 def _measuring() -> None:
     st.subheader("Measuring")
-    now = resources.settings()
+    saved = resources.settings()
     lengths = list(LengthDefinition)
     length = st.segmented_control(
         "Length definition",
         lengths,
         format_func=lambda x: str(x).capitalize(),
-        default=now.length,
+        default=saved.length,
         required=True,
         help="Thread: over the outer side, as people measure by hand. Centreline: along the "
         "middle. Chord: straight from end to end.",
@@ -94,15 +94,15 @@ def _measuring() -> None:
     finder = st.selectbox(
         "Find fruit by",
         list(_FINDERS),
-        index=list(_FINDERS).index(now.fruit_from),
+        index=list(_FINDERS).index(saved.fruit_from),
         format_func=_FINDERS.__getitem__,
     )
-    exact = st.toggle("Same lengths on every computer (slower)", now.full_precision)
-    burst = st.number_input("Frames per photo", 1, 15, now.burst)
-    limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, now.upload_limit_mb, 100)
+    exact = st.toggle("Same lengths on every computer (slower)", saved.full_precision)
+    burst = st.number_input("Frames per photo", 1, 15, saved.burst)
+    limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, saved.upload_limit_mb, 100)
     calibration = st.text_input(
         "Calibration file of this site",
-        now.calibration,
+        saved.calibration,
         placeholder="none",
         help="As `cucumbervision calibrate` writes it. Used from the next capture on.",
     ).strip()
@@ -111,7 +111,7 @@ def _measuring() -> None:
             site = read_site_calibration(Path(calibration))
         except CucumberVisionError as error:
             st.error(plain(error), icon=":material/error:")
-            calibration = now.calibration
+            calibration = saved.calibration
         else:
             st.success(f"Calibration {plain(site.tag)}", icon=":material/verified:")
     resources.change_settings(
@@ -131,50 +131,50 @@ _USUAL_US = 8000.0  # a bright house
 def _camera() -> None:
     """Draw preset and exposure; the camera is opened again where they change."""
     st.subheader("Camera")
-    now = resources.settings()
+    saved = resources.settings()
     preset = st.selectbox(
         "Depth preset",
         PRESETS,
-        PRESETS.index(now.camera_preset),
+        PRESETS.index(saved.camera_preset),
         format_func=lambda name: name.replace("-", " ") or "camera default",
     )
-    known = None if now.exposure_us is None else "fixed" if now.exposure_us else "automatic"
+    exposure = None if saved.exposure_us is None else "fixed" if saved.exposure_us else "automatic"
     chosen = st.selectbox(
         "Exposure of the colour camera",
         list(_EXPOSURES),
-        list(_EXPOSURES).index(known),
+        list(_EXPOSURES).index(exposure),
         format_func=_EXPOSURES.__getitem__,
     )
     exposure_us = None if chosen is None else 0.0
     if chosen == "fixed":
-        usual = now.exposure_us or _USUAL_US
+        usual = saved.exposure_us or _USUAL_US
         exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
     resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
     cameras.camera().configure(resources.settings().camera)
 
 
 def _how() -> None:
-    now = resources.settings()
+    saved = resources.settings()
     resources.change_settings(
         confidence=st.number_input(
-            "Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05
+            "Minimum confidence of a detection", 0.05, 0.95, saved.confidence, 0.05
         ),
         input_sizes=tuple(
             st.pills(
                 "Network input size, pixels (long side); none: its own, two: both are merged",
-                sorted({*_INPUT_SIZES_PX, *now.input_sizes}),
+                sorted({*_INPUT_SIZES_PX, *saved.input_sizes}),
                 selection_mode="multi",
-                default=now.input_sizes,
+                default=saved.input_sizes,
             )[-2:]
         ),
         selector=st.segmented_control(
             "Choice of method",
             list(Selector),
             format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
-            default=now.selector,
+            default=saved.selector,
             required=True,
         )
-        or now.selector,
+        or saved.selector,
     )
 
 

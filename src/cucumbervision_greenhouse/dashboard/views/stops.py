@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import RoundView, StopView
 
 
-def list_stops(one: RoundView) -> None:
+def list_stops(round_view: RoundView) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
-    stops = {stop.key: stop for stop in resources.store().stops(one.key)}
-    key = f"stop_of_{one.key}"
+    stops = {stop.key: stop for stop in resources.store().stops(round_view.key)}
+    key = f"stop_of_{round_view.key}"
     named = st.query_params.get("stop")  # as the capture page's link does
     say_missing("stop", stops, "There is no such stop in this round (any more).")
     if named in stops:
@@ -35,7 +35,7 @@ def list_stops(one: RoundView) -> None:
             "Stop",
             list(stops),
             index=None,
-            format_func=label_options(key, {at: _words(stop) for at, stop in stops.items()}),
+            format_func=label_options(key, {index: _words(stop) for index, stop in stops.items()}),
             placeholder=f"Choose one of {counted(len(stops), 'stop', 'stops')}",
             key=key,
         )
@@ -52,13 +52,13 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
     """Draw a stop's place and name to be changed; `sides` are those of its round."""
     store = resources.store()
     # Fields of new names after every change: those on the page keep what was typed before.
-    given = f"{stop.key}_{store.newest_action(stop.round_key)}"
+    version = f"{stop.key}_{store.newest_action(stop.round_key)}"
     row, side, position = st.columns(3)
     number, note = st.columns([1, 2])
-    row.text_input("Row", stop.row or "", key=f"stop_row_{given}")
-    every = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
-    at = every.index(stop.side) if stop.side else None
-    side.selectbox("Side", every, at, key=f"stop_side_{given}", accept_new_options=True)
+    row.text_input("Row", stop.row or "", key=f"stop_row_{version}")
+    choices = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
+    index = choices.index(stop.side) if stop.side else None
+    side.selectbox("Side", choices, index, key=f"stop_side_{version}", accept_new_options=True)
     position.number_input(
         "At [m]",
         min(0.0, stop.position_m or 0.0),
@@ -66,15 +66,15 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
         stop.position_m,
         0.1,
         "%.2f",
-        key=f"stop_at_{given}",
+        key=f"stop_at_{version}",
     )
-    number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{given}")
-    note.text_input("Name", stop.note, key=f"stop_note_{given}")
+    number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{version}")
+    note.text_input("Name", stop.note, key=f"stop_note_{version}")
 
     def move() -> int:
         # What the fields hold now: they may have been typed into since they were drawn.
         names = ("row", "side", "at", "step", "note")
-        typed = [st.session_state[f"stop_{name}_{given}"] for name in names]
+        typed = [st.session_state[f"stop_{name}_{version}"] for name in names]
         row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
         return move_stop(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
 

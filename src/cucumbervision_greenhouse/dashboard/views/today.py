@@ -37,21 +37,21 @@ if TYPE_CHECKING:
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_view: RoundView) -> None:
     """Draw the page."""
-    today = round_caches.today_of(one)
-    _age(one, today)
-    _next(one, today)
+    today = round_caches.today_of(round_view)
+    _age(round_view, today)
+    _next(round_view, today)
     if not today.rows:
         return
-    _ready(one, today)
+    _ready(round_view, today)
     st.subheader("Pick list")
-    _picks(one, today)
+    _picks(round_view, today)
 
 
-def _age(one: RoundView, today: Today) -> None:
-    walked = round_day(one.walked_s)
-    if not one.stops:
+def _age(round_view: RoundView, today: Today) -> None:
+    walked = round_day(round_view.walked_s)
+    if not round_view.stops:
         return
     if today.age is Age.USELESS:
         st.warning(
@@ -65,30 +65,30 @@ def _age(one: RoundView, today: Today) -> None:
     if today.age_days:
         words += " Lengths include the growth expected since then."
     (st.warning if today.age is Age.OLD else st.markdown)(words)
-    if is_demonstration(one.key):
+    if is_demonstration(round_view.key):
         st.info("A computer-made example.", icon=":material/draw:")
 
 
-def _next(one: RoundView, today: Today) -> None:
+def _next(round_view: RoundView, today: Today) -> None:
     """Say what to do next, with a way to where it is done."""
-    progress = tasks.progress(one.key)
+    progress = tasks.progress(round_view.key)
     steps: list[tuple[str, str, str]] = []
     if progress.waiting:
         tasks.wake()
-    if not one.stops and progress.first_words:
+    if not round_view.stops and progress.first_words:
         steps.append((progress.first_words, "capture", "Capture"))
     elif progress.waiting:
         words = counted(progress.waiting, "capture is", "captures are")
         steps.append((f"{words} still being measured.", "capture", "Capture"))
-    if not one.stops and is_demonstration(one.key) and progress.title:
+    if not round_view.stops and is_demonstration(round_view.key) and progress.title:
         st.info("The example is being measured; its fruit appear here.")
-    elif not one.stops and not progress.first_words:
+    elif not round_view.stops and not progress.first_words:
         steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
-    elif one.stops and today.age is not Age.FRESH:
+    elif round_view.stops and today.age is not Age.FRESH:
         steps.append(("Start a new round and walk again.", "capture", "Capture"))
-    elif one.stops and not today.rows and not progress.waiting:
+    elif round_view.stops and not today.rows and not progress.waiting:
         steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
-    if unsure := len(doubtful(round_caches.content_of(one).views)):
+    if unsure := len(doubtful(round_caches.content_of(round_view).views)):
         steps.append(
             (
                 f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with low "
@@ -104,25 +104,25 @@ def _next(one: RoundView, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(one: RoundView, today: Today) -> None:
+def _ready(round_view: RoundView, today: Today) -> None:
     """Say what is still to be picked, by class and row."""
-    today = today.left(_picked(one, today))
+    today = today.left(_picked(round_view, today))
     ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
     names = work_of(today.of(PickKind.READY)).by_class
-    shown = [("Ready today", ready), *((class_name(n), k) for n, k in sorted(names.items()))]
-    others = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
+    metrics = [("Ready today", ready), *((class_name(n), k) for n, k in sorted(names.items()))]
+    other_kinds = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
     labels = {name: class_name(name) for name in sorted(names)}
-    for kind, count in others:
+    for kind, count in other_kinds:
         if count:
             labels[str(kind)] = kind.capitalize()
-            shown.append((kind.capitalize(), count))
+            metrics.append((kind.capitalize(), count))
     with st.container(horizontal=True):
-        for label, value in shown:
+        for label, value in metrics:
             st.metric(plain(label), value, width="content")
     lines = []
-    for row, own in today.by_class().items():
-        counts = {label: own.get(name) or "" for name, label in labels.items()}
-        lines.append({"Row": row or "not named", **counts, "All": sum(own.values())})
+    for row, counts_of_row in today.by_class().items():
+        counts = {label: counts_of_row.get(name) or "" for name, label in labels.items()}
+        lines.append({"Row": row or "not named", **counts, "All": sum(counts_of_row.values())})
     if len(lines) > 1:
         page_elements.table(lines)
     words = f"{counted(ready, 'fruit is', 'fruit are')} left in the list below."
@@ -137,13 +137,15 @@ _SAID = {
 }
 
 
-def _picks(one: RoundView, today: Today) -> None:
+def _picks(round_view: RoundView, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
-        picked = _picked(one, today)
+        picked = _picked(round_view, today)
         rows = {row.row: row for row in today.rows}
-        ready = {name: own.of(PickKind.READY) for name, own in rows.items()}
-        done = {name: sum(_is_picked(p, picked) for p in own) for name, own in ready.items()}
+        ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
+        done = {
+            name: sum(_is_picked(p, picked) for p in row_picks) for name, row_picks in ready.items()
+        }
         counts = {row: f"{plain(row or 'no row')}: {done[row]}/{len(ready[row])}" for row in rows}
         label = label_options("pick_row", counts)
         if st.session_state.get("pick_row") not in rows:
@@ -164,10 +166,10 @@ def _picks(one: RoundView, today: Today) -> None:
             picks = row.of(kind)
             if not picks:
                 continue
-            if said := _SAID.get(kind):
-                st.markdown(said)
-            lines = _lines(one, picks, picked, today.simulated)
-            key = f"picks_{kind}_{one.key}_{row.row}"
+            if explanation := _SAID.get(kind):
+                st.markdown(explanation)
+            lines = _lines(round_view, picks, picked, today.simulated)
+            key = f"picks_{kind}_{round_view.key}_{row.row}"
             page_elements.fruit_list(key, "Fruit to pick", lines, words, partial(_keep, key))
         _all_picked(row, picked)
         _work(today, picked)
@@ -179,17 +181,17 @@ def _is_picked(pick: Pick, picked: set[str]) -> bool:
     return pick.fruit.fruit_id in picked
 
 
-def _picked(one: RoundView, today: Today) -> set[str]:
+def _picked(round_view: RoundView, today: Today) -> set[str]:
     """Return the keys of the fruit that are picked by now."""
-    keys = resources.store().picked(one.key)
+    keys = resources.store().picked(round_view.key)
     return {today.best.get(key, key) for key in keys}
 
 
 def _lines(
-    one: RoundView, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+    round_view: RoundView, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
-    views = {view.key: view for view in round_caches.graded_round(one).fruit}
+    views = {view.key: view for view in round_caches.graded_round(round_view).fruit}
     lines = []
     for pick in picks:
         key = pick.fruit.fruit_id
@@ -209,11 +211,11 @@ def _lines(
 
 def _keep(key: str) -> None:
     """Keep new taps; those that were kept before come along with every one of them."""
-    seen: set[str] = st.session_state.setdefault("taps_seen", set())
+    handled: set[str] = st.session_state.setdefault("taps_seen", set())
     store = resources.store()
     for tap in st.session_state[key].taps or ():
-        if tap["number"] not in seen:
-            seen.add(tap["number"])
+        if tap["number"] not in handled:
+            handled.add(tap["number"])
             fruit = [str(tap["key"])]
             store.pick(fruit) if tap["picked"] else store.unpick(fruit)
             st.session_state.pop("picked_all", None)
@@ -221,14 +223,14 @@ def _keep(key: str) -> None:
 
 def _all_picked(row: RowPicks, picked: set[str]) -> None:
     ready = row.of(PickKind.READY)
-    left = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
+    unpicked = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
 
     @st.dialog("All picked?")
     def _ask() -> None:
-        st.write(f"{len(left)} fruit of row {plain(row.row)} will be marked as picked.")
+        st.write(f"{len(unpicked)} fruit of row {plain(row.row)} will be marked as picked.")
         yes, no = st.columns(2)
         if yes.button("Yes, all are picked", type="primary", width="stretch"):
-            st.session_state["picked_all"] = resources.store().pick(left)
+            st.session_state["picked_all"] = resources.store().pick(unpicked)
             st.rerun()
         if no.button("No", width="stretch"):
             st.rerun()
@@ -239,7 +241,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
             f"All of row {plain(row.row)} are picked",
             icon=":material/done_all:",
             width="stretch",
-            disabled=not left,
+            disabled=not unpicked,
         ):
             _ask()
         number = st.session_state.get("picked_all")
@@ -258,7 +260,7 @@ def _undo(number: int) -> None:
 def _work(today: Today, picked: set[str]) -> None:
     if today.forecast is None:
         return
-    now = time.strftime("%H:%M")
-    left = today.left(picked).of(PickKind.READY)
-    words = page_elements.work_words(work_of(left, resources.settings().rates))
-    st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {now}.")
+    clock = time.strftime("%H:%M")
+    unpicked = today.left(picked).of(PickKind.READY)
+    words = page_elements.work_words(work_of(unpicked, resources.settings().rates))
+    st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {clock}.")

@@ -141,7 +141,15 @@ def measured_histories(
 
     def add(fruit: Array, start: Array, end: Array, length_m: Array, variance_m2: Array) -> None:
         overlap = basis.overlap(start, end)
-        steps.append(_Step(fruit, end - start, overlap, length_m, variance_m2))
+        steps.append(
+            _Step(
+                fruit=fruit,
+                elapsed=end - start,
+                overlap=overlap,
+                length_m=length_m,
+                variance_m2=variance_m2,
+            )
+        )
 
     for k in range(int(counts.max(initial=0))):
         fruit = np.flatnonzero(counts > k)
@@ -197,7 +205,13 @@ def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
             innovations.append(residual / np.sqrt(scale)[:, None])
             log_scale += 0.5 * float(np.log(scale).sum())
         length[step.fruit], growth[step.fruit], cov[step.fruit] = x, b, p
-    return FilteredStates(length, growth, cov, np.concatenate(innovations), log_scale)
+    return FilteredStates(
+        length=length,
+        growth=growth,
+        covariance=cov,
+        innovations=np.concatenate(innovations),
+        log_scale=log_scale,
+    )
 
 
 def _carried(
@@ -482,7 +496,16 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     draws = tuple(Spreads(*line) for line in figures.tolist())
     posteriors = [_coefficients(best.histories, prior, spreads) for spreads in draws]
     means, roots = np.array([f[0] for f in posteriors]), np.array([f[1] for f in posteriors])
-    return Growth(prior, basis, tuple(links), best.curve, best.pace_m, draws, means, roots)
+    return Growth(
+        prior=prior,
+        basis=basis,
+        links=tuple(links),
+        curve=best.curve,
+        pace_m=best.pace_m,
+        spreads=draws,
+        mean=means,
+        root=roots,
+    )
 
 
 def measured_points(links: Sequence[Link]) -> list[tuple[float, float, float]]:
@@ -516,7 +539,7 @@ class _Problem:
         pace_m = float(np.median(paces)) if steps else prior.mean_m
         histories = measured_histories([curve.points(m, pace_m) for m in series], rows, basis)
         slope = float(np.log(curve.rate_share([b[1] for _, b in steps])).sum())
-        return cls(prior, curve, pace_m, histories, slope)
+        return cls(prior=prior, curve=curve, pace_m=pace_m, histories=histories, log_slope=slope)
 
     def log_posterior(self, logs: NDArray[np.float64]) -> float:
         centre = np.array(astuple(self.prior.spreads))

@@ -80,7 +80,7 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     """
     kinds = [_kind(possible, forecast.pick) for possible in forecast.possible]
     listed = [
-        Pick(state, class_of(possible), float(ready), kind, possible)
+        Pick(fruit=state, name=class_of(possible), ready=float(ready), kind=kind, possible=possible)
         for state, possible, ready, kind in zip(
             forecast.fruit, forecast.possible, forecast.ready, kinds, strict=True
         )
@@ -264,5 +264,9 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
             for k, name in enumerate(forecast.pick)
         }
         complete = bool(forecast.complete[day, chosen].all())
-        plans.append(DayWork(day, Span(*fruit), Span(*hours), crates, complete))
+        plans.append(
+            DayWork(
+                day=day, fruit=Span(*fruit), hours=Span(*hours), crates=crates, complete=complete
+            )
+        )
     return tuple(plans)

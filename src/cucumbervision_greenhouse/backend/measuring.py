@@ -149,7 +149,13 @@ class SharedMeasurer:
         _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
         keypoints = _kept_keypoints(record.keypoints, mask)
         instance = Instance(
-            box_of_mask(mask), record.score, record.label, mask, drawn_by, None, keypoints
+            box=box_of_mask(mask),
+            confidence=record.score,
+            class_name=record.label,
+            mask=mask,
+            mask_source=drawn_by,
+            detector_mask=None,
+            keypoints=keypoints,
         )
         measurement = self.with_options(options).measure_instance(capture, instance)
         return store.correct(

@@ -61,7 +61,13 @@ class SentPlace(_Frozen):
     @property
     def next_place(self) -> NextPlace:
         """The same for a walk."""
-        return NextPlace(self.row, self.side, self.position_m, self.step_m, self.back)
+        return NextPlace(
+            row=self.row,
+            side=self.side,
+            position_m=self.position_m,
+            step_m=self.step_m,
+            back=self.back,
+        )
 
 
 class UploadOutcome(_Frozen):

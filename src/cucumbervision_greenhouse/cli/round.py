@@ -136,7 +136,15 @@ def add(
         raise typer.BadParameter("give right or left", param_hint="--higher-to")
     sign = {None: None, "right": 1, "left": -1}[higher_to]
     poses_of = {} if poses is None else read_poses(poses)
-    place = Place(row, side, position, spacing, position_sd, sign, poses_of)
+    place = Place(
+        row=row,
+        side=side,
+        position_m=position,
+        spacing_m=spacing,
+        position_sd_m=position_sd,
+        sign=sign,
+        poses=poses_of,
+    )
     with (
         opened_round(store, round_, images) as (opened, round_view),
         progress_bar(Console(stderr=True, highlight=False)) as bar,

@@ -124,12 +124,12 @@ def round_tables(
         "provenance": provenance,
     }
     return RoundTables(
-        view.record.name or view.key,
-        _about(view, provenance),
-        {name: Table.of(name, table_lines) for name, table_lines in lines.items()},
-        _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
-        dict(pictures_of.values()),
-        note,
+        title=view.record.name or view.key,
+        provenance=_about(view, provenance),
+        tables={name: Table.of(name, table_lines) for name, table_lines in lines.items()},
+        bins=_length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
+        pictures=dict(pictures_of.values()),
+        note=note,
     )
 
 

@@ -140,7 +140,15 @@ class RoundCapture(Listed):
         placed = Placed.of(capture, number, place) if is_deleted is None else None
         listed = Listed.of(capture if placed is None else placed.capture)
         return cls(
-            listed.input, listed.ref, listed.name, round_key, key, placed, is_deleted, same, keep
+            input=listed.input,
+            ref=listed.ref,
+            name=listed.name,
+            round_key=round_key,
+            key=key,
+            place=placed,
+            is_deleted=is_deleted,
+            same=same,
+            keep=keep,
         )
 
 

@@ -119,7 +119,13 @@ def link_days(
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
     likely = chance > 0.5
     linked = np.column_stack([i[pairs], j[pairs]])[likely]
-    return DayLinks(linked, chance[likely], chance[likely] >= SURE, field, spread)
+    return DayLinks(
+        pairs=linked,
+        probability=chance[likely],
+        sure=chance[likely] >= SURE,
+        shift_m=field,
+        shift_sd_m=spread,
+    )
 
 
 def _swing(gap: Floats, noise: Floats) -> Floats:

@@ -113,17 +113,17 @@ def fruit_states(
         graded = grade(view.record, profile)
         states.append(
             FruitState(
-                view.key,
-                view.row or "",
-                view.along_m or 0.0,
-                length_m,
-                sd_m,
-                day,
-                view.side or "",
-                graded.best_class,
-                view.picked_s is not None and view.picked_s < picked_before_s,
-                graded.possible,
-                view.record.at_least,
+                fruit_id=view.key,
+                row=view.row or "",
+                position_m=view.along_m or 0.0,
+                length_m=length_m,
+                sd_m=sd_m,
+                day=day,
+                side=view.side or "",
+                best_class=graded.best_class,
+                picked=view.picked_s is not None and view.picked_s < picked_before_s,
+                possible=graded.possible,
+                at_least=view.record.at_least,
             )
         )
     return states
@@ -349,7 +349,7 @@ def forecast_today(
 
     Parameters
     ----------
-    store, one, profile, now_s, content
+    store, round_view, profile, now_s, content
         As `read_today` takes them.
     days : int
         Days ahead; 0 for today alone.
@@ -449,15 +449,22 @@ def read_today(
     content = content or read_round(store, round_view.key)
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:
-        return Today(days, age, None, (), best)
+        return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
     try:
         result = forecast_today(
             store, round_view, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
         )
     except ForecastError:
-        return Today(days, age, None, (), best)
+        return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
     simulated = frozenset(view.key for view in content.views if view.simulated)
-    return Today(days, age, result, _by_row(pick_list(result)), best, simulated)
+    return Today(
+        age_days=days,
+        age=age,
+        forecast=result,
+        rows=_by_row(pick_list(result)),
+        best=best,
+        simulated=simulated,
+    )
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:

@@ -145,7 +145,14 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     cameras, judged = store.cameras(round_key), store.judged(round_key)
     stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
     false, joint = FalseShare.learnt(*judged), store.joint(round_key)
-    return RoundContent(round_key, tuple(stops), tuple(views), cameras, false, joint)
+    return RoundContent(
+        key=round_key,
+        stops=tuple(stops),
+        views=tuple(views),
+        cameras=cameras,
+        false=false,
+        joint=joint,
+    )
 
 
 def counted_fruit(views: Iterable[DetectionView]) -> list[DetectionView]:
@@ -247,24 +254,32 @@ def _row(
     records = [view.record for view in placed_views]
     length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
     views = RowViews(
-        at_stop,
-        np.array([cameras[v.stop_key].captures[v.capture] for v in placed_views], np.int64),
-        offset,
-        offset_sd,
-        length[:, 0],
-        length[:, 1],
-        np.array([record.diameter_max_m or np.nan for record in records], np.float64),
-        np.full(len(placed_views), _DIAMETER_SD),
-        np.array([record.partial for record in records], bool),
-        np.array([record.score for record in records], np.float64),
-        np.array([record.view_score for record in records], np.float64),
+        stop=at_stop,
+        capture=np.array([cameras[v.stop_key].captures[v.capture] for v in placed_views], np.int64),
+        offset_m=offset,
+        offset_sd_m=offset_sd,
+        length_m=length[:, 0],
+        length_sd=length[:, 1],
+        diameter_m=np.array([record.diameter_max_m or np.nan for record in records], np.float64),
+        diameter_sd=np.full(len(placed_views), _DIAMETER_SD),
+        partial=np.array([record.partial for record in records], bool),
+        score=np.array([record.score for record in records], np.float64),
+        view_score=np.array([record.view_score for record in records], np.float64),
     )
     keys = tuple(view.key for view in placed_views)
     stops_of_row = RowStops(at_m, sd_m, side, reach)
     accepted = np.array([view.verdict is Verdict.ACCEPTED for view in placed_views], bool)
     unplaced = len(fruit) - len(placed_views)
     return StoredRow(
-        name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, content.false
+        name=name,
+        stops=stops_of_row,
+        views=views,
+        stop_keys=tuple(index),
+        fruit_keys=keys,
+        sides=sides,
+        unplaced=unplaced,
+        accepted=accepted,
+        false=content.false,
     )
 
 

@@ -107,14 +107,14 @@ def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFi
     """Return the figures of a round from its content and its `fruit_table`."""
     lengths_m = hanging_lengths_m(line.view for line in table)
     return RoundFigures(
-        len(table),
-        sum(line.view.record.length_m is not None for line in table),
-        sum(line.view.picked_s is not None for line in table),
-        sum(view.verdict is not Verdict.REJECTED for view in content.views),
-        fmean(lengths_m) if lengths_m else None,
-        stdev(lengths_m) if len(lengths_m) > 1 else None,
-        min(lengths_m, default=None),
-        max(lengths_m, default=None),
+        fruit=len(table),
+        measured=sum(line.view.record.length_m is not None for line in table),
+        picked=sum(line.view.picked_s is not None for line in table),
+        detections=sum(view.verdict is not Verdict.REJECTED for view in content.views),
+        mean_m=fmean(lengths_m) if lengths_m else None,
+        sd_m=stdev(lengths_m) if len(lengths_m) > 1 else None,
+        shortest_m=min(lengths_m, default=None),
+        longest_m=max(lengths_m, default=None),
     )
 
 
@@ -272,11 +272,11 @@ def around(store: Store, round_key: str, key: str) -> FruitContext | None:
     keys = {view.key for view in views}
     before, after = earlier_round(store, round_key), later_rounds(store, round_key)[:1]
     return FruitContext(
-        fruit,
-        tuple(views),
-        nearest(fruit, candidates, _NEAR_M),
-        None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
-        _other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
+        fruit=fruit,
+        views=tuple(views),
+        neighbours=nearest(fruit, candidates, _NEAR_M),
+        earlier=None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
+        later=_other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
     )
 
 

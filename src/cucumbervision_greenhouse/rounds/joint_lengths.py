@@ -220,5 +220,10 @@ def _joint_record(
     }
     reason = _ENDED if record.partial else "ok"
     return JointRecord(
-        key, first.view.key, len(poses), reason, replace(record, mask=None, keypoints=()), poses
+        key=key,
+        first=first.view.key,
+        views=len(poses),
+        reason=reason,
+        record=replace(record, mask=None, keypoints=()),
+        poses=poses,
     )

@@ -276,7 +276,13 @@ def merge_row(
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
     pairs = np.column_stack(cluster_pairs(numbers))
-    return Merged(numbers, fitted, pairs, _chance(pairs, i, j, ratio, len(views)), mirrored)
+    return Merged(
+        cluster=numbers,
+        stops=fitted,
+        pairs=pairs,
+        probability=_chance(pairs, i, j, ratio, len(views)),
+        mirrored=mirrored,
+    )
 
 
 def _views_per_m(stops: RowStops, views: RowViews) -> float:

@@ -152,16 +152,16 @@ def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
 def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowReport:
     count = count_fruit(merged, row.stops, row.views, row.accepted, row.false)
     return RowReport(
-        row.name,
-        len(row.stops),
-        len(row.views),
-        fruit,
+        row=row.name,
+        stops=len(row.stops),
+        views=len(row.views),
+        fruit=fruit,
         # Without a row, pictures need not be of one place: nothing is said of what none shows.
-        count if row.name else CountEstimate.counted(len(count.view_counts)),
-        done,
-        float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
-        tuple(row.sides[side] for side in merged.mirrored),
-        row.unplaced,
+        count=count if row.name else CountEstimate.counted(len(count.view_counts)),
+        merged=done,
+        stop_sd_m=float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
+        mirrored=tuple(row.sides[side] for side in merged.mirrored),
+        unplaced=row.unplaced,
     )
 
 
@@ -289,7 +289,12 @@ def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
         refuse_taken(store, stop.round_key, place, camera, but=stop.key)
     turned = sign_of_side(place.side) != sign_of_side(stop.side)
     where = StopPlace(
-        place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
+        row=place.row,
+        side=place.side,
+        position_m=place.position_m,
+        step=place.step,
+        note=note,
+        mirrored=stop.mirrored != turned,
     )
     return store.place_stop(stop.key, where)
 

@@ -93,12 +93,12 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
     )
     stop_sd = merged.stops.sd_m[views.stop[best]]
     return RowFruit(
-        best,
-        middle / sums,
-        np.sqrt(1.0 / sums + stop_sd**2),
-        length_m,
-        length_sd,
-        views.partial[best],
+        best=best,
+        place_m=middle / sums,
+        place_sd_m=np.sqrt(1.0 / sums + stop_sd**2),
+        length_m=length_m,
+        length_sd=length_sd,
+        partial=views.partial[best],
     )
 
 
@@ -208,7 +208,14 @@ class CountEstimate:
     def of_nothing(cls) -> CountEstimate:
         """Return the count of a row without detections."""
         none: Ints = np.zeros(0, np.int64)
-        return cls(0.0, 0.0, none, none, np.zeros(0), _SEEN)
+        return cls(
+            expected=0.0,
+            sd=0.0,
+            view_counts=none,
+            capture_counts=none,
+            real=np.zeros(0),
+            seen_again=_SEEN,
+        )
 
     @classmethod
     def counted(cls, fruit: int) -> CountEstimate:
@@ -220,7 +227,14 @@ class CountEstimate:
         (65.0, (65, 65))
         """
         ones = np.ones(fruit, np.int64)
-        return cls(float(fruit), 0.0, ones, ones, np.ones(fruit), 1.0)
+        return cls(
+            expected=float(fruit),
+            sd=0.0,
+            view_counts=ones,
+            capture_counts=ones,
+            real=np.ones(fruit),
+            seen_again=1.0,
+        )
 
     def interval(self, level: float = 0.9) -> tuple[int, int]:
         """Return whole numbers between which the number of fruit lies with that probability.
@@ -404,7 +418,12 @@ def estimate_count(
     uncertain = float((real * (1 - real)).sum()) * _share_learnt(real[once])
     sd = np.sqrt(uncertain + (unseen * (1 + unseen)).sum())
     return CountEstimate(
-        float((real + unseen).sum()), float(sd), view_counts, capture_counts, real, q
+        expected=float((real + unseen).sum()),
+        sd=float(sd),
+        view_counts=view_counts,
+        capture_counts=capture_counts,
+        real=real,
+        seen_again=q,
     )
 
 

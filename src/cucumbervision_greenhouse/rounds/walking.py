@@ -69,7 +69,9 @@ class NextPlace:
         """
         way = -self.step_m if self.back else self.step_m
         at_m = max(round(self.position_m + way, 2), 0.0)
-        return NextPlace(self.row, self.side, at_m, self.step_m, self.back)
+        return NextPlace(
+            row=self.row, side=self.side, position_m=at_m, step_m=self.step_m, back=self.back
+        )
 
 
 def next_place(stops: Sequence[_Placed]) -> NextPlace:
@@ -99,7 +101,9 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
     apart = positions_m[-1] - positions_m[-2] if len(positions_m) > 1 else _STEP_M
     plausible = 0.0 < abs(apart) <= _WIDEST_M
     step_m = round(abs(apart), 2) if plausible else _STEP_M
-    return NextPlace(row, side, round(at_m, 2), step_m, plausible and apart < 0).onward()
+    return NextPlace(
+        row=row, side=side, position_m=round(at_m, 2), step_m=step_m, back=plausible and apart < 0
+    ).onward()
 
 
 def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:

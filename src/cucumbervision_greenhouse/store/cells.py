@@ -193,12 +193,12 @@ def _length_of(
         return None
     length_definition: Any = None if definition is None else _KINDS[definition]
     return Length(
-        value_m,
-        _KINDS[kind],
-        low_m,
-        high_m,
-        length_definition,
-        None if basis is None else _BASES[basis],
+        value_m=value_m,
+        kind=_KINDS[kind],
+        low_m=low_m,
+        high_m=high_m,
+        interval_of=length_definition,
+        basis=None if basis is None else _BASES[basis],
     )
 
 

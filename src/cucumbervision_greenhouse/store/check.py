@@ -164,12 +164,12 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
             damaged.append(path)
     orphans = _orphans(store, refs, time.time() - grace_s)
     return CheckReport(
-        len(refs),
-        tuple(missing),
-        tuple(damaged),
-        tuple(orphans),
-        tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
-        (*_faults(store), *changed_lines(store)),
+        pictures=len(refs),
+        missing=tuple(missing),
+        damaged=tuple(damaged),
+        orphans=tuple(orphans),
+        removed=tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
+        faults=(*_faults(store), *changed_lines(store)),
     )
 
 

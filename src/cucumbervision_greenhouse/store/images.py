@@ -110,7 +110,13 @@ class ImageStore:
             If the folder cannot be written.
         """
         sha256 = hashlib.sha256(data).hexdigest()
-        ref = ImageRef(sha256, suffix, len(data), width_px, height_px)
+        ref = ImageRef(
+            sha256=sha256,
+            suffix=suffix,
+            size_bytes=len(data),
+            width_px=width_px,
+            height_px=height_px,
+        )
         path = self.path(ref)
         remedy = "check the folder's permissions, then send the stop again"
         with wrap_os_errors("cannot be written", path, remedy, StoreError):

@@ -176,12 +176,12 @@ class Queries(Database):
                     record for record in capture.fruit if record.number == view.record.number
                 ]
         return DetectionDetail(
-            replace(view, record=corrected or original),
-            original,
-            capture,
-            stop,
-            tuple(link for link in links if key in (link.first, link.second)),
-            tuple(action for action in log if key in action.fruit),
+            view=replace(view, record=corrected or original),
+            original=original,
+            capture=capture,
+            stop=stop,
+            links=tuple(link for link in links if key in (link.first, link.second)),
+            log=tuple(action for action in log if key in action.fruit),
         )
 
     def picked(self, round_key: str) -> dict[str, float]:
@@ -355,7 +355,14 @@ def links_of(
     rows = cells_of(connection, query)
     with decoding(connection):
         return [
-            LinkRecord(kinds[row[0]], row[1], row[2], row[3], row[4] is not None) for row in rows
+            LinkRecord(
+                kind=kinds[row[0]],
+                first=row[1],
+                second=row[2],
+                score=row[3],
+                by_hand=row[4] is not None,
+            )
+            for row in rows
         ]
 
 

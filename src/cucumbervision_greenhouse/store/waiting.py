@@ -200,7 +200,14 @@ class WaitingCaptures:
 
     def _new(self, stop: Stop, key: str, round_key: str, pressed_s: float, source: str) -> Waiting:
         name = f"{round(1e6 * pressed_s):016d}-{key}"
-        return Waiting(key, round_key, stop, pressed_s, self.folder / name, source)
+        return Waiting(
+            key=key,
+            round_key=round_key,
+            stop=stop,
+            pressed_s=pressed_s,
+            folder=self.folder / name,
+            source=source,
+        )
 
     def _put(self, queued_capture: Waiting, fill: Callable[[Path], object]) -> None:
         half = self.folder / f"{_TEMPORARY}{queued_capture.folder.name}"

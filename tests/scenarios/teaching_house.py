@@ -38,7 +38,7 @@ from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionView, Verdict
+from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionSummary, Verdict
 from cucumbervision_lab.datasets.coco import picture_of, write_fragment
 from cucumbervision_lab.datasets.derive import dataset_from_store
 from cucumbervision_lab.datasets.labels import Label
@@ -174,10 +174,10 @@ class User:
 
     @staticmethod
     def _matched(
-        views: Sequence[DetectionView], true: Sequence[Label]
-    ) -> tuple[dict[int, DetectionView], list[str]]:
+        views: Sequence[DetectionSummary], true: Sequence[Label]
+    ) -> tuple[dict[int, DetectionSummary], list[str]]:
         """Return the find of each fruit that was hit, and the keys of those that hit none."""
-        hit_by: dict[int, DetectionView] = {}
+        hit_by: dict[int, DetectionSummary] = {}
         wrong = []
         for view in sorted(views, key=lambda one: -one.record.score):
             record = view.record

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         JointRecord,
         MethodRecord,
     )
-    from cucumbervision_greenhouse.store.views import DetectionView
+    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 CLASS_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 """Colours of a class, the best darkest."""
@@ -244,7 +244,7 @@ def drawn_on(color: NDArray[np.uint8], tube: MethodRecord, camera: Intrinsics) -
 
 def stop_layers(
     capture: CaptureRecord,
-    fruit: Sequence[DetectionView],
+    fruit: Sequence[DetectionSummary],
     grades: Mapping[str, str],
     units: Units,
 ) -> list[dict[str, Any]]:
@@ -254,7 +254,7 @@ def stop_layers(
     ----------
     capture : CaptureRecord
         With the masks, as `Store.stop` gives it.
-    fruit : sequence of DetectionView
+    fruit : sequence of DetectionSummary
         Its fruit as they stand now.
     grades : mapping of str to str
         Names of their classes, by the fruit's keys.

@@ -90,7 +90,7 @@ class Job:
 Work: TypeAlias = Callable[[Job], Any]
 
 
-class Worker:
+class JobQueue:
     """A thread that does one job after the other, in the order in which they come.
 
     Networks and fits compute outside Python's lock for most of the time, so a thread leaves the
@@ -98,7 +98,7 @@ class Worker:
 
     Examples
     --------
-    >>> with Worker() as worker:
+    >>> with JobQueue() as worker:
     ...     job = worker.submit("adding", lambda job: 1 + 1)
     ...     job.wait(), job.result
     (True, 2)
@@ -140,7 +140,7 @@ class Worker:
         """Finish the job at hand and drop the rest."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def __enter__(self) -> Worker:
+    def __enter__(self) -> JobQueue:
         return self
 
     def __exit__(self, *error: object) -> None:

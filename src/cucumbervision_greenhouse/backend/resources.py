@@ -13,7 +13,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision_greenhouse.backend.access import VIEWER, device_of
-from cucumbervision_greenhouse.backend.jobs import Worker
+from cucumbervision_greenhouse.backend.jobs import JobQueue
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
 from cucumbervision_greenhouse.backend.settings import (
     IMAGES_VARIABLE,
@@ -27,7 +27,7 @@ from cucumbervision_greenhouse.backend.settings import (
 from cucumbervision_greenhouse.backend.uploads import Uploads
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import RoundView
+from cucumbervision_greenhouse.store.views import RoundSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
 KEPT = 8  # rounds, forecasts or fruit that are held at once
@@ -65,9 +65,9 @@ def registry() -> Registry:
 
 
 @st.cache_resource(show_spinner=False)
-def worker() -> Worker:
+def worker() -> JobQueue:
     """Return the one worker of this machine."""
-    return Worker()
+    return JobQueue()
 
 
 @st.cache_resource(show_spinner=False)
@@ -114,27 +114,29 @@ def _profile(name: str) -> tuple[str, CropProfile]:
         return "long-cucumber", load_profile("long-cucumber")
 
 
-def profile_of(round_view: RoundView) -> tuple[str, CropProfile]:
+def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:
     """Return name and crop profile of a round; the settings' where it names none that is here."""
-    return _profile(round_view.record.profile or settings().profile)
+    return _profile(round_summary.record.profile or settings().profile)
 
 
-def rounds() -> list[RoundView]:
+def rounds() -> list[RoundSummary]:
     """Return the rounds, the one walked last first, and the demonstration last of all.
 
     That is nobody's work.
     """
     return sorted(
         store().rounds(),
-        key=lambda round_view: (is_demonstration(round_view.key), -round_view.walked_s),
+        key=lambda round_summary: (is_demonstration(round_summary.key), -round_summary.walked_s),
     )
 
 
 def houses() -> list[str]:
     """Return the known houses, each by the name that it was given first."""
-    named = sorted(store().rounds(), key=lambda round_view: round_view.record.started_s)
+    named = sorted(store().rounds(), key=lambda round_summary: round_summary.record.started_s)
     name_of_house: dict[str, str] = {}
-    for round_view in named:
-        if round_view.record.house:
-            name_of_house.setdefault(house_key(round_view.record.house), round_view.record.house)
+    for round_summary in named:
+        if round_summary.record.house:
+            name_of_house.setdefault(
+                house_key(round_summary.record.house), round_summary.record.house
+            )
     return sorted(name_of_house.values())

@@ -30,9 +30,9 @@ from cucumbervision_greenhouse.rounds.forecasting import (
 )
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import RowReport, row_reports
+from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts, row_counts
 from cucumbervision_greenhouse.store.records import JointRecord, MethodRecord
-from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionView, RoundView
+from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionSummary, RoundSummary
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
 LINES = 20  # fruit on one page of the list
@@ -46,10 +46,10 @@ def news(round_key: str) -> dict[str, Any]:
     round_key : str
         The round that is looked at; its `version` changes whenever a page of it would.
     """
-    round_view = next((x for x in store().rounds() if x.key == round_key), None)
+    round_summary = next((x for x in store().rounds() if x.key == round_key), None)
     counts = (
         worker().finished + uploads().changes,
-        0 if round_view is None else hash(_version(round_view)),
+        0 if round_summary is None else hash(_version(round_summary)),
     )
     return {
         "version": f"{counts[0]}-{counts[1]}",
@@ -58,88 +58,90 @@ def news(round_key: str) -> dict[str, Any]:
     }
 
 
-def _version(round_view: RoundView) -> tuple[object, ...]:
+def _version(round_summary: RoundSummary) -> tuple[object, ...]:
     """Return what changes whenever a page of the round would."""
-    return (*_measured_version(round_view), store().newest_action(round_view.key))
+    return (*_measured_version(round_summary), store().newest_action(round_summary.key))
 
 
-def _measured_version(round_view: RoundView) -> tuple[object, ...]:
-    counts = round_view.stops, round_view.fruit, round_view.last_s
-    return (round_view.key, *counts, mergings()[round_view.key], profile_of(round_view)[0])
+def _measured_version(round_summary: RoundSummary) -> tuple[object, ...]:
+    counts = round_summary.stops, round_summary.fruit, round_summary.last_s
+    return (round_summary.key, *counts, mergings()[round_summary.key], profile_of(round_summary)[0])
 
 
-_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
+_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}
 _OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
-    DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px),
+    DetectionSummary: lambda view: (view.key, view.corrected, view.record.box_x1_px),
     JointRecord: lambda joint: joint.key,
 }
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def content_of(round_view: RoundView) -> RoundContent:
+def content_of(round_summary: RoundSummary) -> RoundContent:
     """Return what the store holds of a round; read again only when something changed."""
-    return read_round(store(), round_view.key)
+    return read_round(store(), round_summary.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def graded_round(round_view: RoundView) -> GradedRound:
+def graded_round(round_summary: RoundSummary) -> GradedRound:
     """Return a round's fruit and grades; read again only when something changed."""
-    return grade_round(content_of(round_view), fruit_of(round_view), profile_of(round_view)[1])
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def methods_of(round_view: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
-    """Return every method's length by the fruit's keys, for what few look at."""
-    return store().measurements(round_view.key)
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def rows_of(round_view: RoundView) -> list[RowReport]:
-    """Return a round's rows with their counts; read again only when something changed."""
-    return row_reports(content_of(round_view))
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def doubts_of(round_view: RoundView) -> list[str]:
-    """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
-    return round_doubts(store(), content_of(round_view).views)
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def fruit_of(round_view: RoundView) -> list[RoundFruit]:
-    """Return a round's fruit with the lengths by all their views; read again when that changed."""
-    return fruit_table(content_of(round_view))
-
-
-@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
-def forecast_of(round_view: RoundView) -> Forecast:
-    """Return a round's forecast from today on; computed again only when something changed."""
-    return forecast_today(
-        store(), round_view, profile_of(round_view)[1], time.time(), content_of(round_view)
+    return grade_round(
+        content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
     )
 
 
-def _unpicked_version(round_view: RoundView) -> tuple[object, ...]:
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...]]:
+    """Return every method's length by the fruit's keys, for what few look at."""
+    return store().measurements(round_summary.key)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def rows_of(round_summary: RoundSummary) -> list[RowCounts]:
+    """Return a round's rows with their counts; read again only when something changed."""
+    return row_counts(content_of(round_summary))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def doubts_of(round_summary: RoundSummary) -> list[str]:
+    """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
+    return round_doubts(store(), content_of(round_summary).views)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def fruit_of(round_summary: RoundSummary) -> list[RoundFruit]:
+    """Return a round's fruit with the lengths by all their views; read again when that changed."""
+    return fruit_table(content_of(round_summary))
+
+
+@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def forecast_of(round_summary: RoundSummary) -> Forecast:
+    """Return a round's forecast from today on; computed again only when something changed."""
+    return forecast_today(
+        store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
+    )
+
+
+def _unpicked_version(round_summary: RoundSummary) -> tuple[object, ...]:
     """Return what changes whenever a round's list of picks would, but for what is picked of it."""
-    newest = store().newest_action(round_view.key, without=("pick", "unpick"))
-    return (*_measured_version(round_view), newest, midnight_s(time.time()))
+    newest = store().newest_action(round_summary.key, without=("pick", "unpick"))
+    return (*_measured_version(round_summary), newest, midnight_s(time.time()))
 
 
 @st.cache_resource(
     show_spinner="Forecasting …",
     max_entries=KEPT,
     ttl=3600,
-    hash_funcs={RoundView: _unpicked_version},
+    hash_funcs={RoundSummary: _unpicked_version},
 )
-def today_of(round_view: RoundView) -> Today:
+def today_of(round_summary: RoundSummary) -> Today:
     """Return what a round says of today; fruit that are picked today stay in it."""
     return read_today(
-        store(), round_view, profile_of(round_view)[1], time.time(), content_of(round_view)
+        store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
     )
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def fruit_detail(round_view: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
+def fruit_detail(round_summary: RoundSummary, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
     """Return one fruit with everything."""
     return store().detection(fruit_key)
 
@@ -150,7 +152,7 @@ def _capture_widths(stop_key: str) -> dict[str, int]:
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
-def thumbnail_of(view: DetectionView) -> str | None:
+def thumbnail_of(view: DetectionSummary) -> str | None:
     """Return a fruit's thumbnail as a data URL; None where none was kept."""
     if view.thumbnail is None:
         return None
@@ -165,7 +167,7 @@ def joint_of(round_key: str, key: str) -> JointRecord:
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
-def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | None:
+def cutout_of(view: DetectionSummary, joint: JointRecord | None = None) -> str | None:
     """Return a fruit cut out of its picture as a data URL; None where none was kept.
 
     `joint` is drawn on it where it was fitted to this view.
@@ -184,9 +186,9 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
 
 def read_ahead() -> None:
     """Read the newest round, so that the first page that is opened need not wait for it."""
-    for round_view in rounds()[:1]:
-        for view in graded_round(round_view).fruit[:LINES]:
+    for round_summary in rounds()[:1]:
+        for view in graded_round(round_summary).fruit[:LINES]:
             thumbnail_of(view)
-        rows_of(round_view)
-        forecast_of(round_view)
-        today_of(round_view)
+        rows_of(round_summary)
+        forecast_of(round_summary)
+        today_of(round_summary)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFigures, RoundFruit
     from cucumbervision_greenhouse.store.records import DetectionRecord
-    from cucumbervision_greenhouse.store.views import DetectionView
+    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 
 _LOW_CONFIDENCE = 0.45  # below it, a fruit that is seen once may be a false detection
@@ -35,9 +35,9 @@ class GradedRound:
 
     Parameters
     ----------
-    fruit : tuple of DetectionView
+    fruit : tuple of DetectionSummary
         Each fruit once: its representative view, with the length from all views.
-    deleted : tuple of DetectionView
+    deleted : tuple of DetectionSummary
         Those that somebody deleted; no figure counts them.
     grades : dict of str to Grade
         By fruit key, of both, in the order of the walk.
@@ -45,8 +45,8 @@ class GradedRound:
         Numbers of fruit and their lengths.
     """
 
-    fruit: tuple[DetectionView, ...]
-    deleted: tuple[DetectionView, ...]
+    fruit: tuple[DetectionSummary, ...]
+    deleted: tuple[DetectionSummary, ...]
     grades: Mapping[str, Grade]
     figures: RoundFigures
 
@@ -63,7 +63,7 @@ def grade_round(
     return GradedRound(fruit, deleted, grades, round_figures(content, table))
 
 
-def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
+def doubtful(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
     """Return the fruit that one view alone shows, unsurely, and nobody has looked at."""
     return [
         view
@@ -91,7 +91,7 @@ def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
 
 
 def length_lines(
-    fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
+    fruit: Sequence[DetectionSummary], grades: Mapping[str, Grade], units: Units
 ) -> list[dict[str, Any]]:
     """Return a line for each measured fruit on the plant for the histogram: length and class."""
     return [
@@ -120,19 +120,19 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
     ]
 
 
-def row_and_side(view: DetectionView) -> str:
+def row_and_side(view: DetectionSummary) -> str:
     """Return what the map calls the row and side of a fruit."""
     return row_name(view.row) + (f", {view.side}" if view.side else "")
 
 
-def map_words(view: DetectionView, graded: GradedRound, units: Units) -> str:
+def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
     """Return what the map says of a fruit: its place, length and class."""
     grade_words = [graded.grades[view.key].words] if view.key in graded.grades else []
     place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
     return ", ".join([f"{place}: {length_words(view.record, units)}", *grade_words])
 
 
-def _mark_of(view: DetectionView) -> str:
+def _mark_of(view: DetectionSummary) -> str:
     if view.picked_s is not None:
         return "picked"
     return "simulated" if view.simulated else "seen"

@@ -29,7 +29,7 @@ from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
 from cucumbervision_greenhouse.rounds.merge_and_link import settle
 from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import ActionView
+from cucumbervision_greenhouse.store.views import LogEntry
 
 
 @st.cache_resource(show_spinner=False)
@@ -81,8 +81,8 @@ def _measure_upload(key: str, _: Job) -> None:
 
 
 def _settle(round_key: str) -> str:
-    round_view = next((x for x in store().rounds() if x.key == round_key), None)
-    fault = settle(store(), round_key, profile_of(round_view)[1] if round_view else None)
+    round_summary = next((x for x in store().rounds() if x.key == round_key), None)
+    fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
     mergings()[round_key] += 1
     work = partial(_measure_all_views, round_key)
     worker().submit("Measuring fruit by all their views", work, round_key)
@@ -115,7 +115,7 @@ def merge(round_key: str) -> None:
     worker().submit("Merging views of the same fruit", work, round_key)
 
 
-def undo(store: Store, round_key: str, *, number: int | None = None) -> ActionView:
+def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry:
     """Take back the last thing that the viewer did in a round, and only that; return it.
 
     A round one of whose stops was moved is merged anew.

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.agronomy.picking import Pick, Span
     from cucumbervision_greenhouse.backend.settings import Units
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.records import DetectionRecord
-    from cucumbervision_greenhouse.store.views import ActionView, RoundView, StopView
+    from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
 Option = TypeVar("Option")
 
@@ -182,13 +182,12 @@ def round_day(at_s: float) -> str:
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
 
 
-def round_name(round_view: RoundView) -> str:
+def round_name(round_summary: RoundSummary) -> str:
     """Return what a round is called in a list: its name, house, day and number of stops."""
-    house = f", {round_view.record.house}" if round_view.record.house else ""
-    stops = counted(round_view.stops, "stop", "stops")
-    return (
-        f"{round_view.record.name or 'Round'}{house} · {round_day(round_view.walked_s)} · {stops}"
-    )
+    house = f", {round_summary.record.house}" if round_summary.record.house else ""
+    stops = counted(round_summary.stops, "stop", "stops")
+    name, day = round_summary.record.name or "Round", round_day(round_summary.walked_s)
+    return f"{name}{house} · {day} · {stops}"
 
 
 _ACTIONS = {
@@ -211,15 +210,15 @@ _ACTIONS = {
 }
 
 
-def action_words(action: ActionView) -> str:
+def action_words(action: LogEntry) -> str:
     """Return what somebody did, for people.
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.views import ActionView
-    >>> action_words(ActionView(7, 0.0, "ana", "reject", None, ("a",)))
+    >>> from cucumbervision_greenhouse.store.views import LogEntry
+    >>> action_words(LogEntry(7, 0.0, "ana", "reject", None, ("a",)))
     'not a fruit'
-    >>> action_words(ActionView(7, 0.0, "ana", "pick", None, ("a", "b")))
+    >>> action_words(LogEntry(7, 0.0, "ana", "pick", None, ("a", "b")))
     'picked (2 fruit)'
     """
     words, number = _ACTIONS.get(action.kind, action.kind), len(action.fruit)
@@ -252,7 +251,7 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
 
 
-def stop_name(stop: Stop | StopView) -> str:
+def stop_name(stop: Stop | StopSummary) -> str:
     """Return where a stop is, for people.
 
     Examples
@@ -305,14 +304,14 @@ def row_name(row: str | None) -> str:
     return f"Row {row or '?'}"
 
 
-def count_words(report: RowReport) -> str:
+def count_words(report: RowCounts) -> str:
     """Return how many fruit a row has: as found, and with its interval where that is estimated.
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    >>> from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     >>> from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate
-    >>> count_words(RowReport("", 0, 0, 3, CountEstimate.of_nothing()))
+    >>> count_words(RowCounts("", 0, 0, 3, CountEstimate.of_nothing()))
     '3 fruit found'
     """
     if report.fruit == 0:

@@ -113,7 +113,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
     sent = SentPresses.model_validate_json(content).presses
     burst, round_keys = (
         resources.settings().burst,
-        {round_view.key for round_view in resources.rounds()},
+        {round_summary.key for round_summary in resources.rounds()},
     )
     taken: list[Pressed | str | None] = []
     for sent_press in sent:  # all at once, so that none waits for another's last frames

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.backend.replay_feed import Burst, Feed
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import StopView
+    from cucumbervision_greenhouse.store.views import StopSummary
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 _REMEMBERED = 2000  # presses that a browser may send again
@@ -160,7 +160,7 @@ class Shutter:
         waiting = [
             capture.stop for capture in self._waiting.captures() if capture.round_key == home
         ]
-        taken: list[Stop | StopView] = [*self._store.stops(home), *waiting]
+        taken: list[Stop | StopSummary] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         key = key_of("press", round_key, press.number)
         queued_capture = grabbed.keep(self._waiting, key, home, stop)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.capture_page.shutter import Pressed
     from cucumbervision_greenhouse.store.records import StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import ActionView, RoundView, StopView
+    from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
 _UNDO_S = 60.0  # how long a stop that is being measured is waited for
 
@@ -53,9 +53,9 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     rounds = resources.rounds()
     if source not in ("camera", "replay"):
         source = "replay" if cameras.replay_named() else "camera"
-    round_view = next((x for x in rounds if round_key in ("", x.key)), None)
+    round_summary = next((x for x in rounds if round_key in ("", x.key)), None)
     preview = _preview_of(source)
-    home = round_view.key if round_view else ""
+    home = round_summary.key if round_summary else ""
     if preview is not None and preview.simulated:
         home = DEMONSTRATION
     stops = resources.store().stops(home) if any(x.key == home for x in rounds) else []
@@ -67,8 +67,8 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
         "houses": resources.houses(),
-        "round": round_view.key if round_view else "",
-        "missing": bool(round_key) and round_view is None,
+        "round": round_summary.key if round_summary else "",
+        "missing": bool(round_key) and round_summary is None,
         "home": home,
         "source": source,
         "place": asdict(place),
@@ -82,12 +82,12 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         f"beside the store in {aside[0].folder.parent.name}."
         if aside
         else tasks.measuring_fault(),
-        "last": _last_stop(round_view, last) if round_view and last else None,
+        "last": _last_stop(round_summary, last) if round_summary and last else None,
         "done": _done(store, home),
     }
 
 
-def _rows(stops: Sequence[Stop | StopView]) -> dict[str, dict[str, Any]]:
+def _rows(stops: Sequence[Stop | StopSummary]) -> dict[str, dict[str, Any]]:
     """Return where the walk of each row goes on, by the rows' names."""
     rows = dict.fromkeys(stop.row or "" for stop in stops)
     return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
@@ -106,10 +106,10 @@ def _preview_of(source: str) -> Any:
         return None
 
 
-def _last_stop(round_view: RoundView, last: StopView) -> dict[str, Any]:
+def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]:
     """Return the stop that was measured last: its pictures, with the outlines of its fruit."""
     store, units = resources.store(), resources.settings().units
-    record, profile = store.stop(last.key), resources.profile_of(round_view)[1]
+    record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
     views = [
         view
         for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
@@ -173,7 +173,7 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     return {"state": "saved", "words": words, **where}
 
 
-def _place(stop: Stop | StopView) -> dict[str, Any]:
+def _place(stop: Stop | StopSummary) -> dict[str, Any]:
     return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
 
 
@@ -208,9 +208,9 @@ def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
     return saved.round_key, saved.taken_s
 
 
-def _last_action(store: Store, round_key: str) -> ActionView | None:
+def _last_action(store: Store, round_key: str) -> LogEntry | None:
     """Return what a viewer did last in a round; a press that was taken back is over."""
-    if not any(round_view.key == round_key for round_view in resources.rounds()):
+    if not any(round_summary.key == round_key for round_summary in resources.rounds()):
         return None
     actions = store.own_actions(round_key)
     return next((action for action in actions if action.kind != TAKE_BACK), None)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.adding import Added
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 app = typer.Typer(
@@ -45,7 +45,7 @@ app = typer.Typer(
 @contextmanager
 def opened_round(
     where: str, name: str, images: Path | None = None
-) -> Iterator[tuple[Store, RoundView]]:
+) -> Iterator[tuple[Store, RoundSummary]]:
     """Open a store and find a round in it; close the store at the end."""
     from cucumbervision_greenhouse.rounds.from_store import find_round
     from cucumbervision_greenhouse.store.repository import open_store
@@ -54,11 +54,11 @@ def opened_round(
         yield store, find_round(store, name)
 
 
-def chosen_profile(name: str | None, round_view: RoundView) -> CropProfile | None:
+def chosen_profile(name: str | None, round_summary: RoundSummary) -> CropProfile | None:
     """Return the crop profile that is named, or else the round's own; None without either."""
     from cucumbervision.agronomy.profiles import load_profile
 
-    profile = name or round_view.record.profile
+    profile = name or round_summary.record.profile
     return load_profile(profile) if profile else None
 
 
@@ -80,7 +80,9 @@ def new(
     with open_store(store, images=images) as opened:
         opened.save_round(record)
         saved = next(
-            round_view.record for round_view in opened.rounds() if round_view.key == record.key
+            round_summary.record
+            for round_summary in opened.rounds()
+            if round_summary.key == record.key
         )
     if saved.house != house.strip():
         typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
@@ -146,19 +148,22 @@ def add(
         poses=poses_of,
     )
     with (
-        opened_round(store, round_, images) as (opened, round_view),
+        opened_round(store, round_, images) as (opened, round_summary),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as is_cancelled,
     ):
         task = bar.add_task(
             "measuring", total=count_captures(captures, options.reading, loop.opener)
         )
-        options, loop = with_limits(options, round_view), replace(loop, is_cancelled=is_cancelled)
+        options, loop = (
+            with_limits(options, round_summary),
+            replace(loop, is_cancelled=is_cancelled),
+        )
         step = partial(bar.advance, task)
         done = add_captures(
-            opened, round_view.key, captures, options, place, lambda _: step(), loop
+            opened, round_summary.key, captures, options, place, lambda _: step(), loop
         )
-        doubts = round_doubts(opened, opened.detections(round_view.key))
+        doubts = round_doubts(opened, opened.detections(round_summary.key))
     if unused := sorted(poses_of.keys() - {stop.name for stop in done}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
@@ -168,9 +173,9 @@ def add(
     raise typer.Exit(exit_status)
 
 
-def with_limits(options: MeasureOptions, round_view: RoundView) -> MeasureOptions:
+def with_limits(options: MeasureOptions, round_summary: RoundSummary) -> MeasureOptions:
     """Return the options with the lengths that the round's crop can have."""
-    profile = chosen_profile(None, round_view)
+    profile = chosen_profile(None, round_summary)
     return options if profile is None else options.for_crop(profile)
 
 
@@ -218,15 +223,15 @@ def remeasure(
     from cucumbervision.pipeline.measurer import exit_code
     from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
 
-    with opened_round(store, round_, images) as (opened, round_view):
+    with opened_round(store, round_, images) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
             done, failures = measure_round_again(
-                *(opened, round_view.key, with_limits(options, round_view)),
+                *(opened, round_summary.key, with_limits(options, round_summary)),
                 lambda k, total: bar.update(task, completed=k, total=total),
                 loop,
             )
-        settle_round(opened, round_view.key)
+        settle_round(opened, round_summary.key)
     screen().print(f"{done} stops measured again.")
     show_failures(failures)
     raise typer.Exit(exit_code(done, failures))
@@ -245,9 +250,9 @@ def merge(
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 
-    with opened_round(store, round_, images) as (opened, round_view):
-        rows = merge_round(opened, round_view.key)
-        measure_all_views(opened, round_view.key)
+    with opened_round(store, round_, images) as (opened, round_summary):
+        rows = merge_round(opened, round_summary.key)
+        measure_all_views(opened, round_summary.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -330,10 +335,10 @@ def show(
     from cucumbervision_greenhouse.rounds.from_store import read_round
     from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 
-    with opened_round(store, round_) as (opened, round_view):
-        lines = fruit_table(read_round(opened, round_view.key))
-    crop = chosen_profile(profile, round_view)
-    title = f"{round_view.record.name or round_view.key}: {len(lines)} fruit, lengths in cm"
+    with opened_round(store, round_) as (opened, round_summary):
+        lines = fruit_table(read_round(opened, round_summary.key))
+    crop = chosen_profile(profile, round_summary)
+    title = f"{round_summary.record.name or round_summary.key}: {len(lines)} fruit, lengths in cm"
     right = ("at, m", "length", "90 % interval", "seen")
     table = columns_table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
@@ -382,12 +387,14 @@ def list_(store: StoreName = "house.db") -> None:
         rounds = opened.rounds()
     text_columns = ("key", "name", "house", "walked", "profile")
     table = columns_table(None, text_columns, "stops", "views")
-    for round_view in rounds:
-        record = round_view.record
-        walked = datetime.fromtimestamp(round_view.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
-        counts = str(round_view.stops), str(round_view.fruit)
+    for round_summary in rounds:
+        record = round_summary.record
+        walked = (
+            datetime.fromtimestamp(round_summary.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        )
+        counts = str(round_summary.stops), str(round_summary.fruit)
         table.add_row(
-            round_view.key[:8], record.name, record.house, walked, record.profile, *counts
+            round_summary.key[:8], record.name, record.house, walked, record.profile, *counts
         )
     screen().print(table)
 
@@ -440,12 +447,12 @@ def export(
     from cucumbervision_greenhouse.exports.writers import write_exports
 
     usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
-    with opened_round(store, round_, images) as (opened, round_view):
+    with opened_round(store, round_, images) as (opened, round_summary):
         tables = round_tables(
             opened,
-            round_view.key,
-            chosen_profile(profile, round_view),
-            profile_name=profile or round_view.record.profile,
+            round_summary.key,
+            chosen_profile(profile, round_summary),
+            profile_name=profile or round_summary.record.profile,
         )
         for path in write_exports(tables, out, formats or usual):
             typer.echo(path)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.picking import PickWork
     from cucumbervision_greenhouse.backend.jobs import Job, Work
     from cucumbervision_greenhouse.store.records import JointRecord
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _PICTURE_PX = 168  # two abreast on a phone
 
@@ -112,9 +112,9 @@ def fruit_list(
 
 
 def pictures(
-    views: Sequence[DetectionView],
-    words: Callable[[DetectionView], str],
-    act: Callable[[DetectionView], None] | None = None,
+    views: Sequence[DetectionSummary],
+    words: Callable[[DetectionSummary], str],
+    act: Callable[[DetectionSummary], None] | None = None,
     joint: JointRecord | None = None,
 ) -> None:
     """Draw views side by side, each with words, and with what `act` draws below them."""
@@ -146,21 +146,21 @@ def _pages(items: Sequence[Any], size: int) -> int:
     return max(1, -(-len(items) // size))
 
 
-def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
+def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
     """Make a page of a function that draws a round: the round is chosen above it."""
 
     @wraps(draw)
     def page() -> None:
-        round_view = choose_round()
+        round_summary = choose_round()
         if missing := missing_round():
             st.warning(
                 f"There is no round '{plain(missing[:40])}'. Choose one above, or start a new one.",
                 icon=":material/search_off:",
             )
-        elif round_view is None:
+        elif round_summary is None:
             st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
         else:
-            draw(round_view)
+            draw(round_summary)
 
     return page
 

@@ -17,17 +17,17 @@ from cucumbervision_greenhouse.store.records import Round
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 _MISSING = "missing_round"
 _NEW_HOUSE = "New house …"
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
-def choose_round() -> RoundView | None:
+def choose_round() -> RoundSummary | None:
     """Draw the choice, and return the round that is open; None where there is none."""
-    rounds = {round_view.key: round_view for round_view in resources.rounds()}
-    names = {key: round_name(round_view) for key, round_view in rounds.items()}
+    rounds = {round_summary.key: round_summary for round_summary in resources.rounds()}
+    names = {key: round_name(round_summary) for key, round_summary in rounds.items()}
     label = label_options("round", names)
     asked = st.session_state.get("round")
     if asked in rounds:
@@ -47,18 +47,18 @@ def choose_round() -> RoundView | None:
         placeholder="Choose a round" if rounds else "No round yet",
         label_visibility="collapsed",
     )
-    round_view = rounds.get(key) if key else None
-    if round_view is not None and st.query_params.get("round") != round_view.key:
+    round_summary = rounds.get(key) if key else None
+    if round_summary is not None and st.query_params.get("round") != round_summary.key:
         # A browser that was slower sends the round of before once more: that opens nothing.
         st.session_state["named_before"] = st.session_state.get("named")
-        st.query_params["round"] = st.session_state["named"] = round_view.key
+        st.query_params["round"] = st.session_state["named"] = round_summary.key
     # They know whether they are open, so that what is done in them closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
     with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
         _begin()
     with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
-        _change(round_view)
-    return round_view
+        _change(round_summary)
+    return round_summary
 
 
 def missing_round() -> str:
@@ -96,18 +96,18 @@ def _begin() -> None:
         st.warning(sentence(fault), icon=":material/error:")
 
 
-def _change(round_view: RoundView | None) -> None:
+def _change(round_summary: RoundSummary | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
-    if round_view is not None:
+    if round_summary is not None:
         name = st.text_input(
-            "Name of this round", round_view.record.name, key=f"name_{round_view.key}"
+            "Name of this round", round_summary.record.name, key=f"name_{round_summary.key}"
         )
         st.button(
             "Rename",
             width="stretch",
             on_click=_do,
-            args=(_rename, round_view.key),
+            args=(_rename, round_summary.key),
             disabled=not name.strip(),
         )
         st.button(
@@ -115,7 +115,7 @@ def _change(round_view: RoundView | None) -> None:
             icon=":material/delete:",
             width="stretch",
             on_click=_do,
-            args=(_delete, round_view.key),
+            args=(_delete, round_summary.key),
         )
     for gone in resources.store().rounds(deleted=True):
         st.button(

@@ -63,25 +63,25 @@ def _receive(request: Request, content: bytes) -> Any:
 @answer
 def _files(request: Request, _: bytes) -> Response:
     """Answer with a round's files in a zip, made anew."""
-    round_view = next(
+    round_summary = next(
         (x for x in resources.rounds() if x.key == request.path_params["round"]), None
     )
-    if round_view is None:
+    if round_summary is None:
         raise HTTPException(404)
     try:
         formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
     except ValueError:
         raise HTTPException(404) from None
-    profile_name, profile = resources.profile_of(round_view)
+    profile_name, profile = resources.profile_of(round_summary)
     rates = resources.settings().rates
     tables = round_tables(
-        resources.store(), round_view.key, profile, profile_name=profile_name, rates=rates
+        resources.store(), round_summary.key, profile, profile_name=profile_name, rates=rates
     )
     with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
         write_exports(tables, Path(folder) / "files", formats)
         packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
         content = packed.read_bytes()
-    name = safe_name(round_view.record.name or "round")
+    name = safe_name(round_summary.record.name or "round")
     told = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
     return Response(content, media_type="application/zip", headers=told)
 

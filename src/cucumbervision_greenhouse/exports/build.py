@@ -29,7 +29,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     hanging_lengths_m,
     round_figures,
 )
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_reports
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.store.check import refuse_changed
 from cucumbervision_greenhouse.store.records import DetectionRecord
 
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.picking import Rates
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.records import ArtifactRecord, MethodRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 PICTURES = "pictures"
@@ -105,8 +105,8 @@ def round_tables(
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
     today_s = day_0_s(view, now_s)
     lines: dict[str, Iterable[Any]] = {
-        "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
-        "rows": row_reports(content),
+        "summary": [_summary(view, content, table, row_counts(content), forecast, called)],
+        "rows": row_counts(content),
         "fruit": (
             {**line, "picture": pictures_of.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
             for key, stop_key, line in _fruit_lines(
@@ -126,7 +126,7 @@ def round_tables(
     return RoundTables(
         title=view.record.name or view.key,
         provenance=_about(view, provenance),
-        tables={name: Table.of(name, table_lines) for name, table_lines in lines.items()},
+        tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
         bins=_length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
         pictures=dict(pictures_of.values()),
         note=note,
@@ -135,7 +135,7 @@ def round_tables(
 
 def _forecast(
     store: Store,
-    view: RoundView,
+    view: RoundSummary,
     content: RoundContent,
     profile: CropProfile | None,
     days: int,
@@ -197,7 +197,7 @@ def _provenance(
     return [dict(zip(("kind", "name", "sha256", "stops"), cells, strict=True)) for cells in lines]
 
 
-def _about(view: RoundView, provenance: list[Line]) -> dict[str, Any]:
+def _about(view: RoundSummary, provenance: list[Line]) -> dict[str, Any]:
     return {
         "software": f"cucumbervision {__version__}",
         "licence": LICENCE,
@@ -214,10 +214,10 @@ def _about(view: RoundView, provenance: list[Line]) -> dict[str, Any]:
 
 
 def _summary(
-    view: RoundView,
+    view: RoundSummary,
     content: RoundContent,
     table: Sequence[RoundFruit],
-    reports: Sequence[RowReport],
+    reports: Sequence[RowCounts],
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
@@ -355,7 +355,7 @@ def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...
 
 
 @dataclass(frozen=True)
-class Table:
+class ExportTable:
     """One table.
 
     Parameters
@@ -373,7 +373,7 @@ class Table:
     rows: list[dict[str, Cell]]
 
     @classmethod
-    def of(cls, name: str, lines: Iterable[Any]) -> Table:
+    def of(cls, name: str, lines: Iterable[Any]) -> ExportTable:
         """Create one of the tables of `COLUMNS`; empty text becomes an empty cell."""
         columns = COLUMNS[name]
         rows = [{column.name: _cell(column, line) for column in columns} for line in lines]
@@ -396,7 +396,7 @@ class RoundTables:
     provenance : mapping
         Software, source, time, key of the round, and hashes of configuration, models, calibration
         and profile, as JSON values.
-    tables : mapping of str to Table
+    tables : mapping of str to ExportTable
         'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
         'provenance', in this order.
     bins : tuple of (from_cm, to_cm, fruit)
@@ -409,12 +409,12 @@ class RoundTables:
 
     title: str
     provenance: Mapping[str, Any]
-    tables: Mapping[str, Table]
+    tables: Mapping[str, ExportTable]
     bins: tuple[tuple[int, int, int], ...] = ()
     pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     note: str = ""
 
-    def __getitem__(self, name: str) -> Table:
+    def __getitem__(self, name: str) -> ExportTable:
         """Return a table by its name."""
         return self.tables[name]
 

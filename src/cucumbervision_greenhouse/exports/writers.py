@@ -11,7 +11,7 @@ from cucumbervision.files import write_csv, write_json
 from cucumbervision.pipeline.tables import Workbook, write_parquet
 from cucumbervision_greenhouse.agronomy.picking import PickKind, hours_words
 from cucumbervision_greenhouse.exports import ExportFormat
-from cucumbervision_greenhouse.exports.build import Table
+from cucumbervision_greenhouse.exports.build import ExportTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -159,7 +159,7 @@ def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
         yield f"{artifact['kind']} SHA-256", artifact["name"], "", artifact["sha256"]
 
 
-def _printed(table: Table) -> int:
+def _printed(table: ExportTable) -> int:
     """Return the number of columns to print."""
     names = [column.name for column in table.columns]
     # A leading key column identifies the rows.

@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision_greenhouse.store.records import DetectionRecord, MethodRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView
+    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 _REFUSED = (Choice.IMPLAUSIBLE, Choice.IMPLAUSIBLE_DIAMETER)
 
 
-def round_doubts(store: Store, views: Iterable[DetectionView]) -> list[str]:
+def round_doubts(store: Store, views: Iterable[DetectionSummary]) -> list[str]:
     """Return what the data of a round makes doubtful, a line each with the remedy.
 
     Parameters
     ----------
     store : Store
         Asked for every method's length where fruit of impossible sizes are among them.
-    views : iterable of DetectionView
+    views : iterable of DetectionSummary
         Those of one round; what somebody marked as no fruit does not count.
     """
     fruit = [view for view in views if view.verdict is not Verdict.REJECTED]

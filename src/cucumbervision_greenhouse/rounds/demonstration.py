@@ -43,8 +43,8 @@ def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile:
     """
     if not simulated:
         return round_key
-    if any(round_view.key == DEMONSTRATION for round_view in store.rounds(deleted=True)):
+    if any(round_summary.key == DEMONSTRATION for round_summary in store.rounds(deleted=True)):
         store.restore_round(DEMONSTRATION)
-    elif all(round_view.key != DEMONSTRATION for round_view in store.rounds()):
+    elif all(round_summary.key != DEMONSTRATION for round_summary in store.rounds()):
         store.save_round(Round(DEMONSTRATION, _NAME, profile=profile))
     return DEMONSTRATION

@@ -22,7 +22,7 @@ from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_reports
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.rounds.row_fruit import found_share
 from cucumbervision_greenhouse.store.links import LinkKind
 
@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowReport
+    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.records import ArtifactRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
 _UNKNOWN_SD = 0.08  # relative, of a length without interval
 
 
-def detection_rates(rows: Sequence[RowReport], table: Sequence[RoundFruit]) -> DetectionRates:
+def detection_rates(rows: Sequence[RowCounts], table: Sequence[RoundFruit]) -> DetectionRates:
     """Return which share of the fruit the forecast sees, from how often each was seen.
 
     Parameters
     ----------
-    rows : sequence of RowReport
+    rows : sequence of RowCounts
         The round's rows; unmerged rows are ignored, and without any nothing is taken to be missed.
     table : sequence of RoundFruit
         The round's fruit: those without a length are as good as missed.
@@ -152,7 +152,7 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days = {round_view.key: round_view.walked_s / DAY_S for round_view in store.rounds()}
+    days = {round_summary.key: round_summary.walked_s / DAY_S for round_summary in store.rounds()}
     rounds = {round_key: _Measured(content or read_round(store, round_key))}
     # A fruit has one name in all rounds: the key of the representative view in the last one.
     names = {key: view.group for key, view in rounds[round_key].views.items()}
@@ -199,10 +199,10 @@ class _Measured:
         self._content = content
 
     @cached_property
-    def _table(self) -> dict[str, DetectionView]:
+    def _table(self) -> dict[str, DetectionSummary]:
         return {line.view.group: line.view for line in fruit_table(self._content)}
 
-    def fruit(self, key: str) -> DetectionView:
+    def fruit(self, key: str) -> DetectionSummary:
         """Return the fruit of a view; where it was rejected, its best view."""
         group = self.views[key].group
         return self._table.get(group) or self.views.get(group, self.views[key])
@@ -331,7 +331,7 @@ def age_words(days: int) -> str:
 
 def forecast_today(
     store: Store,
-    round_view: RoundView,
+    round_summary: RoundSummary,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -349,7 +349,7 @@ def forecast_today(
 
     Parameters
     ----------
-    store, round_view, profile, now_s, content
+    store, round_summary, profile, now_s, content
         As `read_today` takes them.
     days : int
         Days ahead; 0 for today alone.
@@ -361,16 +361,16 @@ def forecast_today(
     ForecastError
         If nothing can be forecast.
     """
-    content = content or read_round(store, round_view.key)
+    content = content or read_round(store, round_summary.key)
     table = fruit_table(content)
     result = forecast(
-        fruit_states(table, round_view.walked_s / DAY_S, profile, picked_before_s),
-        fit_growth(growth_links(store, round_view.key, content), GrowthPrior.of(profile)),
+        fruit_states(table, round_summary.walked_s / DAY_S, profile, picked_before_s),
+        fit_growth(growth_links(store, round_summary.key, content), GrowthPrior.of(profile)),
         profile,
         days,
-        today=day_0_s(round_view, now_s) / DAY_S,
-        detection=detection_rates(row_reports(content), table),
-        scale_sd=shared_scale_sd(store.artifacts(round_view.key).values()),
+        today=day_0_s(round_summary, now_s) / DAY_S,
+        detection=detection_rates(row_counts(content), table),
+        scale_sd=shared_scale_sd(store.artifacts(round_summary.key).values()),
     )
     return with_counts_today(result)
 
@@ -417,15 +417,15 @@ def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Co
     return Counts(*values)
 
 
-def day_0_s(round_view: RoundView, now_s: float) -> float:
+def day_0_s(round_summary: RoundSummary, now_s: float) -> float:
     """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
-    days, age = age_of(round_view.walked_s, now_s)
-    return round_view.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+    days, age = age_of(round_summary.walked_s, now_s)
+    return round_summary.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
 
 
 def read_today(
     store: Store,
-    round_view: RoundView,
+    round_summary: RoundSummary,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -436,7 +436,7 @@ def read_today(
     ----------
     store : Store
         Where it is.
-    round_view : RoundView
+    round_summary : RoundSummary
         The round.
     profile : CropProfile
         Its classes, and the growth that is expected.
@@ -445,14 +445,14 @@ def read_today(
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
     """
-    days, age = age_of(round_view.walked_s, now_s)
-    content = content or read_round(store, round_view.key)
+    days, age = age_of(round_summary.walked_s, now_s)
+    content = content or read_round(store, round_summary.key)
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:
         return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
     try:
         result = forecast_today(
-            store, round_view, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
+            store, round_summary, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
         )
     except ForecastError:
         return Today(age_days=days, age=age, forecast=None, rows=(), best=best)

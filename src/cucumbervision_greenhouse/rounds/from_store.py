@@ -28,7 +28,12 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import CameraAt, DetectionView, RoundView, StopView
+    from cucumbervision_greenhouse.store.views import (
+        CameraAt,
+        DetectionSummary,
+        RoundSummary,
+        StopSummary,
+    )
 
 _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 _REACH = (0.687, 0.384)  # a D435's colour camera, where a stop has no camera
@@ -80,9 +85,9 @@ class RoundContent:
     ----------
     key : str
         The round's.
-    stops : tuple of StopView
+    stops : tuple of StopSummary
         Its stops.
-    views : tuple of DetectionView
+    views : tuple of DetectionSummary
         Its detections, in groups.
     cameras : mapping
         Poses and cameras by the stops' keys.
@@ -93,8 +98,8 @@ class RoundContent:
     """
 
     key: str
-    stops: tuple[StopView, ...]
-    views: tuple[DetectionView, ...]
+    stops: tuple[StopSummary, ...]
+    views: tuple[DetectionSummary, ...]
     cameras: Mapping[str, CameraAt]
     false: FalseShare = USUAL
     joint: Mapping[str, JointRecord] = field(default_factory=dict)
@@ -105,7 +110,7 @@ class RoundContent:
         return tuple(_load_rows(self))
 
 
-def find_round(store: Store, name: str = "") -> RoundView:
+def find_round(store: Store, name: str = "") -> RoundSummary:
     """Find a round by its key, the start of it, or its name; the newest without one.
 
     Raises
@@ -116,14 +121,16 @@ def find_round(store: Store, name: str = "") -> RoundView:
     rounds = store.rounds()
     name_or_key = name.strip().lower()
     named = [
-        round_view
-        for round_view in rounds
-        if round_view.record.name == name or round_view.key == name_or_key
+        round_summary
+        for round_summary in rounds
+        if round_summary.record.name == name or round_summary.key == name_or_key
     ]
     # A short number is never the start of a key: it may be a mistyped name.
     is_start = not name_or_key.isdecimal() or len(name_or_key) > 5
     matches = named or [
-        round_view for round_view in rounds if is_start and round_view.key.startswith(name_or_key)
+        round_summary
+        for round_summary in rounds
+        if is_start and round_summary.key.startswith(name_or_key)
     ]
     if not name_or_key:
         matches = rounds[:1]
@@ -155,12 +162,12 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     )
 
 
-def counted_fruit(views: Iterable[DetectionView]) -> list[DetectionView]:
+def counted_fruit(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
     """Return the fruit of a round, each by its representative view; rejected ones are left out."""
     return [view for view in views if view.best and view.verdict is not Verdict.REJECTED]
 
 
-def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
+def joint_groups(content: RoundContent) -> dict[str, list[DetectionSummary]]:
     """Return the views of each fruit that several stops show, by the key of their measurement.
 
     Only views that M6 measured count, of the aisle from which the best was taken, the best first
@@ -183,7 +190,7 @@ def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
     return group_views
 
 
-def _key(views: Iterable[DetectionView], stops: Mapping[str, StopView]) -> str:
+def _key(views: Iterable[DetectionSummary], stops: Mapping[str, StopSummary]) -> str:
     return key_of(
         "joint",
         *sorted(
@@ -222,8 +229,8 @@ def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
 
 def _row(
     name: str,
-    stops: Sequence[StopView],
-    fruit: Sequence[DetectionView],
+    stops: Sequence[StopSummary],
+    fruit: Sequence[DetectionSummary],
     content: RoundContent,
 ) -> StoredRow:
     cameras = content.cameras

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
 # Fields from a joint tube fit; all others are those of the best view.
@@ -48,7 +48,7 @@ class RoundFruit:
     ----------
     number : int
         Its number in the table, from 1, by row and position.
-    view : DetectionView
+    view : DetectionSummary
         The representative view, with its measurement. Where two or more views show the whole fruit,
         its length and interval are those of all of them together: of one tube fitted to all of
         them where there is one, and else their lengths pooled.
@@ -57,7 +57,7 @@ class RoundFruit:
     """
 
     number: int
-    view: DetectionView
+    view: DetectionSummary
     joint: JointRecord | None = None
 
 
@@ -85,7 +85,7 @@ class RoundFigures:
     longest_m: float | None
 
 
-def on_the_plant(fruit: Iterable[DetectionView]) -> list[DetectionView]:
+def on_the_plant(fruit: Iterable[DetectionSummary]) -> list[DetectionSummary]:
     """Return the fruit that count today: neither deleted, picked nor doubtful."""
     return [
         view
@@ -94,7 +94,7 @@ def on_the_plant(fruit: Iterable[DetectionView]) -> list[DetectionView]:
     ]
 
 
-def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
+def hanging_lengths_m(fruit: Iterable[DetectionSummary]) -> list[float]:
     """Return the lengths of the fruit on the plant, metres; lower bounds are left out."""
     return [
         view.record.length_m
@@ -141,7 +141,7 @@ def _joint(content: RoundContent) -> dict[str, JointRecord]:
 
 def _fruit(
     number: int,
-    view: DetectionView,
+    view: DetectionSummary,
     joint: JointRecord | None,
     pooled: tuple[float, float, int] | None,
 ) -> RoundFruit:
@@ -162,7 +162,7 @@ def _fruit(
     return RoundFruit(number, view)
 
 
-def _measured(view: DetectionView, **values: Any) -> DetectionView:
+def _measured(view: DetectionSummary, **values: Any) -> DetectionSummary:
     return replace(view, record=replace(view.record, **values))
 
 
@@ -211,17 +211,17 @@ class OtherDay:
 
     Parameters
     ----------
-    round : RoundView
+    round : RoundSummary
         The round of that day.
-    linked : DetectionView, optional
+    linked : DetectionSummary, optional
         The fruit that it is taken to be there.
-    neighbours : tuple of DetectionView
+    neighbours : tuple of DetectionSummary
         Others that it might be, the nearest first.
     """
 
-    round: RoundView
-    linked: DetectionView | None
-    neighbours: tuple[DetectionView, ...]
+    round: RoundSummary
+    linked: DetectionSummary | None
+    neighbours: tuple[DetectionSummary, ...]
 
 
 @dataclass(frozen=True)
@@ -230,19 +230,19 @@ class FruitContext:
 
     Parameters
     ----------
-    fruit : DetectionView
+    fruit : DetectionSummary
         The representative view.
-    views : tuple of DetectionView
+    views : tuple of DetectionSummary
         All its views, the representative one first.
-    neighbours : tuple of DetectionView
+    neighbours : tuple of DetectionSummary
         Other fruit of the same row, the nearest first.
     earlier, later : OtherDay, optional
         The same on the day before and after, where a round of it is there.
     """
 
-    fruit: DetectionView
-    views: tuple[DetectionView, ...]
-    neighbours: tuple[DetectionView, ...]
+    fruit: DetectionSummary
+    views: tuple[DetectionSummary, ...]
+    neighbours: tuple[DetectionSummary, ...]
     earlier: OtherDay | None = None
     later: OtherDay | None = None
 
@@ -292,19 +292,19 @@ def _ends(links: Iterable[LinkRecord], keys: set[str]) -> set[str]:
 
 
 def _other_day(
-    store: Store, round_view: RoundView, fruit: DetectionView, ends: set[str]
+    store: Store, round_summary: RoundSummary, fruit: DetectionSummary, ends: set[str]
 ) -> OtherDay:
-    detections = store.detections(round_view.key)
+    detections = store.detections(round_summary.key)
     group = next((view.group for view in detections if view.key in ends), None)
     best = counted_fruit(detections)
     linked = next((view for view in best if view.group == group), None)
     candidates = [view for view in best if view.group != group]
-    return OtherDay(round_view, linked, nearest(fruit, candidates, _FAR_M))
+    return OtherDay(round_summary, linked, nearest(fruit, candidates, _FAR_M))
 
 
 def nearest(
-    fruit: DetectionView, candidates: Sequence[DetectionView], reach_m: float
-) -> tuple[DetectionView, ...]:
+    fruit: DetectionSummary, candidates: Sequence[DetectionSummary], reach_m: float
+) -> tuple[DetectionSummary, ...]:
     """Return the few fruit of the same row that hang nearest along it, within a reach."""
     if fruit.along_m is None:
         return ()
@@ -317,7 +317,7 @@ def nearest(
     return tuple(view for gap, _, view in sorted(placed)[:_SHOWN] if gap <= reach_m)
 
 
-def least_sure_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:
+def least_sure_first(fruit: Sequence[DetectionSummary]) -> list[DetectionSummary]:
     """Return unjudged fruit with a single view, the least certain first."""
     once = [view for view in fruit if view.views == 1 and view.verdict is None]
     return sorted(once, key=lambda view: (view.record.score, view.key))

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.store.records import DetectionRecord, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView
+    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 Report: TypeAlias = Callable[[int, int], None]
 
@@ -125,7 +125,7 @@ def measure_jointly(
 class _StoredView:
     """One view with all that is stored of it."""
 
-    view: DetectionView
+    view: DetectionSummary
     record: DetectionRecord
     stop: StopRecord
     capture: Capture
@@ -163,7 +163,7 @@ class _Source:
         self._read_stop = lru_cache(_STOPS_KEPT)(store.stop)
         self._read_capture = lru_cache(_STOPS_KEPT)(self._capture)
 
-    def measured(self, key: str, views: Sequence[DetectionView]) -> JointRecord:
+    def measured(self, key: str, views: Sequence[DetectionSummary]) -> JointRecord:
         """Return the joint measurement of some views, or why there is none."""
         first = views[0].key
         try:
@@ -180,7 +180,7 @@ class _Source:
             return JointRecord(key, first, 0, _NOT_MEASURED)
         return _joint_record(key, stored, joint, site, definition)
 
-    def _stored(self, view: DetectionView) -> _StoredView:
+    def _stored(self, view: DetectionSummary) -> _StoredView:
         stop = self._read_stop(view.stop_key)
         number, capture = view.record.number, self._read_capture(view.stop_key, view.capture)
         taken = next(capture for capture in stop.captures if capture.name == view.capture)
@@ -192,7 +192,7 @@ class _Source:
         taken = next(capture for capture in stop.captures if capture.name == name)
         return stored_capture(self._images, taken, stop)
 
-    def _pose(self, view: DetectionView) -> NDArray[np.float64]:
+    def _pose(self, view: DetectionSummary) -> NDArray[np.float64]:
         """Return the camera's pose, put where merging found the stop to be."""
         stop = self._stops[view.stop_key]
         pose = stored_pose(self._content.cameras[view.stop_key].pose, view.side)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.rounds.from_store import StoredRow
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundView, StopView
+    from cucumbervision_greenhouse.store.views import RoundSummary, StopSummary
     from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 
@@ -43,7 +43,7 @@ DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
-class RowReport:
+class RowCounts:
     """What merging found of one row.
 
     Parameters
@@ -107,7 +107,7 @@ class RowLinks:
     shift_sd_m: float
 
 
-def merge_round(store: Store, round_key: str) -> list[RowReport]:
+def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     """Merge all rows of a round again, and save the links and the fitted stop positions.
 
     Corrections by hand are kept.
@@ -149,9 +149,9 @@ def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
     return merge_row(row.stops, row.views, by_hand=by_hand_of(row, links))
 
 
-def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowReport:
+def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowCounts:
     count = count_fruit(merged, row.stops, row.views, row.accepted, row.false)
-    return RowReport(
+    return RowCounts(
         row=row.name,
         stops=len(row.stops),
         views=len(row.views),
@@ -165,7 +165,7 @@ def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) ->
     )
 
 
-def row_reports(content: RoundContent) -> list[RowReport]:
+def row_counts(content: RoundContent) -> list[RowCounts]:
     """Return the rows of a round as they were merged last, what was done by hand included."""
     fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
     fruit = Counter(view.row or "" for view in counted_fruit(content.views))
@@ -199,7 +199,7 @@ def link_rounds(
     RoundError
         If one of them is not there, or the later does not come later.
     """
-    walked = {round_view.key: round_view.walked_s for round_view in store.rounds()}
+    walked = {round_summary.key: round_summary.walked_s for round_summary in store.rounds()}
     if gone := {earlier, later} - walked.keys():
         raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
     days = (walked[later] - walked[earlier]) / DAY_S
@@ -274,7 +274,7 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     return ""
 
 
-def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
+def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> int:
     """Say where a stop was taken really; return the change's number in the log.
 
     Where the side changes, what lay to the left of the camera lies to the right of it.
@@ -345,17 +345,17 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
     return (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
 
 
-def earlier_round(store: Store, round_key: str) -> RoundView | None:
+def earlier_round(store: Store, round_key: str) -> RoundSummary | None:
     """Return the last round of the same house of an earlier day; None where there is none.
 
-    Days are those of the captures (`RoundView.walked_s`), whenever a round was begun.
+    Days are those of the captures (`RoundSummary.walked_s`), whenever a round was begun.
     """
     current, same_house = _neighbours(store, round_key)
     before = [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < _FARTHEST_S]
     return before[0] if before else None
 
 
-def later_rounds(store: Store, round_key: str) -> list[RoundView]:
+def later_rounds(store: Store, round_key: str) -> list[RoundSummary]:
     """Return the rounds of the same house of later days, the nearest first."""
     current, same_house = _neighbours(store, round_key)
     return [
@@ -363,7 +363,7 @@ def later_rounds(store: Store, round_key: str) -> list[RoundView]:
     ]
 
 
-def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:
+def _neighbours(store: Store, round_key: str) -> tuple[RoundSummary, list[RoundSummary]]:
     """Return a round, and the others of its house that hold fruit, the one walked last first."""
     rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
     current = next((x for x in rounds if x.key == round_key), None)

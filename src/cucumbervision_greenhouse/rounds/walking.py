@@ -79,7 +79,7 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
 
     Parameters
     ----------
-    stops : sequence of Stop or StopView
+    stops : sequence of Stop or StopSummary
         What was taken so far, in order.
 
     Examples
@@ -115,7 +115,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     ----------
     stop : Stop
         The position given by the operator.
-    taken : sequence of Stop or StopView
+    taken : sequence of Stop or StopSummary
         Where the others are, in order.
 
     Examples
@@ -166,7 +166,7 @@ def refuse_taken(
     ----------
     store, round_key : Store, str
         The round.
-    stop : Stop or StopView
+    stop : Stop or StopSummary
         Where it is to be.
     camera : CameraAt
         What takes it.

@@ -103,7 +103,7 @@ _ASIDE = ".removing"
 
 
 @dataclass(frozen=True)
-class CheckReport:
+class StoreCheck:
     """What was found.
 
     Parameters
@@ -133,7 +133,7 @@ class CheckReport:
         return not (self.missing or self.damaged or self.faults)
 
 
-def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> CheckReport:
+def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> StoreCheck:
     """Check a store against its hashes and pictures; files that a stop names are never removed.
 
     Parameters
@@ -163,7 +163,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
         elif not _whole(store, ref):
             damaged.append(path)
     orphans = _orphans(store, refs, time.time() - grace_s)
-    return CheckReport(
+    return StoreCheck(
         pictures=len(refs),
         missing=tuple(missing),
         damaged=tuple(damaged),

@@ -59,13 +59,13 @@ from cucumbervision_greenhouse.store.schema import (
 )
 from cucumbervision_greenhouse.store.stop_content import artifacts_of, read_stop
 from cucumbervision_greenhouse.store.views import (
-    ActionView,
     CameraAt,
     DetectionDetail,
     DetectionFilter,
-    DetectionView,
-    RoundView,
-    StopView,
+    DetectionSummary,
+    LogEntry,
+    RoundSummary,
+    StopSummary,
     Verdict,
 )
 
@@ -93,7 +93,7 @@ NOT_UNDONE = ("undo", MEASURE_AGAIN)
 class Queries(Database):
     """What a store can be asked. Each method sees the database as it was when it began."""
 
-    def rounds(self, *, deleted: bool = False) -> list[RoundView]:
+    def rounds(self, *, deleted: bool = False) -> list[RoundSummary]:
         """Return the rounds, the newest first.
 
         `deleted` gives those that were deleted instead.
@@ -110,7 +110,7 @@ class Queries(Database):
         query = query.where(RoundLine.deleted == deleted)
         with self.reading() as connection:
             rows = cells_of(connection, query)
-            return [RoundView(Round(*row[:6]), *row[6:]) for row in rows]
+            return [RoundSummary(Round(*row[:6]), *row[6:]) for row in rows]
 
     def stop_is_deleted(self, key: str) -> bool | None:
         """Return whether a stop was deleted; None where it never was in the store."""
@@ -118,20 +118,20 @@ class Queries(Database):
         with self.reading() as connection:
             return connection.execute(query).scalar()
 
-    def stops(self, round_key: str) -> list[StopView]:
+    def stops(self, round_key: str) -> list[StopSummary]:
         """Return a round's stops in the order in which they were made."""
         with self.reading() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
             return [
                 record_of(
-                    StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19])
+                    StopSummary, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19])
                 )
                 for row in rows
             ]
 
     def detections(
         self, round_key: str, only: DetectionFilter | None = None
-    ) -> list[DetectionView]:
+    ) -> list[DetectionSummary]:
         """Return a round's detections in the order of its stops, or those that a filter keeps.
 
         `DetectionFilter(best=True)` gives every fruit once, however often it was seen.
@@ -302,12 +302,12 @@ class Queries(Database):
         with self.reading() as connection:
             return links_of(connection, round_key, kind)
 
-    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[ActionView]:
+    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[LogEntry]:
         """Return what was done by hand, the newest first."""
         with self.reading() as connection:
             return _actions_of(connection, round_key, limit)
 
-    def own_actions(self, round_key: str) -> list[ActionView]:
+    def own_actions(self, round_key: str) -> list[LogEntry]:
         """Return what can be undone in a round by who the store is signed by, the newest first.
 
         That is what was done by that person from that device. Without any: what was done by nobody
@@ -396,7 +396,7 @@ def _stop_query(round_id: int) -> Any:
 
 def _detections_of(
     connection: Connection, round_key: str, keys: Sequence[str] | None = None
-) -> list[DetectionView]:
+) -> list[DetectionSummary]:
     """Return a round's detections in the order of its stops, with marks and groups.
 
     `keys` gives those alone; their groups are right where all members are among them.
@@ -455,14 +455,14 @@ def _detection_view(
     record: DetectionRecord,
     marks: Mapping[str, Any],
     group: FruitGroup,
-) -> DetectionView:
+) -> DetectionSummary:
     stated_m, stated_sd_m, fitted, fitted_sd, mirrored = row[8:13]
     stop_m, stop_sd_m = (stated_m, stated_sd_m) if fitted is None else (fitted, fitted_sd)
     offset_m = (record.offset_m or 0.0) * (-1.0 if mirrored else 1.0)
     along_m = None if stop_m is None else stop_m + offset_m
     sd_known = stop_m is not None and stop_sd_m is not None
     return record_of(
-        DetectionView,
+        DetectionSummary,
         *row[:2],
         round_key,
         *row[2:8],
@@ -504,9 +504,7 @@ def _marks_of(
     return marks
 
 
-def _actions_of(
-    connection: Connection, round_key: str | None, limit: int | None
-) -> list[ActionView]:
+def _actions_of(connection: Connection, round_key: str | None, limit: int | None) -> list[LogEntry]:
     undo = aliased(Action)
     query: Any = (
         select(
@@ -523,7 +521,7 @@ def _actions_of(
     if round_key is not None:
         query = query.where(RoundLine.key == checked_key(round_key, "round"))
     return [
-        record_of(ActionView, *row[:5], tuple(row[5]), row[6], row[7] is not None)
+        record_of(LogEntry, *row[:5], tuple(row[5]), row[6], row[7] is not None)
         for row in cells_of(connection, query)
     ]
 

@@ -61,7 +61,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class RoundView:
+class RoundSummary:
     """A round and how much it holds: stops, detections of fruit, time of the last stop."""
 
     record: Round
@@ -86,7 +86,7 @@ class RoundView:
 
 
 @dataclass(frozen=True)
-class StopView:
+class StopSummary:
     """A stop in a list.
 
     Parameters
@@ -122,7 +122,7 @@ class StopView:
 
 
 @dataclass(frozen=True)
-class DetectionView:
+class DetectionSummary:
     """One detection in a list.
 
     Parameters
@@ -203,7 +203,7 @@ class DetectionFilter:
     min_length_m: float | None = None
     best: bool = False
 
-    def keeps(self, fruit: DetectionView) -> bool:
+    def keeps(self, fruit: DetectionSummary) -> bool:
         """Return whether a fruit belongs into the list."""
         conditions = (
             (self.row, fruit.row),
@@ -218,7 +218,7 @@ class DetectionFilter:
 
 
 @dataclass(frozen=True)
-class ActionView:
+class LogEntry:
     """A line of the log.
 
     Parameters
@@ -259,7 +259,7 @@ class DetectionDetail:
 
     Parameters
     ----------
-    view : DetectionView
+    view : DetectionSummary
         As in lists, but its record has mask, keypoints and methods.
     original : DetectionRecord
         As it was first measured, with everything; equal to the view's where it was not corrected.
@@ -269,13 +269,13 @@ class DetectionDetail:
         Its stop, with all captures.
     links : tuple of LinkRecord
         What it is linked to.
-    log : tuple of ActionView
+    log : tuple of LogEntry
         What was done to it by hand, newest first.
     """
 
-    view: DetectionView
+    view: DetectionSummary
     original: DetectionRecord
     capture: CaptureRecord
     stop: StopRecord
     links: tuple[LinkRecord, ...]
-    log: tuple[ActionView, ...]
+    log: tuple[LogEntry, ...]

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
         StopRecord,
     )
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
 def merge_datasets(
@@ -360,8 +360,8 @@ def dataset_from_store(
     pictures: list[LabelledPicture] = []
     counts: dict[str, Counter[str]] = {}
     lost = 0
-    for round_view in store.rounds():
-        for picture, outcomes in _reviewed_captures(store, round_view, licence):
+    for round_summary in store.rounds():
+        for picture, outcomes in _reviewed_captures(store, round_summary, licence):
             if picture is None:
                 lost += 1
                 continue
@@ -402,21 +402,21 @@ def _position_name(house: str, stop: StopRecord) -> str:
 
 
 def _reviewed_captures(
-    store: Store, round_view: RoundView, licence: str
+    store: Store, round_summary: RoundSummary, licence: str
 ) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
     """Yield the reviewed captures of a round with their counts; None if the picture is missing."""
-    corrected = store.corrected(round_view.key)
+    corrected = store.corrected(round_summary.key)
     added = {
-        key for a in store.log(round_view.key, limit=None) if a.kind == "add" for key in a.fruit
+        key for a in store.log(round_summary.key, limit=None) if a.kind == "add" for key in a.fruit
     }
-    of_stops: dict[str, dict[str, list[DetectionView]]] = {}
-    for view in store.detections(round_view.key):
+    of_stops: dict[str, dict[str, list[DetectionSummary]]] = {}
+    for view in store.detections(round_summary.key):
         of_stops.setdefault(view.stop_key, {}).setdefault(view.capture, []).append(view)
     for stop_key, of_captures in of_stops.items():
         if not any(_is_reviewed(view) for views in of_captures.values() for view in views):
             continue
         stop = store.stop(stop_key)
-        place = _position_name(round_view.record.house, stop)
+        place = _position_name(round_summary.record.house, stop)
         for capture in stop.captures:
             views = of_captures.get(capture.name, [])
             if not any(map(_is_reviewed, views)):
@@ -438,7 +438,7 @@ def _reviewed_captures(
                 labels,
                 scene=place,
                 split=split_of_position(place),
-                source="synth" if capture.simulated else round_view.record.house or "own house",
+                source="synth" if capture.simulated else round_summary.record.house or "own house",
                 licence=licence,
                 depth_file=None if capture.depth is None else _file(store, capture.depth),
                 depth_unit_m=capture.depth_unit_m or DEPTH_UNIT_M,
@@ -452,11 +452,11 @@ def _file(store: Store, ref: ImageRef) -> str:
     return store.images.path(ref).relative_to(store.images.folder).as_posix()
 
 
-def _is_reviewed(view: DetectionView) -> bool:
+def _is_reviewed(view: DetectionSummary) -> bool:
     return view.verdict is not None or view.corrected
 
 
-def _review_outcome(view: DetectionView, added: Container[str]) -> str:
+def _review_outcome(view: DetectionSummary, added: Container[str]) -> str:
     if view.verdict is Verdict.REJECTED:
         return "rejected"
     if view.key in added:
@@ -466,7 +466,7 @@ def _review_outcome(view: DetectionView, added: Container[str]) -> str:
     return "accepted" if view.verdict is Verdict.ACCEPTED else "unjudged"
 
 
-def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionView) -> Label:
+def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionSummary) -> Label:
     box = np.array([record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px])
     code = None
     if record.mask is not None:

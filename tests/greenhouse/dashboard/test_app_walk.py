@@ -20,7 +20,7 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import StopView
+from cucumbervision_greenhouse.store.views import StopSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
@@ -44,12 +44,12 @@ class House:
     def serve(self) -> Any:
         return self._start(self.folder, "--store", str(self.store), "--replay", str(self.replay))
 
-    def stops(self, name: str) -> list[StopView]:
+    def stops(self, name: str) -> list[StopSummary]:
         with open_store(self.store) as store:
             one = next(x for x in store.rounds() if x.record.name == name)
             return store.stops(one.key)
 
-    def wait_for_stops(self, name: str, number: int) -> list[StopView]:
+    def wait_for_stops(self, name: str, number: int) -> list[StopSummary]:
         until = time.monotonic() + 300
         while time.monotonic() < until:
             if len(found := self.stops(name)) >= number:

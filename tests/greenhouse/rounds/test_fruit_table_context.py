@@ -8,7 +8,7 @@ import pytest
 from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_reports
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.rounds.row_fruit import FalseShare
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
@@ -106,7 +106,7 @@ def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store:
     content = read_round(store, TUESDAY.key)
     assert content.false == FalseShare.learnt(1, 4)
     assert content.false.share > FalseShare().share
-    (row,) = row_reports(read_round(store, MONDAY.key))
+    (row,) = row_counts(read_round(store, MONDAY.key))
     assert len(row.count.view_counts) == 3  # without the rejected one
     assert row.count.real.max() == 1.0  # the accepted one is a fruit
     low, high = row.count.interval()

@@ -22,7 +22,7 @@ from cucumbervision_greenhouse.rounds.forecasting import (
 )
 from cucumbervision_greenhouse.rounds.from_store import find_round, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, merge_round, row_reports
+from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, merge_round, row_counts
 from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
@@ -136,7 +136,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     by_one_view = {view.key: view.record.length_m for view in store.detections(NEXT.key)}
     assert any(by_one_view[line.view.key] != line.view.record.length_m for line in table)
     content = read_round(store, NEXT.key)
-    [report] = row_reports(content)
+    [report] = row_counts(content)
     said = forecast_of(store, NEXT.key, days=2)
     # Today the fruit that were found and are in one class; later all that there are, invented ones
     # taken off and unseen ones added.

@@ -25,7 +25,7 @@ from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import DetectionView, Verdict
+from cucumbervision_greenhouse.store.views import DetectionSummary, Verdict
 
 MORNING = key_of("rounds", "morning")
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M3, MethodName.M6))
@@ -46,11 +46,11 @@ def change_camera(folder: Path, factor: float) -> None:
     path.write_text(json.dumps(manifest))
 
 
-def fruit_of(store: Store) -> dict[str, DetectionView]:
+def fruit_of(store: Store) -> dict[str, DetectionSummary]:
     return {one.key: one for one in store.detections(MORNING)}
 
 
-def kind_of(view: DetectionView) -> str | None:
+def kind_of(view: DetectionSummary) -> str | None:
     return None if view.record.length is None else str(view.record.length.kind)
 
 

@@ -74,7 +74,7 @@ def test_a_defect_of_ours_is_not_called_damage(
     store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store.save_stop(make_stop())
-    monkeypatch.setattr(queries, "StopView", lambda: None)
+    monkeypatch.setattr(queries, "StopSummary", lambda: None)
     with pytest.raises(TypeError, match="positional arguments"):
         store.stops(WALK.key)
 

@@ -13,7 +13,7 @@ from cucumbervision_greenhouse.store.engine import begin
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import DetectionRecord, Round, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionView, Verdict
+from cucumbervision_greenhouse.store.views import DetectionFilter, DetectionSummary, Verdict
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
@@ -181,7 +181,7 @@ def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys:
     store.signed("ana").merge(a, c)
     store.correct(c, DetectionRecord(1, length=Length(0.2), view_score=0.9))
 
-    def shown() -> list[DetectionView]:
+    def shown() -> list[DetectionSummary]:
         return store.detections(WALK, DetectionFilter(best=True))
 
     assert [(one.key, one.views) for one in shown()] == [(b, 1), (c, 2), (d, 1)]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.store.records import DetectionRecord, MethodRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _SLIP = 2.0  # a length by hand beyond so many times the program's is asked about
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
@@ -55,7 +55,7 @@ def hand_file(store: str, round_key: str) -> Path:
     return folder / f"{round_key}.csv"
 
 
-def capture_name(view: DetectionView) -> str:
+def capture_name(view: DetectionSummary) -> str:
     """Return a capture's name, unique within a round."""
     return f"{view.stop_key}/{view.capture}"
 
@@ -122,7 +122,7 @@ def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
 
 
 def _reading(
-    view: DetectionView, reported: DetectionView, methods: Sequence[MethodRecord]
+    view: DetectionSummary, reported: DetectionSummary, methods: Sequence[MethodRecord]
 ) -> Reading:
     """Return a find as a reading; what is reported is what all views of the fruit say."""
     record = view.record
@@ -146,7 +146,7 @@ def _reading(
 
 def write_hand_lengths(
     path: Path,
-    fruit: Sequence[DetectionView],
+    fruit: Sequence[DetectionSummary],
     lengths: Mapping[str, tuple[float | None, float | None]],
     kind: LengthDefinition,
 ) -> int:
@@ -156,7 +156,7 @@ def write_hand_lengths(
     ----------
     path : Path
         The table; replaced in one step.
-    fruit : sequence of DetectionView
+    fruit : sequence of DetectionSummary
         The fruit that could be measured by hand.
     lengths : mapping of str to tuple of float
         By fruit key: the first and second measurement in metres, or None.
@@ -201,7 +201,7 @@ def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
 
 
 def hand_lengths(
-    path: Path, fruit: Sequence[DetectionView]
+    path: Path, fruit: Sequence[DetectionSummary]
 ) -> dict[str, tuple[float | None, float | None]]:
     """Return the table by fruit key; empty where there is none."""
     if not path.exists():
@@ -229,9 +229,9 @@ _LENGTHS = 0.5, 100.0  # that can be typed, in the unit of the page
 
 
 @page_elements.of_round
-def page(round_view: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    graded = round_caches.graded_round(round_view)
+    graded = round_caches.graded_round(round_summary)
     fruit = [view for view in graded.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
@@ -241,13 +241,13 @@ def page(round_view: RoundView) -> None:
         "method's error on your fruit. Measure some of them twice, without looking at the first "
         "value: no method can be shown to be more accurate than the measurements by hand."
     )
-    path = hand_file(resources.where(), round_view.key)
+    path = hand_file(resources.where(), round_summary.key)
     _table(fruit, path)
     if path.exists():
-        _scores(round_view, path)
+        _scores(round_summary, path)
 
 
-def _table(fruit: list[DetectionView], path: Path) -> None:
+def _table(fruit: list[DetectionSummary], path: Path) -> None:
     units = resources.settings().units
     saved = hand_lengths(path, fruit)
     page_elements.choose_page(fruit, "hand_page", _LINES)
@@ -315,7 +315,7 @@ def _read(
     return bad
 
 
-def _line(view: DetectionView, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
+def _line(view: DetectionSummary, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
     position = metres_words(view.along_m) if view.along_m is not None else ""
     return {
@@ -351,9 +351,9 @@ def typed_m(cell: str, units: Units) -> float | None:
     return units.metres(value)
 
 
-def _scores(round_view: RoundView, path: Path) -> None:
+def _scores(round_summary: RoundSummary, path: Path) -> None:
     measured = measured_round(
-        resources.store(), round_view.key, round_caches.methods_of(round_view)
+        resources.store(), round_summary.key, round_caches.methods_of(round_summary)
     )
     truth = read_truth(path)
     own_truth: OwnTruth = evaluate_lengths(measured, truth)

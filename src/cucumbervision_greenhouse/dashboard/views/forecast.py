@@ -22,20 +22,20 @@ from cucumbervision_greenhouse.rounds.forecasting import Age, age_of, age_words
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 @page_elements.of_round
-def page(round_view: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    prediction = round_caches.forecast_of(round_view)
+    prediction = round_caches.forecast_of(round_summary)
     if not prediction.fruit:
         st.info(
             "Nothing to forecast: this round has no measured fruit left on the plant.",
             icon=":material/calendar_month:",
         )
         return
-    _age(round_view)
+    _age(round_summary)
     days, work = st.tabs(["Next days", "Work and crates"])
     with days:
         _days(prediction)
@@ -43,8 +43,8 @@ def page(round_view: RoundView) -> None:
         _work(prediction)
 
 
-def _age(round_view: RoundView) -> None:
-    walked = round_view.walked_s
+def _age(round_summary: RoundSummary) -> None:
+    walked = round_summary.walked_s
     days, age = age_of(walked, time.time())
     if age is not Age.FRESH:
         useless = age is Age.USELESS

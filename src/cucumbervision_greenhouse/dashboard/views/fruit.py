@@ -53,26 +53,26 @@ if TYPE_CHECKING:
         JointRecord,
         MethodRecord,
     )
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
-def show(round_view: RoundView, graded: GradedRound, key: str) -> None:
+def show(round_summary: RoundSummary, graded: GradedRound, key: str) -> None:
     """Draw a fruit in place of the list."""
-    detail = round_caches.fruit_detail(round_view, key)
+    detail = round_caches.fruit_detail(round_summary, key)
     _head(graded, key)
     picture_side, right = page_elements.halves()
     # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
     with right.container():
         _figures(graded, detail)
     with right.container():
-        _verdict(round_view, detail)
+        _verdict(round_summary, detail)
     line = next(
-        (x for x in round_caches.fruit_of(round_view) if x.view.group == detail.view.group), None
+        (x for x in round_caches.fruit_of(round_summary) if x.view.group == detail.view.group), None
     )
-    joint = _joint_of(round_view, line)
+    joint = _joint_of(round_summary, line)
     with picture_side:
         _pictures(detail, joint)
-    _show_stops(round_view, detail.view, line, joint)
+    _show_stops(round_summary, detail.view, line, joint)
     _methods(detail)
 
 
@@ -127,7 +127,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         page_elements.table(figure_lines(record))
 
 
-def _verdict(round_view: RoundView, detail: DetectionDetail) -> None:
+def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
     key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
@@ -153,7 +153,7 @@ def _verdict(round_view: RoundView, detail: DetectionDetail) -> None:
     with st.container(horizontal=True):
         words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
-        draw_undo(round_view.key)
+        draw_undo(round_summary.key)
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
@@ -249,7 +249,7 @@ def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
     return stop_layers(detail.capture, neighbours, names, resources.settings().units)
 
 
-def _of_picture(view: DetectionView) -> list[DetectionView]:
+def _of_picture(view: DetectionSummary) -> list[DetectionSummary]:
     """Return all fruit of the picture that a view is of."""
     only = DetectionFilter(stop_key=view.stop_key)
     return [
@@ -350,29 +350,32 @@ def _remark(method: MethodRecord, record: DetectionRecord) -> str:
 
 
 def _show_stops(
-    round_view: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
+    round_summary: RoundSummary,
+    fruit: DetectionSummary,
+    line: RoundFruit | None,
+    joint: JointRecord | None,
 ) -> None:
     """Draw the views of a fruit, the representative one first; nothing if there is only one.
 
     Parameters
     ----------
-    round_view : RoundView
+    round_summary : RoundSummary
         Its round.
-    fruit : DetectionView
+    fruit : DetectionSummary
         Any of its views.
     line : RoundFruit, optional
         The fruit with the length by all its views.
     joint : JointRecord, optional
         One tube in all of them.
     """
-    content, units = round_caches.content_of(round_view), resources.settings().units
+    content, units = round_caches.content_of(round_summary), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
     if len(views) < 2:
         return
     st.markdown(f"**Seen {len(views)} times**")
     chosen = "representative" if line is None else "best view"
 
-    def words(view: DetectionView) -> str:
+    def words(view: DetectionSummary) -> str:
         best = f" · {chosen}" if view.best else ""
         return f"{step_words(view.step)}: {_length(view.record, units)}{best}"
 
@@ -384,11 +387,11 @@ def _show_stops(
         st.caption(f"{how}: {_length(line.view.record, units)}")
 
 
-def _joint_of(round_view: RoundView, line: RoundFruit | None) -> JointRecord | None:
+def _joint_of(round_summary: RoundSummary, line: RoundFruit | None) -> JointRecord | None:
     if line is None or line.joint is None:
         return None
     try:
-        return round_caches.joint_of(round_view.key, line.joint.key)
+        return round_caches.joint_of(round_summary.key, line.joint.key)
     except CucumberVisionError:  # merged anew meanwhile
         return None
 

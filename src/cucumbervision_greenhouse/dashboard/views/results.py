@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _FORMATS = {
     ExportFormat.XLSX: "Excel",
@@ -43,7 +43,7 @@ _FORMATS = {
 }
 
 
-def _files(round_view: RoundView) -> None:
+def _files(round_summary: RoundSummary) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
     formats = st.pills(
         "Formats",
@@ -55,26 +55,28 @@ def _files(round_view: RoundView) -> None:
     )
     if formats:
         asked = urlencode([("formats", str(chosen)) for chosen in formats])
-        st.html(f'<a class="load" href="/api/files/{round_view.key}?{asked}" download>Download</a>')
+        st.html(
+            f'<a class="load" href="/api/files/{round_summary.key}?{asked}" download>Download</a>'
+        )
 
 
 _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
 
 
 @page_elements.of_round
-def page(round_view: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    graded = round_caches.graded_round(round_view)
-    groups = {view.key: view.group for view in round_caches.content_of(round_view).views}
+    graded = round_caches.graded_round(round_summary)
+    groups = {view.key: view.group for view in round_caches.content_of(round_summary).views}
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
-        fruit_page.show(round_view, graded, opened)
+        fruit_page.show(round_summary, graded, opened)
         return
     page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")
     if not (graded.fruit or graded.deleted):
-        _empty(round_view)
+        _empty(round_summary)
         return
-    _classes(round_view, graded)
+    _classes(round_summary, graded)
     _statistics(graded)
     fruit = _filtered(graded)
     if not fruit:
@@ -83,27 +85,27 @@ def page(round_view: RoundView) -> None:
     _list(graded, fruit)
     _chart(graded, fruit)
     with st.expander("Files of this round", icon=":material/download:"):
-        _files(round_view)
+        _files(round_summary)
 
 
-def _empty(round_view: RoundView) -> None:
-    if not round_view.stops and (words := tasks.progress(round_view.key).first_words):
+def _empty(round_summary: RoundSummary) -> None:
+    if not round_summary.stops and (words := tasks.progress(round_summary.key).first_words):
         st.info(words, icon=":material/hourglass_empty:")
-    elif round_view.stops:
+    elif round_summary.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
     else:
         st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
 
 
-def _classes(round_view: RoundView, graded: GradedRound) -> None:
+def _classes(round_summary: RoundSummary, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
     counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
-    if round_caches.today_of(round_view).age_days:
+    if round_caches.today_of(round_summary).age_days:
         says.caption("As measured. 'What is ready today' includes the growth expected since then.")
-    if is_demonstration(round_view.key):
+    if is_demonstration(round_summary.key):
         says.caption("A computer-made example.")
     with go:
         page_elements.link("today", "What is ready today")
@@ -127,7 +129,7 @@ def _statistics(graded: GradedRound) -> None:
             st.metric(label, value, below, **how)
 
 
-def _filtered(graded: GradedRound) -> list[DetectionView]:
+def _filtered(graded: GradedRound) -> list[DetectionSummary]:
     def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
         choices = sorted({value for value in values if value})
         names: dict[str | None, str] = {None: "all", **{name: str(name) for name in choices}}
@@ -152,7 +154,7 @@ def _filtered(graded: GradedRound) -> list[DetectionView]:
     ]
 
 
-def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
     units = resources.settings().units
     lines = tables.length_lines(fruit, graded.grades, units)
@@ -165,7 +167,7 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
         chart.altair_chart(charts.histogram(lines, units))
 
 
-def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
+def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
     lines = [_line(graded, view) for view in page_fruit]
     words = f"{len(fruit)} fruit: tap one to open it"
@@ -173,7 +175,7 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     page_elements.choose_page(fruit, "list_page", round_caches.LINES)
 
 
-def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
+def _line(graded: GradedRound, view: DetectionSummary) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     interval = interval_words(record, units)
     position = "" if view.along_m is None else f", {metres_words(view.along_m)}"

@@ -31,31 +31,33 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.backend.round_tables import GradedRound
     from cucumbervision_greenhouse.rounds.fruit_table import FruitContext, OtherDay
-    from cucumbervision_greenhouse.store.views import DetectionView, RoundView
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _ROWS_AT_ONCE = 4
 
 
 @page_elements.of_round
-def page(round_view: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     maps, undo, views = st.container(), st.container(), st.container()
-    list_stops(round_view)  # before the rest, which a stop on a third side keeps from being drawn
+    list_stops(
+        round_summary
+    )  # before the rest, which a stop on a third side keeps from being drawn
     with undo:
-        draw_undo(round_view.key)
+        draw_undo(round_summary.key)
     with maps:
-        opened = _opened(round_view)
+        opened = _opened(round_summary)
         keys = {view.key for view in opened.views} if opened else ()
         page_elements.say_missing("fruit", keys, "There is no such fruit in this round (any more).")
-        _maps(round_view, opened)
+        _maps(round_summary, opened)
     with views:
         if opened is not None:
             _same(opened)
 
 
-def _maps(round_view: RoundView, opened: FruitContext | None) -> None:
+def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
     units = resources.settings().units
-    graded = round_caches.graded_round(round_view)
+    graded = round_caches.graded_round(round_summary)
     lines = map_lines(graded, units)
     if not lines:
         st.info(
@@ -74,7 +76,7 @@ def _maps(round_view: RoundView, opened: FruitContext | None) -> None:
         format_func=plain,
         selection_mode="multi",
     )
-    for report in round_caches.rows_of(round_view):
+    for report in round_caches.rows_of(round_summary):
         st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
     named = None if opened is None else row_and_side(opened.fruit)
     drawn = [row for row in rows if row in chosen or row == named]
@@ -87,7 +89,7 @@ def _maps(round_view: RoundView, opened: FruitContext | None) -> None:
             layers, grid = map_picture(row_lines, drawn_lines, units, by_length=colored == "Length")
             opened_here = opened if row == named else None
             _row(
-                round_view,
+                round_summary,
                 row,
                 layers,
                 {"grid": grid, "opened": opened_here and _answer(graded, opened_here)},
@@ -101,17 +103,17 @@ def _maps(round_view: RoundView, opened: FruitContext | None) -> None:
 
 
 def _row(
-    round_view: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+    round_summary: RoundSummary, row: str, layers: list[dict[str, Any]], content: dict[str, object]
 ) -> None:
     """Draw a row's map; a tap is answered beside the mark, where the fruit is judged too."""
-    key = f"map_{round_view.key}_{row}"
+    key = f"map_{round_summary.key}_{row}"
 
     def tapped() -> None:
         page_elements.name_in_address("fruit", st.session_state[key].tapped or None)
 
     def judged() -> None:
         asked = st.session_state[key].judged
-        context = around(resources.store(), round_view.key, asked["key"])
+        context = around(resources.store(), round_summary.key, asked["key"])
         if context is not None and asked["act"] != "open":
             keys = [view.key for view in context.views]
             verdict = Verdict(asked["act"])
@@ -146,9 +148,9 @@ def _answer(graded: GradedRound, context: FruitContext) -> dict[str, Any]:
     }
 
 
-def _opened(round_view: RoundView) -> FruitContext | None:
+def _opened(round_summary: RoundSummary) -> FruitContext | None:
     key = st.query_params.get("fruit")
-    return around(resources.store(), round_view.key, key) if key else None
+    return around(resources.store(), round_summary.key, key) if key else None
 
 
 def _doubtful(graded: GradedRound) -> None:
@@ -181,7 +183,7 @@ def _same(context: FruitContext) -> None:
             _other_day(fruit, day, is_earlier=is_earlier)
 
 
-def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None:
+def _other_day(fruit: DetectionSummary, day: OtherDay, *, is_earlier: bool) -> None:
     store = resources.store()
 
     def link(key: str) -> int:
@@ -202,9 +204,9 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
 
 def _pictures(
-    shown_fruit: DetectionView,
+    shown_fruit: DetectionSummary,
     title: str,
-    views: Sequence[DetectionView],
+    views: Sequence[DetectionSummary],
     act: tuple[str, str, Callable[[str], int]] | None,
 ) -> None:
     """Draw views side by side, each with what can be done about it to `shown_fruit`."""
@@ -213,11 +215,11 @@ def _pictures(
     units = resources.settings().units
     st.markdown(f"**{title}**")
 
-    def words(view: DetectionView) -> str:
+    def words(view: DetectionSummary) -> str:
         place = f"{step_words(view.step).lower()} · {metres_words(view.along_m)}"
         return f"{length_words(view.record, units)} · {place}"
 
-    def draw(view: DetectionView) -> None:
+    def draw(view: DetectionSummary) -> None:
         if act is not None:
             label, icon, change = act
             name = f"{label}_{shown_fruit.key}_{view.key}"

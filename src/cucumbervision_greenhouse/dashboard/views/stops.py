@@ -17,13 +17,13 @@ from cucumbervision_greenhouse.rounds.walking import sides_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision_greenhouse.store.views import RoundView, StopView
+    from cucumbervision_greenhouse.store.views import RoundSummary, StopSummary
 
 
-def list_stops(round_view: RoundView) -> None:
+def list_stops(round_summary: RoundSummary) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
-    stops = {stop.key: stop for stop in resources.store().stops(round_view.key)}
-    key = f"stop_of_{round_view.key}"
+    stops = {stop.key: stop for stop in resources.store().stops(round_summary.key)}
+    key = f"stop_of_{round_summary.key}"
     named = st.query_params.get("stop")  # as the capture page's link does
     say_missing("stop", stops, "There is no such stop in this round (any more).")
     if named in stops:
@@ -43,12 +43,12 @@ def list_stops(round_view: RoundView) -> None:
             change_stop(stops[chosen], sides_of(stops.values()))
 
 
-def _words(stop: StopView) -> str:
+def _words(stop: StopSummary) -> str:
     note = f" ({stop.note})" if stop.note else ""
     return f"{stop_name(stop)}{note} · {stop.fruit} fruit"
 
 
-def change_stop(stop: StopView, sides: Sequence[str]) -> None:
+def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
     """Draw a stop's place and name to be changed; `sides` are those of its round."""
     store = resources.store()
     # Fields of new names after every change: those on the page keep what was typed before.

@@ -33,25 +33,25 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.agronomy.picking import Pick
     from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 @page_elements.of_round
-def page(round_view: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    today = round_caches.today_of(round_view)
-    _age(round_view, today)
-    _next(round_view, today)
+    today = round_caches.today_of(round_summary)
+    _age(round_summary, today)
+    _next(round_summary, today)
     if not today.rows:
         return
-    _ready(round_view, today)
+    _ready(round_summary, today)
     st.subheader("Pick list")
-    _picks(round_view, today)
+    _picks(round_summary, today)
 
 
-def _age(round_view: RoundView, today: Today) -> None:
-    walked = round_day(round_view.walked_s)
-    if not round_view.stops:
+def _age(round_summary: RoundSummary, today: Today) -> None:
+    walked = round_day(round_summary.walked_s)
+    if not round_summary.stops:
         return
     if today.age is Age.USELESS:
         st.warning(
@@ -65,30 +65,30 @@ def _age(round_view: RoundView, today: Today) -> None:
     if today.age_days:
         words += " Lengths include the growth expected since then."
     (st.warning if today.age is Age.OLD else st.markdown)(words)
-    if is_demonstration(round_view.key):
+    if is_demonstration(round_summary.key):
         st.info("A computer-made example.", icon=":material/draw:")
 
 
-def _next(round_view: RoundView, today: Today) -> None:
+def _next(round_summary: RoundSummary, today: Today) -> None:
     """Say what to do next, with a way to where it is done."""
-    progress = tasks.progress(round_view.key)
+    progress = tasks.progress(round_summary.key)
     steps: list[tuple[str, str, str]] = []
     if progress.waiting:
         tasks.wake()
-    if not round_view.stops and progress.first_words:
+    if not round_summary.stops and progress.first_words:
         steps.append((progress.first_words, "capture", "Capture"))
     elif progress.waiting:
         words = counted(progress.waiting, "capture is", "captures are")
         steps.append((f"{words} still being measured.", "capture", "Capture"))
-    if not round_view.stops and is_demonstration(round_view.key) and progress.title:
+    if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
         st.info("The example is being measured; its fruit appear here.")
-    elif not round_view.stops and not progress.first_words:
+    elif not round_summary.stops and not progress.first_words:
         steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
-    elif round_view.stops and today.age is not Age.FRESH:
+    elif round_summary.stops and today.age is not Age.FRESH:
         steps.append(("Start a new round and walk again.", "capture", "Capture"))
-    elif round_view.stops and not today.rows and not progress.waiting:
+    elif round_summary.stops and not today.rows and not progress.waiting:
         steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
-    if unsure := len(doubtful(round_caches.content_of(round_view).views)):
+    if unsure := len(doubtful(round_caches.content_of(round_summary).views)):
         steps.append(
             (
                 f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with low "
@@ -104,9 +104,9 @@ def _next(round_view: RoundView, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(round_view: RoundView, today: Today) -> None:
+def _ready(round_summary: RoundSummary, today: Today) -> None:
     """Say what is still to be picked, by class and row."""
-    today = today.left(_picked(round_view, today))
+    today = today.left(_picked(round_summary, today))
     ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
     names = work_of(today.of(PickKind.READY)).by_class
     metrics = [("Ready today", ready), *((class_name(n), k) for n, k in sorted(names.items()))]
@@ -137,10 +137,10 @@ _SAID = {
 }
 
 
-def _picks(round_view: RoundView, today: Today) -> None:
+def _picks(round_summary: RoundSummary, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
-        picked = _picked(round_view, today)
+        picked = _picked(round_summary, today)
         rows = {row.row: row for row in today.rows}
         ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
         done = {
@@ -168,8 +168,8 @@ def _picks(round_view: RoundView, today: Today) -> None:
                 continue
             if explanation := _SAID.get(kind):
                 st.markdown(explanation)
-            lines = _lines(round_view, picks, picked, today.simulated)
-            key = f"picks_{kind}_{round_view.key}_{row.row}"
+            lines = _lines(round_summary, picks, picked, today.simulated)
+            key = f"picks_{kind}_{round_summary.key}_{row.row}"
             page_elements.fruit_list(key, "Fruit to pick", lines, words, partial(_keep, key))
         _all_picked(row, picked)
         _work(today, picked)
@@ -181,17 +181,17 @@ def _is_picked(pick: Pick, picked: set[str]) -> bool:
     return pick.fruit.fruit_id in picked
 
 
-def _picked(round_view: RoundView, today: Today) -> set[str]:
+def _picked(round_summary: RoundSummary, today: Today) -> set[str]:
     """Return the keys of the fruit that are picked by now."""
-    keys = resources.store().picked(round_view.key)
+    keys = resources.store().picked(round_summary.key)
     return {today.best.get(key, key) for key in keys}
 
 
 def _lines(
-    round_view: RoundView, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+    round_summary: RoundSummary, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
-    views = {view.key: view for view in round_caches.graded_round(round_view).fruit}
+    views = {view.key: view for view in round_caches.graded_round(round_summary).fruit}
     lines = []
     for pick in picks:
         key = pick.fruit.fruit_id

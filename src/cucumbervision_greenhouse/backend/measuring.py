@@ -257,7 +257,7 @@ def measure_waiting(
     measures.load()  # without it none is tried
 
     def items() -> Iterator[RoundCapture | Failure]:
-        nonlocal left
+        nonlocal queue
         while queue := waiting.captures():
             queued_capture = queue[0]
             waiting.begin(queued_capture)

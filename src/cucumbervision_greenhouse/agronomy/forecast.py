@@ -287,10 +287,10 @@ def _possible_today(
     scale_sd: float,
     profile: CropProfile,
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the classes that each fruit may be in today, whatever other fruit there are.
+    """Return the classes that each fruit may be in today, independently of all other fruit.
 
-    Those that were known on the fruit's day hold on that day; later those of its grown interval.
-    What is in no class, or may be in any, stays so.
+    On the day of its measurement these are the fruit's own classes; later, those that its interval
+    spans after growth. A fruit in no class, or possibly in any, stays so.
     """
     names = [c.name for c in profile.classes]
     found = [one.possible for one in fruit]
@@ -348,7 +348,7 @@ def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
 
 
 class _Tally:
-    """Counts classes day by day, and keeps which fruit were ready before."""
+    """Counts classes day by day, and remembers which fruit were ready before."""
 
     def __init__(
         self,

@@ -315,10 +315,11 @@ class Curve:
 
 LINEAR = Curve()
 
-# The profile's spreads may be wrong by these factors either way: 1.6 for houses, 1.4 for the rest.
+# Assumed error factors of the profile's spreads, up or down: 1.6 for houses, 1.4 for all others.
 SPREAD_LOG_SD = np.array([0.5, 0.35, 0.35, 0.35, 0.35])
 
-_FULL_LENGTHS = (1.15, 1.3, 1.5, 1.8)  # times the longest class's end: curves that are tried
+# Candidate full lengths, as multiples of the longest class's upper limit.
+_FULL_LENGTHS = 1.15, 1.3, 1.5, 1.8
 
 # Log likelihood that a curve must gain over the first. Picking alone makes growth look as if it
 # slowed, since of the long fruit those that grow slowly stay: 5 to 10 with 500 links.

@@ -55,7 +55,7 @@ class Pick:
 
 
 def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
-    """Return today's ready fruit, those that may be ready and too long ones, by row and position.
+    """Return the fruit that are ready, may be ready or are too long, by row and position.
 
     Every second row is walked from its far end, to avoid walking a row twice. Both sides of a row
     are walked together, since they share one path.

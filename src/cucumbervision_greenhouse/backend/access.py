@@ -1,7 +1,7 @@
 """Who may open the dashboard: anyone on this machine; from elsewhere only with a login.
 
-The login is the random token of the link that the program prints, as Jupyter has it. Accounts of an
-identity provider log in at a proxy in front, which sends the token and says who it is.
+The login is a random token in the link that the program prints, as in Jupyter. Accounts of an
+identity provider log in at a proxy in front, which sends the token and the viewer's name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
 }
-# Bytes of a body: of a part of a file, of the list of an upload's files, of all else.
+# Largest body in bytes: a part of a file, the list of an upload's files, any other request.
 _MOST_PART, _MOST_LIST, _MOST_ASKED = 16 * 2**20, 4 * 2**20, 256 * 2**10
 _BODY_S, _SILENCE_S = 600.0, 30.0
 
@@ -69,9 +69,9 @@ def decide_login(address: str, *, always: bool = False) -> Login:
 
 
 def device_of(cookies: Mapping[str, str]) -> str:
-    """Return a browser's own name, by which *Undo* tells people apart; empty where it has none.
+    """Return the random name of a browser, by which *Undo* tells people apart; empty without one.
 
-    It admits to nothing.
+    It grants no access.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def device_of(cookies: Mapping[str, str]) -> str:
 
 
 def is_encrypted(request: HTTPConnection) -> bool:
-    """Tell whether a browser asks by https, also where a proxy before this server answers it.
+    """Return whether the browser uses https, also where a proxy in front of this server ends it.
 
     Examples
     --------
@@ -98,12 +98,11 @@ def is_encrypted(request: HTTPConnection) -> bool:
 class AccessGuard:
     """ASGI middleware that refuses strangers before Streamlit sees their request.
 
-    Every route and web socket is asked the same, in this order:
+    Every route and web socket passes the same checks, in this order:
 
     - `Host` and `Origin` must be well formed, and the request must not come from a page of another
       place, another port of the same host included (`check_source`), whatever the login.
-    - Without a login only requests to a loopback name are admitted: a name that was rebound to this
-      machine operates nothing.
+    - Without a login only requests to a loopback name are admitted, which stops DNS rebinding.
     - With a token, its cookie; the link `?token=…` sets it. The cookie is not the token itself:
       browsers send cookies to every port of a host.
     - A proxy that logs people in sends the token as `Authorization: Bearer` instead. Who it says
@@ -191,7 +190,7 @@ class AccessGuard:
 
 
 def cookie_of(token: str) -> str:
-    """Return the cookie that admits as a token does, from which the token cannot be told.
+    """Return the cookie that grants the same access as the token, and does not reveal it.
 
     Examples
     --------
@@ -215,7 +214,7 @@ async def _refuse(
     words: str,
     status: int = 403,
 ) -> None:
-    """Refuse a request, or a web socket before it is open: by name where the server can."""
+    """Refuse a request, or a web socket before it is open, with an answer where the server can."""
     can_say = "websocket.http.response" in (scope.get("extensions") or {})
     # Closing answers 403; of any other answer uvicorn logs that the handshake was not completed.
     if scope["type"] == "websocket" and (status == 403 or not can_say):
@@ -226,9 +225,9 @@ async def _refuse(
 
 
 def _with_headers(send: Callable[..., Any], request: HTTPConnection) -> Callable[..., Any]:
-    """Return what sends an answer with headers by which no other site can frame or misread it.
+    """Return a sender that adds headers against framing and content sniffing to an answer.
 
-    A page gives a browser its name, unless it has one.
+    A page also sets the browser's random name, unless it has one.
     """
 
     async def send_all(message: MutableMapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Routes of both applications: what a function returns as an answer, changes by WebSocket, news."""
+"""Routes of both applications: JSON answers, changes by WebSocket, news."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
 """Key of a round, stop or upload."""
 
-_NEWS_S = 0.3  # how often is looked for news
+_NEWS_S = 0.3  # interval between checks for news
 _BEAT_S = 2.0
 
 
 class Sent(BaseModel):
-    """The content of a request, with nothing but what is asked for."""
+    """The content of a request; unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -41,16 +41,16 @@ class Sent(BaseModel):
 def answer(
     work: Callable[[Request, Any], Any],
 ) -> Callable[[Request], Awaitable[Response]]:
-    """Make a route of a function of a request and its content; what it returns is sent as JSON.
+    """Make a route from a function of a request and its content, and send its result as JSON.
 
-    An error of ours is answered in one line for people, by the status 409.
+    A named error is answered in one line for people, with status 409.
     """
 
     @wraps(work)
     async def route(request: Request) -> Response:
         try:
             content = await request.body() if request.method == "POST" else b""
-        except HTTPException as error:  # too large, or it does not come on: `AccessGuard` says so
+        except HTTPException as error:  # too large or too slow, as `AccessGuard` found
             return JSONResponse({"error": error.detail}, error.status_code, error.headers)
         try:
             answer = await run_in_threadpool(work, request, content)
@@ -72,9 +72,10 @@ def store_of(request: Request) -> Any:
 
 
 async def news(socket: WebSocket) -> None:
-    """Send the news of a round as they come, for as long as a page looks.
+    """Send the news of a round as they come, while a page is open.
 
-    The same ones are sent again every `_BEAT_S`, by which a page knows that its line is not dead.
+    Without changes they are sent again every `_BEAT_S`, so that a page can detect a dead
+    connection.
     """
     sent: dict[str, Any] = {}
 
@@ -93,7 +94,7 @@ async def news(socket: WebSocket) -> None:
 async def send_changes(
     socket: WebSocket, look: Callable[[], str | bytes | None], every_s: float
 ) -> None:
-    """Send what `look` finds whenever the browser has shown what came before, until it leaves."""
+    """Send each result of `look` once the browser has shown the last one, until it disconnects."""
     await socket.accept()
     ready = asyncio.Event()
     ready.set()
@@ -116,7 +117,7 @@ async def send_changes(
                     else socket.send_text(message)
                 )
             await asyncio.wait({gone}, timeout=every_s)
-    except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
+    except (WebSocketDisconnect, RuntimeError):  # it disconnected while a message was sent
         pass
     finally:
         gone.cancel()

@@ -30,22 +30,24 @@ if TYPE_CHECKING:
     from cucumbervision.capture.realsense_device import CameraSettings
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
-REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
-FAR_S = 1.0  # a picture that lies farther from a press is another one
-HELD_S = 90.0  # how late a press may reach us, and how long a camera nobody looks at goes on
+REACH_S = 0.15  # largest distance in time of a burst's frames from its press
+FAR_S = 1.0  # a picture farther in time from a press shows another place
+HELD_S = 90.0  # how late a press may arrive, and how long an unwatched camera stays open
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
-_LOOK_S, _WATCH_S = 0.02, 0.5  # how often is looked for a frame; is said that somebody looks
-_END_S = 10.0  # how long the camera's process is waited for
-_MOST_LOOKS = 20  # for frames that leave the ring just when they are kept
-_MOST_CRASHES = 3  # of the camera's process in a row, which would be started for ever
+_LOOK_S, _WATCH_S = 0.02, 0.5  # intervals: checks for a frame; reports of a viewer
+_END_S = 10.0  # longest wait for the camera's process
+_MOST_LOOKS = 20  # attempts, since frames may leave the ring while they are linked
+_MOST_CRASHES = (
+    3  # failed starts of the camera's process in a row, after which it is not started again
+)
 
 
 class PictureGoneError(CameraError):
-    """There is no picture of the moment of a press any more."""
+    """The picture of the moment of a press is no longer held."""
 
 
 def picture_gone() -> PictureGoneError:
-    """Return the error of a press whose picture is not there."""
+    """Return the error of a press whose picture is no longer held."""
     return PictureGoneError("there is no picture of that moment any more", remedy="press again")
 
 
@@ -64,7 +66,7 @@ class Preview:
     number : int
         Changes with every new frame.
     message : str
-        Why there is nothing to see.
+        Why there is no picture.
     """
 
     state: str
@@ -75,7 +77,7 @@ class Preview:
 
 
 class Recorder(Protocol):
-    """What writes a camera's frames: a process of its own."""
+    """A process that writes a camera's frames."""
 
     def poll(self) -> int | None:
         """Return its exit code; None while it runs."""
@@ -90,15 +92,15 @@ def start_process(folder: Path) -> Recorder:
         "cucumbervision_greenhouse.backend.camera_process",
         str(folder),
     ]
-    # A session of its own: what ends the server at a terminal does not end it.
+    # In a session of its own, so that Ctrl-C at the server's terminal does not end it.
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
-    # Its end is noted whenever it comes, though nobody looks any more.
+    # Its end is noted even if no viewer is left.
     threading.Thread(target=process.wait, name="camera", daemon=True).start()
     return process
 
 
 class CameraBurst:
-    """The frames nearest to a moment, of which the last may still be on their way."""
+    """The frames nearest to a moment; the last of them may still arrive."""
 
     simulated = False
 
@@ -112,7 +114,7 @@ class CameraBurst:
         self.look()
 
     def look(self) -> bool:
-        """Take the nearest of the frames that are there; return whether no later one is nearer."""
+        """Choose the nearest available frames; return whether no later frame can be nearer."""
         frames = [frame for frame in self._feed.frames() if frame.at_s >= self._earliest_s]
         if frames and not self.is_full:
             by_distance = sorted(frames, key=self._away_s)
@@ -125,7 +127,7 @@ class CameraBurst:
 
     @property
     def _earliest_s(self) -> float:
-        """A burst of what comes next has no frame from before."""
+        """A burst of future frames excludes earlier ones."""
         return self.pressed_s if math.isinf(self._reach_s) else -math.inf
 
     def _away_s(self, frame: RingFrame) -> float:
@@ -142,7 +144,7 @@ class CameraBurst:
         return max(map(self._away_s, self.frames), default=math.inf)
 
     def keep(self, waiting: WaitingCaptures, key: str, round_key: str, stop: Stop) -> Waiting:
-        """Wait for the last frames, and keep them all as they are.
+        """Wait for the last frames, and save all of them uncoded.
 
         Raises
         ------
@@ -151,7 +153,7 @@ class CameraBurst:
         StoreError
             If they cannot be kept.
         """
-        # The ring may have let some go in between: then with those that it still has.
+        # The ring may have dropped some in between: then use those that it still holds.
         for _ in range(_MOST_LOOKS):
             self._feed.wait_for(self)
             if self.nearest_s > FAR_S:
@@ -167,7 +169,7 @@ class CameraBurst:
         raise picture_gone()
 
     def capture(self) -> Capture:
-        """Wait for the last frames, and return the capture that all make together.
+        """Wait for the last frames, and return the capture fused from all.
 
         Raises
         ------
@@ -187,16 +189,16 @@ class CameraFeed:
     Parameters
     ----------
     folder : Path
-        Of its frames, and of what is said to its process.
+        Holds its frames and the files that control its process.
     config : CameraConfig, optional
-        What to stream, or what recording to play in the camera's place; bursts are made here, so
-        its `burst` does not count.
+        What to stream, or which recording to play instead of the camera. Its `burst` is ignored,
+        since bursts are made here.
     unwatched_s : float
-        The camera is released when nobody has looked for so long.
+        The camera is released after this time without a viewer.
     paced : bool
-        Play a recording at `config.fps`, as a camera would send it, not as fast as it is read.
+        Play a recording at `config.fps` instead of as fast as it can be read.
     start : callable
-        Starts what writes the frames into the folder.
+        Starts the process that writes the frames into the folder.
     """
 
     def __init__(
@@ -224,7 +226,7 @@ class CameraFeed:
 
     @property
     def source(self) -> str:
-        """What its captures are taken from."""
+        """The source of its captures."""
         serial = self._config.serial
         return str(self._config.playback or (f"camera {serial}" if serial else "camera"))
 
@@ -233,7 +235,7 @@ class CameraFeed:
         return self._talk.ring.frames()
 
     def preview(self) -> Preview:
-        """Return the newest frame; begins to stream if it did not."""
+        """Return the newest frame; start to stream if necessary."""
         with self._lock:
             self._begin_watched()
             state, message = self._talk.state()
@@ -254,7 +256,7 @@ class CameraFeed:
                 self._tried, self._crashes = False, 0
 
     def configure(self, settings: CameraSettings) -> None:
-        """Stream with these settings: a camera that is open is opened again."""
+        """Stream with these settings; an open camera is opened again."""
         with self._lock:
             if settings == self._config.settings:
                 return
@@ -263,7 +265,7 @@ class CameraFeed:
         self.retry()
 
     def grab(self, burst: int, pressed_s: float) -> CameraBurst:
-        """Begin a burst of the frames nearest to a moment: the earlier are there, the others come.
+        """Begin a burst of the frames nearest to a moment; later ones may still arrive.
 
         Frames that lie farther from the moment than `REACH_S`, or than so many frames take, are
         left out, unless there is none nearer.
@@ -278,7 +280,7 @@ class CameraFeed:
         Raises
         ------
         PictureGoneError
-            If no picture of that moment is held, nor can come any more.
+            If no picture of that moment is held or can still arrive.
         """
         with self._lock:
             self._begin_watched()
@@ -314,7 +316,7 @@ class CameraFeed:
                 return
             state, message = self._talk.state()
             if state == "absent" or time.monotonic() > until:
-                if grabbed.nearest_s <= FAR_S:  # what there is will do
+                if grabbed.nearest_s <= FAR_S:  # the available frames are enough
                     return
                 fault = message if state == "absent" else "the camera sends nothing"
                 raise CameraError(fault, remedy="check its cable and try again")
@@ -335,7 +337,7 @@ class CameraFeed:
         return self.open or (self._recorder is not None and self._recorder.poll() is None)
 
     def _begin_watched(self) -> None:
-        """Say that somebody looks; start the process unless it runs, or found no camera."""
+        """Report a viewer; start the process unless it runs or has found no camera."""
         if self._tried and self._talk.state()[0] == "absent":
             return
         if time.monotonic() - self._watched_s > _WATCH_S:
@@ -359,10 +361,10 @@ class CameraFeed:
         self._talk.ask(self._config, unwatched_s=self._unwatched_s, paced=self._paced)
 
     def _shown(self, state: str, frames: list[RingFrame]) -> Preview | None:
-        """Return the last of two frames with how much it moved since the one before."""
+        """Return the last of two frames, with the motion since the one before."""
         try:
             *before, capture = [frame.load() for frame in frames]
-        except CaptureError:  # one has just left the ring
+        except CaptureError:  # a frame has just left the ring
             return None
         looked_at = capture
         is_next = frames[-1].at_s - frames[0].at_s <= REACH_S

@@ -1,12 +1,12 @@
 """The camera in a process of its own, which writes its frames into a ring on disk.
 
-It goes on while the server is killed and started again:
+It continues while the server is killed and started again:
 
     python -m cucumbervision_greenhouse.backend.camera_process FOLDER
 
-The server asks for it by files in that folder: what to stream (`config.json`), and that somebody
-looks (`watched`, touched again and again; without it the process ends). The process tells its state
-in `state.json`, and holds `lock` while it runs.
+The server controls it through files in that folder: what to stream (`config.json`), and whether
+there is a viewer (`watched`, touched repeatedly; without it the process ends). The process writes
+its state to `state.json`, and holds `lock` while it runs.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from cucumbervision.errors import CameraError, CucumberVisionError, DepthError
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
-_CLOCK_S = 1.5  # a camera's own time differs less from this machine's, where it is the same clock
-_LOCKED_S = 2.0  # how long is tried for the lock, which who asks for it holds for a moment
+_CLOCK_S = 1.5  # the camera's time stamps differ by less from this machine's if both use one clock
+_LOCKED_S = 2.0  # how long to wait for the lock, which a check holds for a moment
 _LOCK_EVERY_S = 0.05
 
 
 class CameraFolder:
-    """The files by which a server and the camera's process talk.
+    """The files through which a server and the camera's process communicate.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class CameraFolder:
         self._watched, self._lock = path / "watched", path / "lock"
 
     def ask(self, config: CameraConfig, *, unwatched_s: float, paced: bool) -> None:
-        """Say what to stream, and for how long after somebody looked last."""
+        """Write what to stream, and for how long without a viewer."""
         playback = None if config.playback is None else str(config.playback.resolve())
         asked = {"config": {**asdict(config), "playback": playback}}
         text = json.dumps({**asked, "unwatched_s": unwatched_s, "paced": paced})
@@ -71,7 +71,7 @@ class CameraFolder:
         self._replace(self._config, text)
 
     def asked(self) -> tuple[CameraConfig, float, bool]:
-        """Return what to stream, for how long after somebody looked last, and whether paced."""
+        """Return what to stream, for how long without a viewer, and whether paced."""
         asked = json.loads(self._config.read_text(encoding="utf-8"))
         values: dict[str, Any] = asked["config"]
         settings = CameraSettings(**values.pop("settings"))
@@ -82,16 +82,16 @@ class CameraFolder:
         return config, asked["unwatched_s"], asked["paced"]
 
     def config_version(self) -> int:
-        """Return a number that changes whenever something else is asked for."""
+        """Return a number that changes with the configuration."""
         return self._config.stat().st_mtime_ns
 
     def watch(self) -> None:
-        """Say that somebody looks."""
+        """Report a viewer."""
         self.path.mkdir(parents=True, exist_ok=True)
         self._watched.touch()
 
     def watched_at(self) -> int | None:
-        """Return a number that changes whenever somebody looks; None where it is to end."""
+        """Return a number that changes with every report of a viewer; None to end the process."""
         with suppress(FileNotFoundError):
             return self._watched.stat().st_mtime_ns
         return None
@@ -101,11 +101,11 @@ class CameraFolder:
         self._watched.unlink(missing_ok=True)
 
     def tell(self, state: str, message: str = "") -> None:
-        """Say how it is: 'opening', 'live', 'playing' or 'absent', and why."""
+        """Write the state, 'opening', 'live', 'playing' or 'absent', and its reason."""
         self._replace(self._state, json.dumps([state, message]))
 
     def state(self) -> tuple[str, str]:
-        """Return how it is, and why."""
+        """Return the state and its reason."""
         with suppress(OSError, ValueError):
             state, message = json.loads(self._state.read_text(encoding="utf-8"))
             return str(state), str(message)
@@ -113,7 +113,7 @@ class CameraFolder:
 
     @contextmanager
     def held(self, patience_s: float = 0.0) -> Iterator[bool]:
-        """Hold the lock of the one process; give whether it is held."""
+        """Hold the lock that allows one process; yield whether it is held."""
         self.path.mkdir(parents=True, exist_ok=True)
         until_s = time.monotonic() + patience_s
         with self._lock.open("ab") as lock:
@@ -142,13 +142,13 @@ class CameraFolder:
 
 
 class _Watch:
-    """Whether somebody looks, by a clock that nobody sets."""
+    """Tells whether there is a viewer, by the monotonic clock."""
 
     def __init__(self, folder: CameraFolder) -> None:
         self._folder, self._seen, self._at_s = folder, folder.watched_at(), time.monotonic()
 
     def is_over(self, unwatched_s: float) -> bool:
-        """Return whether nobody looks any more."""
+        """Return whether there has been no viewer for too long."""
         newest = self._folder.watched_at()
         if newest != self._seen:
             self._seen, self._at_s = newest, time.monotonic()
@@ -156,7 +156,7 @@ class _Watch:
 
 
 def stream(folder: CameraFolder) -> None:
-    """Write a camera's frames into the ring until nobody looks; its faults become its state."""
+    """Write a camera's frames into the ring while there is a viewer; faults become the state."""
     with folder.held(_LOCKED_S) as is_own:
         if not is_own:
             return
@@ -164,7 +164,7 @@ def stream(folder: CameraFolder) -> None:
         folder.tell("opening")
         try:
             while not _stream_once(folder, watch):
-                pass  # a recording is over, or the settings are new: it begins again
+                pass  # the recording has ended, or the settings have changed: start again
             folder.tell("opening")
         except CucumberVisionError as error:
             folder.tell("absent", str(error))
@@ -174,7 +174,7 @@ def stream(folder: CameraFolder) -> None:
 
 
 def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
-    """Write frames; return True where nobody looks any more, False where it is to begin anew."""
+    """Write frames; return True without a viewer, False if it must start again."""
     version, frame_count = folder.config_version(), 0
     config, unwatched_s, paced = folder.asked()
     state = "live" if config.playback is None else "playing"
@@ -185,7 +185,7 @@ def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
                 return False
             try:
                 capture = camera.capture_burst()
-            except DepthError:  # something lies close before the camera: the next may be better
+            except DepthError:  # something is too close to the camera: the next frame may be usable
                 continue
             except CameraError:
                 if config.playback is None or not frame_count:
@@ -201,7 +201,7 @@ def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
 
 
 def _taken_s(capture: Capture, now_s: float) -> float:
-    """Return the camera's own time where its clock is this machine's, else the time of arrival."""
+    """Return the camera's time stamp if its clock is this machine's, else the time of arrival."""
     camera_s = capture.timestamp_s
     return camera_s if camera_s is not None and 0 <= now_s - camera_s < _CLOCK_S else now_s
 

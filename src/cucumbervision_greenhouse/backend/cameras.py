@@ -1,4 +1,4 @@
-"""The camera and the recording in its place, opened when somebody views them."""
+"""The camera, and the recording in its place; each is opened for its first viewer."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from cucumbervision_greenhouse.store.waiting import waiting_folder
 
 @st.cache_resource(show_spinner=False)
 def camera() -> CameraFeed:
-    """Return the camera, opened when somebody views it."""
+    """Return the camera, which opens for its first viewer."""
     return _feed_of("camera", CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
 
 
 def _feed_of(name: str, config: CameraConfig, *, paced: bool = False) -> CameraFeed:
     folder = waiting_folder(where()).with_suffix(".frames") / name
     feed = CameraFeed(folder, config, paced=paced)
-    # At once, where nobody kills this program: whatever comes next may need the camera.
+    # Release it at once at a normal exit, since the next program may need the camera.
     atexit.register(feed.end)
     return feed
 
@@ -43,7 +43,7 @@ def _replay(burst: int) -> Feed:
 
 
 def replay_named() -> bool:
-    """Return whether the command named a replay: it is then shown first."""
+    """Return whether the command named a replay, which is then shown first."""
     return bool(os.environ.get(REPLAY_VARIABLE))
 
 

@@ -107,7 +107,7 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     picture : ndarray of uint8, shape (H, W, 3)
         RGB.
     words : str
-        What the ends of the colours mean.
+        The range of the colours.
 
     Examples
     --------
@@ -202,7 +202,8 @@ def joint_tube(joint: JointRecord, key: str) -> MethodRecord | None:
 def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
     """Return the outline of a tube in the picture, shape (N, 2): pixels, one edge and back.
 
-    Between the path's points the square of the diameter runs straight, so that ends are round.
+    Between the path's points the square of the diameter is interpolated linearly, so that ends are
+    round.
 
     Examples
     --------
@@ -253,9 +254,9 @@ def stop_layers(
     Parameters
     ----------
     capture : CaptureRecord
-        With the masks, as `Store.stop` gives it.
+        With masks, as `Store.stop` returns it.
     fruit : sequence of DetectionSummary
-        Its fruit as they stand now.
+        Its fruit with all corrections.
     grades : mapping of str to str
         Names of their classes, by the fruit's keys.
     """

@@ -1,4 +1,4 @@
-"""Work beside the pages: one worker thread, jobs with progress, none of which blocks a page."""
+"""Background work: a queue of jobs with progress, done by one thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEPT = 20  # finished jobs whose results are still held
 
 
 def fault_of(future: Future[Any]) -> str:
-    """Return why work failed, for people; empty where it did not, or goes on."""
+    """Return why work failed, for people; empty while it runs or if it succeeded."""
     error = future.exception() if future.done() else None
     if error is None or isinstance(error, CucumberVisionError):
         return str(error or "")
@@ -77,7 +77,7 @@ class Job:
         return fault_of(self.future)
 
     def step(self, note: str = "") -> None:
-        """Count one step, and note what went wrong with it."""
+        """Count one step, and note its fault, if any."""
         self.done += 1
         if note:
             self.notes.append(note)
@@ -91,10 +91,10 @@ Work: TypeAlias = Callable[[Job], Any]
 
 
 class JobQueue:
-    """A thread that does one job after the other, in the order in which they come.
+    """A thread that does one job after the other, in the order of submission.
 
-    Networks and fits compute outside Python's lock for most of the time, so a thread leaves the
-    pages free; one only, since two would share the same cores.
+    Networks and fits compute outside Python's global lock for most of the time, so a thread does
+    not block the pages. There is only one, since two would share the same cores.
 
     Examples
     --------
@@ -128,7 +128,7 @@ class JobQueue:
         self.finished += 1
 
     def get(self, number: int | None) -> Job | None:
-        """Return a job by its number; None where it is not held any more."""
+        """Return a job by its number; None if it is no longer held."""
         return None if number is None else self._jobs.get(number)
 
     def unfinished(self) -> list[Job]:
@@ -137,7 +137,7 @@ class JobQueue:
             return [job for job in self._jobs.values() if not job.finished]
 
     def close(self) -> None:
-        """Finish the job at hand and drop the rest."""
+        """Finish the current job and drop all others."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def __enter__(self) -> JobQueue:
@@ -152,9 +152,11 @@ _LESS_URGENT = 10  # steps of 'nice'
 
 
 def give_way() -> None:
-    """Let the camera's thread and the pages come first: a press cannot wait, measuring can."""
+    """Lower this thread's priority below the camera's and the pages'."""
     sys.setswitchinterval(_GIVEN_UP_S)
-    if sys.platform == "linux":  # where a thread has a priority of its own, and those it begins
+    if (
+        sys.platform == "linux"
+    ):  # on Linux a thread and those that it starts have their own priority
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LESS_URGENT)
 
@@ -165,6 +167,6 @@ def _run(work: Work, job: Job) -> Any:
     except CucumberVisionError:
         raise
     except Exception:
-        # The page shows it in a line; the traceback is for the log.
+        # The page shows one line; the traceback goes to the log.
         logging.getLogger(__name__).exception("job %s failed", job.title)
         raise

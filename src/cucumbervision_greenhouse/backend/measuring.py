@@ -1,4 +1,4 @@
-"""Measure captures and uploads into the store, and a fruit again with a corrected mask."""
+"""Measure queued captures into the store, and single fruit with a corrected mask."""
 
 from __future__ import annotations
 
@@ -63,25 +63,25 @@ class SharedMeasurer:
         self._segmenter: Segmenter | None = None
 
     def with_options(self, options: MeasureOptions) -> Measurer:
-        """Return what measures with these options."""
+        """Return a measurer with these options."""
         with self._lock:
             if self._loaded is None or self._loaded.options != options:
                 self._loaded = Measurer(options, self._registry)
             return self._loaded
 
     def warm_up(self, options: MeasureOptions) -> None:
-        """Load the networks, and let each compute once: the first time takes much longer."""
+        """Load the networks, and run each once, since the first run takes much longer."""
         first = next(iter(open_source(example_captures()))).load()
-        # Without the masks that come with it, which would be taken in the networks' place.
+        # Without its own masks, which would replace the networks' detections.
         self.with_options(options).measure(replace(first, masks=()))
-        with suppress(InstancesError):  # whatever it outlines there
+        with suppress(InstancesError):  # the result is ignored
             self.mask_from_click(first, (first.width / 2, first.height / 2))
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point.
 
-        What lies there gets its outline from its box, as all other fruit do: that of a point alone
-        is narrower, so that an end that is in sight seemed hidden.
+        The final mask comes from the box of the segmented object, as for all other fruit: the mask
+        of a point alone is narrower, so that visible ends seem hidden.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class SharedMeasurer:
         options: MeasureOptions,
         drawn_by: MaskSource = MaskSource.SAM,
     ) -> int:
-        """Measure a fruit of the store anew with this mask, and let that stand; logged.
+        """Measure a stored fruit again with this mask, and save the result as a correction; logged.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class SharedMeasurer:
         mask: NDArray[np.bool_],
         options: MeasureOptions,
     ) -> str:
-        """Measure a fruit that was not found, add it to its capture's, and return its key; logged.
+        """Measure a missed fruit, add it to its capture, and return its key; logged.
 
         Parameters
         ----------
@@ -192,7 +192,7 @@ class SharedMeasurer:
 
         Notes
         -----
-        What does not look like a fruit (`is_doubtful`) is flagged, and not accepted.
+        A measurement that does not look like a fruit (`is_doubtful`) is flagged, and not accepted.
         """
         if mask.mean() > _LARGEST_SHARE:
             raise InstancesError(
@@ -234,16 +234,16 @@ def measure_waiting(
     settle: Callable[[str], str],
     job: Job,
 ) -> int:
-    """Measure what waits until nothing does; return how many captures became stops.
+    """Measure queued captures until the queue is empty; return how many became stops.
 
-    A capture is let go once its stop is in the store, so that it is there at every moment.
+    A capture leaves the queue after its stop is in the store, so that it is never lost.
 
     Parameters
     ----------
     waiting : WaitingCaptures
         The captures.
     settle : callable
-        Given a round's key when none of its captures waits any more; says what went wrong.
+        Called with a round's key after its last queued capture; returns what went wrong.
     job : Job
         Counts the captures of each round, and gets a note for each that could not be measured.
 
@@ -254,7 +254,7 @@ def measure_waiting(
     """
     queue: list[Waiting] = []
     measures = measurer.with_options(options)
-    measures.load()  # without it none is tried
+    measures.load()  # if this fails, no capture is tried
 
     def items() -> Iterator[RoundCapture | Failure]:
         nonlocal queue
@@ -273,7 +273,7 @@ def measure_waiting(
             except CucumberVisionError as error:
                 yield Failure.of(error, queued_capture.key)
 
-    # In turn: each is let go, or dropped, before the next is looked at.
+    # In turn: each capture leaves the queue, or is dropped, before the next is read.
     for _, added in add_all(store, items(), measures, in_turn):
         queued_capture = queue[0]
         if added.failure is not None:
@@ -288,19 +288,21 @@ def measure_waiting(
     return len(job.measured)
 
 
-_SAME_IOU = 0.7  # of two outlines of what lies at one point
+_SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object
 _LARGEST_SHARE = 0.5  # of the picture
-_DOUBTFUL_SCORE = 0.25  # as of a find that the networks are little sure of
-_RING_PX = 12  # about an outline, where its surroundings are looked at
-_STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2  # of the surroundings lie so much farther
-_UNSURE, _STOUT = 0.15, 0.5  # of the length: to the interval's lower end; the diameter
+_DOUBTFUL_SCORE = 0.25  # a detection of low confidence
+_RING_PX = 12  # width of the surroundings that are examined
+# Share of the surroundings that must lie this much farther.
+_STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2
+# Limits as shares of the length: the interval's lower side; the diameter.
+_UNSURE, _STOUT = 0.15, 0.5
 
 
 def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
-    """Tell whether what was measured may be no fruit: by its shape, and by the depth about it.
+    """Return whether a measurement may not be of a fruit, by its shape and the depth around it.
 
-    A fruit is a tube (M6) that fits well, no stouter than half its length, of which the length is
-    known to 15 % at the lower end, and part of its surroundings lies behind it.
+    A fruit is a tube (M6) that fits well, is no thicker than half its length, has an interval that
+    reaches at most 15 % below the length, and stands out from part of its surroundings.
 
     Parameters
     ----------
@@ -321,7 +323,7 @@ def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
 
 
 def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
-    """Tell whether part of what surrounds a mask lies farther than it."""
+    """Return whether part of a mask's surroundings lies farther away than the mask."""
     if mask is None:
         return False
     size = 2 * _RING_PX + 1
@@ -334,7 +336,7 @@ def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
     return bool(farther.mean() > _STANDS_OUT_SHARE)
 
 
-_COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
+_COPY_SHARE = 0.6  # share of the smaller of two masks above which both are one fruit
 
 
 def _refuse_copy(
@@ -344,7 +346,7 @@ def _refuse_copy(
     mask: NDArray[np.bool_],
     but: int | None = None,
 ) -> None:
-    """Refuse a mask that is that of another fruit of the same picture; deleted ones do not count.
+    """Refuse a mask that belongs to another fruit of the picture; deleted fruit are ignored.
 
     Raises
     ------
@@ -373,7 +375,7 @@ def _refuse_copy(
 def _kept_keypoints(
     keypoints: Sequence[Point], mask: NDArray[np.bool_]
 ) -> NDArray[np.float64] | None:
-    """Return a fruit's keypoints where its new mask still holds them; else None: they are stale."""
+    """Return a fruit's keypoints if its new mask contains them, else None."""
     if not keypoints:
         return None
     points = np.array(keypoints, np.float64)

@@ -1,4 +1,4 @@
-"""What is saved, waits and is measured of a round: one count, which every page shows."""
+"""The progress of a round: captures that wait and are measured, the same on every page."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Progress:
-    """A round's work as it stands.
+    """The progress of a round.
 
     Parameters
     ----------
     waiting : int
-        Captures of the round that are saved and not measured yet.
+        Captures of the round that are saved and not yet measured.
     measured : int
-        Those that were measured since nothing waited.
+        Captures that were measured since the queue was last empty.
     checking : int
-        Uploaded files that are checked, or wait for it: how many captures they hold is not known.
+        Uploaded files that are checked or wait for the check; their number of captures is unknown.
     aside : int
-        Captures that failed three times: they are kept, and not tried again.
+        Captures that failed three times; they are kept and not tried again.
     elsewhere : int
         Captures of other rounds that wait.
     fault : str
-        Why nothing that waits can be measured; empty where it can.
+        Why no capture can be measured; empty if they can.
     title, done, total : str, int
-        Other work on the round, or on none, and its steps; a total of 0 where it is not known.
+        Other work on the round or on none, and its steps; a total of 0 is unknown.
     """
 
     waiting: int = 0
@@ -49,7 +49,7 @@ class Progress:
 
     @property
     def words(self) -> str:
-        """The work at hand, for people; empty where there is none.
+        """The current work, for people; empty if there is none.
 
         Examples
         --------
@@ -81,7 +81,7 @@ class Progress:
 
     @property
     def first_words(self) -> str:
-        """What stands for the stops of a round that has none yet; empty where nothing is to come.
+        """The text in place of the stops of an empty round; empty if no stop is to come.
 
         Examples
         --------
@@ -103,7 +103,7 @@ class Progress:
 
     @property
     def told(self) -> dict[str, Any]:
-        """The same for a browser: the words, and how far a bar has come; no total: not known."""
+        """The progress for a browser: words, and the steps of the bar; a total of 0 is unknown."""
         steps = self.measured, self.waiting + self.measured
         if not self.waiting:
             steps = (0, 0) if self.checking else (self.done, self.total)

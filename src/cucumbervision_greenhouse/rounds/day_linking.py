@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints
 
 _STAY = 0.7  # share of fruit that are still there and seen
-_SWING_M = (
-    0.04,
-    0.04,
-    0.05,
-)  # how far a fruit hangs off its plant's shift: along, up, into the row
+# How far a fruit hangs off its plant's shift: along, up, into the row.
+_SWING_M = 0.04, 0.04, 0.05
 _MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
 _STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
 _CHANGE_M = 0.05  # how far neighbouring stretches usually differ

@@ -37,9 +37,7 @@ PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes 
 _LOOK_S, _WATCH_S = 0.02, 0.5  # intervals: checks for a frame; reports of a viewer
 _END_S = 10.0  # longest wait for the camera's process
 _MOST_LOOKS = 20  # attempts, since frames may leave the ring while they are linked
-_MOST_CRASHES = (
-    3  # failed starts of the camera's process in a row, after which it is not started again
-)
+_MOST_CRASHES = 3  # failed starts in a row, after which the camera's process is not started
 
 
 class PictureGoneError(CameraError):

@@ -1,4 +1,4 @@
-"""Captures of a folder in the camera's place, one after the other."""
+"""Captures of a folder, shown one after the other instead of a camera."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class ReplayBurst:
-    """What a replay shows when the button is pressed."""
+    """The capture that a replay shows at a press of the button."""
 
     nearest_s = 0.0  # a replay stands still
 
@@ -67,7 +67,7 @@ class ReplayBurst:
 
 
 class Replay:
-    """Captures of a folder or a recording in the camera's place; starts over at its end.
+    """Captures of a folder or a recording instead of a camera; starts over at the end.
 
     Parameters
     ----------
@@ -82,17 +82,17 @@ class Replay:
         self._refs: Iterator[CaptureRef] = iter(())
         self._changed = threading.Condition()
         self._newest = Preview("opening")
-        self._is_loading = False  # by one thread at a time, which alone moves `_refs` on
+        self._is_loading = False  # one thread at a time, the only one that advances `_refs`
         self._begun_s = time.time()
 
     def preview(self) -> Preview:
-        """Return the capture that is taken next; a thread reads it."""
+        """Return the capture of the next press; a thread reads it."""
         with self._changed:
             self._load_next()
             return self._newest
 
     def take(self, burst: int, stop: Stop) -> Capture:  # noqa: ARG002, a replay's bursts are fused
-        """Return the capture that is shown, and load the next; each caller gets another.
+        """Return the current capture, and load the next; each caller gets a different one.
 
         Raises
         ------
@@ -110,12 +110,12 @@ class Replay:
         return replace(preview.capture, stop=stop)
 
     def grab(self, burst: int, pressed_s: float) -> ReplayBurst:  # noqa: ARG002, as a camera's
-        """Take what is shown now, and load the next.
+        """Take the current capture, and load the next.
 
         Raises
         ------
         PictureGoneError
-            If the moment lies before the replay began, or as long ago as a camera holds nothing.
+            If the moment lies before the replay began, or longer ago than a camera holds frames.
         """
         if pressed_s < max(self._begun_s, time.time() - HELD_S):
             raise picture_gone()
@@ -130,7 +130,7 @@ class Replay:
         self._load_next()
 
     def _load_next(self) -> None:
-        """Start to load where nothing is shown and no thread does."""
+        """Start to load if nothing is shown and no thread loads."""
         if self._newest.state == "opening" and not self._is_loading:
             self._is_loading = True
             threading.Thread(target=self._load, name="replay", daemon=True).start()
@@ -139,7 +139,7 @@ class Replay:
         number = self._newest.number + 1
         try:
             preview = replace(self._read(), number=number)
-        except Exception as error:  # it is said where the picture would be
+        except Exception as error:  # the page shows it instead of the picture
             preview = Preview("absent", number=number, message=f"{self._source.path}: {error}")
         with self._changed:
             self._newest, self._is_loading = preview, False
@@ -147,7 +147,7 @@ class Replay:
 
     def _read(self) -> Preview:
         fault = "holds no captures"
-        for _ in range(2):  # at the end from the beginning, once
+        for _ in range(2):  # at the end start over once
             for ref in self._refs:
                 try:
                     capture = ref.load()

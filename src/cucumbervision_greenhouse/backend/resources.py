@@ -1,4 +1,4 @@
-"""What all viewers share, opened once: the store, the worker, queues, the settings."""
+"""What all viewers share, opened once: the store, the job queue, captures, uploads, settings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import RoundSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
-KEPT = 8  # rounds, forecasts or fruit that are held at once
+KEPT = 8  # largest number of cached rounds, forecasts or fruit
 
 
 def where() -> str:
@@ -39,12 +39,12 @@ def where() -> str:
 
 
 def store() -> Store:
-    """Return the store that all viewers work on, signed by the one who looks at this page."""
+    """Return the store of all viewers, signed by the viewer of this page."""
     return _store().signed(*_who())
 
 
 def _who() -> tuple[str, str]:
-    """Return whom the proxy logged in, else 'dashboard', and from which device."""
+    """Return the viewer whom the proxy logged in, else 'dashboard', and the device."""
     if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
         return "dashboard", ""
     return st.context.headers.get(VIEWER) or "dashboard", device_of(st.context.cookies)
@@ -66,7 +66,7 @@ def registry() -> Registry:
 
 @st.cache_resource(show_spinner=False)
 def worker() -> JobQueue:
-    """Return the one worker of this machine."""
+    """Return the job queue of this machine."""
     return JobQueue()
 
 
@@ -84,7 +84,7 @@ def waiting() -> WaitingCaptures:
 
 @st.cache_resource(show_spinner=False)
 def uploads() -> Uploads:
-    """Return what was uploaded."""
+    """Return the uploads."""
     return Uploads(waiting_folder(where()).with_suffix(".uploads"))
 
 
@@ -99,7 +99,7 @@ def settings() -> Settings:
 
 
 def change_settings(**changes: object) -> None:
-    """Change some settings and write them, unless they are so already."""
+    """Change some settings, and write them if they differ."""
     chosen = Settings.model_validate({**settings().model_dump(), **changes})
     if chosen != settings():
         _settings()[0] = chosen
@@ -115,12 +115,12 @@ def _profile(name: str) -> tuple[str, CropProfile]:
 
 
 def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:
-    """Return name and crop profile of a round; the settings' where it names none that is here."""
+    """Return name and crop profile of a round; those of the settings if its own is unknown."""
     return _profile(round_summary.record.profile or settings().profile)
 
 
 def rounds() -> list[RoundSummary]:
-    """Return the rounds, the one walked last first, and the demonstration last of all.
+    """Return the rounds, the latest walk first, and the demonstration last.
 
     That is nobody's work.
     """
@@ -131,7 +131,7 @@ def rounds() -> list[RoundSummary]:
 
 
 def houses() -> list[str]:
-    """Return the known houses, each by the name that it was given first."""
+    """Return the houses of all rounds, each by the first of its names."""
     named = sorted(store().rounds(), key=lambda round_summary: round_summary.record.started_s)
     name_of_house: dict[str, str] = {}
     for round_summary in named:

@@ -1,4 +1,4 @@
-"""What pages show of a round, read again only when something of it changed."""
+"""Caches of what pages show of a round, read again only after a change."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ LINES = 20  # fruit on one page of the list
 
 
 def news(round_key: str) -> dict[str, Any]:
-    """Return what open pages must know at once: what waits, what is done, and the round's version.
+    """Return the news for open pages: waiting and finished work, and the round's version.
 
     Parameters
     ----------
     round_key : str
-        The round that is looked at; its `version` changes whenever a page of it would.
+        The open round; its `version` changes whenever one of its pages would.
     """
     round_summary = next((x for x in store().rounds() if x.key == round_key), None)
     counts = (
@@ -59,7 +59,7 @@ def news(round_key: str) -> dict[str, Any]:
 
 
 def _version(round_summary: RoundSummary) -> tuple[object, ...]:
-    """Return what changes whenever a page of the round would."""
+    """Return a value that changes whenever a page of the round would."""
     return (*_measured_version(round_summary), store().newest_action(round_summary.key))
 
 
@@ -77,13 +77,13 @@ _OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def content_of(round_summary: RoundSummary) -> RoundContent:
-    """Return what the store holds of a round; read again only when something changed."""
+    """Return a round's stops and detections; read again only after a change."""
     return read_round(store(), round_summary.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def graded_round(round_summary: RoundSummary) -> GradedRound:
-    """Return a round's fruit and grades; read again only when something changed."""
+    """Return a round's fruit and grades; computed again only after a change."""
     return grade_round(
         content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
     )
@@ -91,38 +91,38 @@ def graded_round(round_summary: RoundSummary) -> GradedRound:
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...]]:
-    """Return every method's length by the fruit's keys, for what few look at."""
+    """Return every method's length by the fruit's keys, for rarely opened pages."""
     return store().measurements(round_summary.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def rows_of(round_summary: RoundSummary) -> list[RowCounts]:
-    """Return a round's rows with their counts; read again only when something changed."""
+    """Return a round's rows with their counts; computed again only after a change."""
     return row_counts(content_of(round_summary))
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def doubts_of(round_summary: RoundSummary) -> list[str]:
-    """Return what the data of a round makes doubtful, once for all of it, each with the remedy."""
+    """Return the doubts about the data of a round, each once and with its remedy."""
     return round_doubts(store(), content_of(round_summary).views)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def fruit_of(round_summary: RoundSummary) -> list[RoundFruit]:
-    """Return a round's fruit with the lengths by all their views; read again when that changed."""
+    """Return a round's fruit with the lengths from all views; computed again after a change."""
     return fruit_table(content_of(round_summary))
 
 
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def forecast_of(round_summary: RoundSummary) -> Forecast:
-    """Return a round's forecast from today on; computed again only when something changed."""
+    """Return a round's forecast from today on; computed again only after a change."""
     return forecast_today(
         store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
     )
 
 
 def _unpicked_version(round_summary: RoundSummary) -> tuple[object, ...]:
-    """Return what changes whenever a round's list of picks would, but for what is picked of it."""
+    """Return a value that changes with a round's pick list, except when fruit are picked."""
     newest = store().newest_action(round_summary.key, without=("pick", "unpick"))
     return (*_measured_version(round_summary), newest, midnight_s(time.time()))
 
@@ -134,7 +134,7 @@ def _unpicked_version(round_summary: RoundSummary) -> tuple[object, ...]:
     hash_funcs={RoundSummary: _unpicked_version},
 )
 def today_of(round_summary: RoundSummary) -> Today:
-    """Return what a round says of today; fruit that are picked today stay in it."""
+    """Return a round's figures of today, including the fruit that were picked today."""
     return read_today(
         store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
     )
@@ -142,7 +142,7 @@ def today_of(round_summary: RoundSummary) -> Today:
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def fruit_detail(round_summary: RoundSummary, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
-    """Return one fruit with everything."""
+    """Return one fruit with all its data."""
     return store().detection(fruit_key)
 
 
@@ -185,7 +185,7 @@ def cutout_of(view: DetectionSummary, joint: JointRecord | None = None) -> str |
 
 
 def read_ahead() -> None:
-    """Read the newest round, so that the first page that is opened need not wait for it."""
+    """Read the newest round ahead, so that the first page opens without delay."""
     for round_summary in rounds()[:1]:
         for view in graded_round(round_summary).fruit[:LINES]:
             thumbnail_of(view)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary
 
 
-_LOW_CONFIDENCE = 0.45  # below it, a fruit that is seen once may be a false detection
+_LOW_CONFIDENCE = 0.45  # confidence below which a fruit with one view may be a false detection
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class GradedRound:
     fruit : tuple of DetectionSummary
         Each fruit once: its representative view, with the length from all views.
     deleted : tuple of DetectionSummary
-        Those that somebody deleted; no figure counts them.
+        Deleted fruit, which no figure counts.
     grades : dict of str to Grade
         By fruit key, of both, in the order of the walk.
     figures : RoundFigures
@@ -64,7 +64,7 @@ def grade_round(
 
 
 def doubtful(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
-    """Return the fruit that one view alone shows, unsurely, and nobody has looked at."""
+    """Return unjudged fruit with a single view of low confidence."""
     return [
         view
         for view in views
@@ -73,7 +73,7 @@ def doubtful(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
 
 
 def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
-    """Return a line for every figure that the store keeps of a fruit: what it is, and its value.
+    """Return a line with description and value for each stored figure of a fruit.
 
     Examples
     --------
@@ -121,12 +121,12 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
 
 
 def row_and_side(view: DetectionSummary) -> str:
-    """Return what the map calls the row and side of a fruit."""
+    """Return the map's name for the row and side of a fruit."""
     return row_name(view.row) + (f", {view.side}" if view.side else "")
 
 
 def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
-    """Return what the map says of a fruit: its place, length and class."""
+    """Return the map's text on a fruit: its place, length and class."""
     grade_words = [graded.grades[view.key].words] if view.key in graded.grades else []
     place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
     return ", ".join([f"{place}: {length_words(view.record, units)}", *grade_words])

@@ -77,11 +77,11 @@ InputSize = Annotated[int, Field(ge=32, le=4096, multiple_of=32)]
 
 Preset = Literal["", "default", "hand", "high-accuracy", "high-density", "medium-density"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
-EXPOSURE_US = 100.0, 200_000.0  # the shortest and the longest that may be chosen by hand
+EXPOSURE_US = 100.0, 200_000.0  # shortest and longest manual exposure
 
 
 def _exposure_us(value: float) -> float:
-    """Return an exposure within what may be chosen; 0 is automatic."""
+    """Return an exposure limited to the allowed range; 0 is automatic."""
     shortest_us, longest_us = EXPOSURE_US
     return min(max(value, shortest_us), longest_us) if value else 0.0
 
@@ -130,7 +130,7 @@ class Settings(BaseModel):
     length: LengthDefinition = LengthDefinition.CENTRELINE
     fruit_from: Annotated[
         Literal["auto", "models", "dataset"],
-        BeforeValidator(lambda x: "auto" if x == "automatic" else x),  # as older files say
+        BeforeValidator(lambda x: "auto" if x == "automatic" else x),  # values in older files
     ] = "auto"
     full_precision: bool = True
     calibration: str = ""

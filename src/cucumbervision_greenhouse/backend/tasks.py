@@ -1,4 +1,4 @@
-"""Work beside the pages: what waits is measured, uploads are, and views of one fruit are merged."""
+"""Background work: measure queued captures and uploads, and merge views of one fruit."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def _measuring() -> list[Job]:
 
 
 def wake() -> Job | None:
-    """Start measuring what waits; return the job that does so, None where nothing waits."""
+    """Start measuring the queued captures; return the job, or None if the queue is empty."""
     jobs = _measuring()
     if jobs and not jobs[0].finished:
         return jobs[0]
     if not waiting().captures():
         return jobs[0] if jobs else None
     parts = waiting(), measurer(), store(), settings().options, _settle
-    # With these it is no page's function any more, and may run when no page is open.
+    # A partial function is not bound to a page, so that it may run with no page open.
     jobs[:] = [worker().submit("Measuring", partial(measure_waiting, *parts), None)]
     return jobs[0]
 
 
 def measuring_fault() -> str:
-    """Return why what waits cannot be measured: a network or the calibration; empty if it can."""
+    """Return why queued captures cannot be measured (network, calibration); empty if they can."""
     jobs = _measuring()
     return jobs[0].error if jobs else ""
 
@@ -62,7 +62,7 @@ def _uploading() -> set[str]:
 
 
 def measure_uploads() -> None:
-    """Start measuring the uploads that are there and not measured; each once."""
+    """Start measuring complete uploads that were not measured; each once."""
     for key in uploads().to_measure():
         if key not in _uploading():
             _uploading().add(key)
@@ -93,7 +93,7 @@ def _measure_all_views(round_key: str, job: Job) -> None:
     def report(done: int, total: int) -> None:
         job.done, job.total = done, total
 
-    # A capture that comes meanwhile is measured first; merged with it, the round goes on here.
+    # A capture that arrives meanwhile is measured first, and the round merged with it.
     done = measure_jointly(store(), round_key, report, lambda: bool(waiting().captures()))
     job.notes += (failure.message for failure in done.failures)
     if done.fruit:
@@ -107,7 +107,7 @@ def mergings() -> Counter[str]:
 
 
 def merge(round_key: str) -> None:
-    """Find the views of a round that are one fruit, beside the pages."""
+    """Merge the views of a round in the background."""
 
     def work(job: Job) -> None:
         job.notes += filter(None, [_settle(round_key)])
@@ -116,9 +116,9 @@ def merge(round_key: str) -> None:
 
 
 def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry:
-    """Take back the last thing that the viewer did in a round, and only that; return it.
+    """Undo the viewer's last action in a round, and return it.
 
-    A round one of whose stops was moved is merged anew.
+    If a stop was moved, the round is merged again.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry
     round_key : str
         The round.
     number : int, optional
-        Of that action in the log instead.
+        Number of another action in the log, to undo instead.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry
 
 
 def progress(round_key: str) -> Progress:
-    """Return what waits and is measured of a round, for every page alike."""
+    """Return the progress of a round, the same for every page."""
     going_on = [uploads().read(key) for key in sorted(_uploading())]
     measured = next((job.measured for job in _measuring() if not job.finished), None)
     unfinished = [upload for upload in going_on if upload is not None and not upload.done]
@@ -156,7 +156,7 @@ def progress(round_key: str) -> Progress:
 
 @st.cache_resource(show_spinner=False)
 def prepare() -> Job | None:
-    """Load the networks before the first capture; measure the bundled ones into an empty store."""
+    """Load the networks before the first capture; measure bundled captures into an empty store."""
     waiting().clean()
     measure_uploads()
     if wake() is not None:

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
     _Opened: TypeAlias = tuple[AcceptedSource, CaptureSource]
 
-# Focal length over the picture's height, of colour cameras as their makers give them.
+# Focal length divided by the picture's height: nominal values of colour cameras.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
 
 
 def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
-    """Return a camera's usual intrinsics at a picture's size; each single one differs by 1 to 2 %.
+    """Return a camera's nominal intrinsics at a picture's size; units differ by 1 to 2 %.
 
     Examples
     --------
@@ -60,11 +60,10 @@ def measure_upload(
     store: Store,
     options: MeasureOptions,
 ) -> None:
-    """Check an upload and save its captures as stops of its round; a bad one costs only itself.
+    """Check an upload and save its captures as stops of its round; a bad one affects no other.
 
-    Each outcome is kept as it comes, with how many captures there are and how many are done with:
-    refused files first, then as the files were sorted into captures. Simulated captures go into the
-    demonstration instead.
+    Each outcome is saved at once, with the number of captures and of finished ones: refused files
+    first, then the captures in order. Simulated captures go into the demonstration instead.
 
     Parameters
     ----------
@@ -75,8 +74,8 @@ def measure_upload(
 
     Notes
     -----
-    Where a network or the calibration cannot be loaded, that is the outcome of all files, which
-    stay for the next time.
+    If a network or the calibration cannot be loaded, that is the outcome of all files, and the
+    upload is measured later.
     """
     files, outcomes = uploads.files(key), list[UploadOutcome]()
     measures = measurer.with_options(options)
@@ -146,7 +145,7 @@ def _failed(name: str, words: str) -> UploadOutcome:
 
 
 def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened | UploadOutcome:
-    """Return a source with its captures, or why it has none, by the sender's names."""
+    """Return a source with its captures, or the reason why it has none, by the sender's names."""
     try:
         return source, _open_with(source, reading, camera)
     except CucumberVisionError as error:
@@ -154,7 +153,7 @@ def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened 
 
 
 def _captures(opened: _Opened) -> Iterator[Capture | UploadOutcome]:
-    """Yield a source's captures, and why a part of it is none."""
+    """Yield a source's captures, and the faults of its unreadable parts."""
     source, refs = opened[0], iter(opened[1])
     while True:
         try:
@@ -167,7 +166,7 @@ def _captures(opened: _Opened) -> Iterator[Capture | UploadOutcome]:
 
 
 def _open_with(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
-    """Open a source with the camera's usual intrinsics where pictures bring none."""
+    """Open a source; pictures without intrinsics get the camera's nominal ones."""
     try:
         return source.open(reading)
     except IntrinsicsError:
@@ -182,7 +181,7 @@ def _open_with(source: AcceptedSource, reading: ReadOptions, camera: str) -> Cap
 
 
 def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:
-    """Return a capture with its place, its own first, and where the next one is."""
+    """Return a capture with its place, preferably its own, and the place of the next one."""
     stop = capture.stop
     if stop.position_m is None:
         stop, place = replace(stop, position_m=place.position_m), place.onward()
@@ -209,7 +208,7 @@ def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) 
 
 
 def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
-    """Return what the sender reads of a capture; the same one sent again is there already."""
+    """Return the outcome of a capture for its sender; one sent again was saved before."""
     if added.failure is not None:
         return _failed(item.input, added.failure.message)
     if added.deleted:

@@ -1,4 +1,4 @@
-"""Uploads on disk: files as they come, part by part, and the outcome of each, past any restart."""
+"""Uploads on disk: files that arrive in parts, and their outcomes; both survive a restart."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.rounds.walking import NextPlace
 from cucumbervision_greenhouse.store.records import key_of
 
-MOST_TRIES = 3  # an upload that ends the program each time must not do so for ever
+MOST_TRIES = 3  # limit for an upload that crashes the program each time
 _ABOUT = "upload.json"
 _MOST_FILES = 1000
-_KEPT = 20  # uploads whose outcomes are still told
+_KEPT = 20  # number of uploads whose outcomes are kept
 _UNCOUNTED = {"captures": None, "measured": 0}
-_RESERVE_BYTES = 500_000_000  # that captures, which are kept at once, need of the disk
+_RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
 
 
 def _given(name: str) -> str:
@@ -42,7 +42,7 @@ class _Frozen(BaseModel):
 
 
 class SentFile(_Frozen):
-    """A file by its sender's words: its name, its size in bytes, when it was changed last."""
+    """A file as announced: its name, its size in bytes, the time of its last change."""
 
     name: Name
     size: Annotated[int, Field(ge=0)]
@@ -50,7 +50,7 @@ class SentFile(_Frozen):
 
 
 class SentPlace(_Frozen):
-    """Where the first capture was taken that does not say, as `NextPlace`."""
+    """Place of the first capture that names none, as `NextPlace`."""
 
     row: GivenName = ""
     side: GivenName = "left"
@@ -89,7 +89,7 @@ class UploadOutcome(_Frozen):
 
 
 class Sending(_Frozen):
-    """What a browser announces before it sends."""
+    """An upload as a browser announces it."""
 
     round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
     files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=_MOST_FILES)]
@@ -98,7 +98,7 @@ class Sending(_Frozen):
 
     @property
     def key(self) -> str:
-        """The same whenever the same files are sent into the same round."""
+        """Key of the upload: the same for the same files and round."""
         parts = (f"{file.name}/{file.size}/{file.changed}" for file in self.files)
         return key_of("upload", self.round, *parts)
 
@@ -118,15 +118,15 @@ class Upload(_Frozen):
     begun_s : float
         When, seconds since 1970.
     done : bool
-        Whether all of it was measured; its files are gone then.
+        Whether it was measured completely; then its files are deleted.
     tries : int
-        How often its measuring was begun.
+        How often its measurement was started.
     outcomes : tuple of UploadOutcome
-        Of what was measured so far.
+        Outcomes so far.
     captures : int, optional
-        How many it holds, as far as is known; None while its files are checked.
+        Number of captures; None while its files are checked.
     measured : int
-        How many of them are done with.
+        Number of finished captures.
     """
 
     sending: Sending
@@ -144,7 +144,7 @@ class Uploads:
     Parameters
     ----------
     folder : Path
-        Made with the first.
+        Created with the first upload.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -153,7 +153,7 @@ class Uploads:
         self._lock = threading.Lock()
 
     def begin(self, sending: Sending, limit_bytes: int) -> list[int]:
-        """Take an upload on, or go on with one; return how much of each file is there.
+        """Begin or resume an upload; return how many bytes of each file have arrived.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Uploads:
         return self.received(sending.key)
 
     def received(self, key: str) -> list[int]:
-        """Return how many bytes of each file are there.
+        """Return how many bytes of each file have arrived.
 
         Raises
         ------
@@ -199,7 +199,7 @@ class Uploads:
         ]
 
     def append(self, key: str, number: int, offset: int, data: bytes) -> int:
-        """Add a part to a file, unless it is there already; return how much is there then.
+        """Append a part to a file unless it has arrived before; return the file's size.
 
         Raises
         ------
@@ -226,18 +226,18 @@ class Uploads:
             return received + len(data)
 
     def is_whole(self, key: str) -> bool:
-        """Return whether every file is there."""
+        """Return whether every file has arrived."""
         return self.received(key) == [file.size for file in self._known(key).files]
 
     def files(self, key: str) -> list[tuple[str, Path]]:
         """Return the files of an upload by their senders' names."""
         files = self._known(key).files
         for number in range(len(files)):
-            self._part(key, number).touch()  # an empty one has no parts
+            self._part(key, number).touch()  # an empty file has no parts
         return [(file.name, self._part(key, number)) for number, file in enumerate(files)]
 
     def to_measure(self) -> list[str]:
-        """Return the uploads that are there and not measured, the oldest first."""
+        """Return the complete uploads that were not measured, the oldest first."""
         return [
             upload.sending.key
             for upload in reversed(self.all())
@@ -253,7 +253,7 @@ class Uploads:
         return sorted(of_round, key=lambda upload: upload.begun_s, reverse=True)
 
     def try_once(self, key: str) -> Upload:
-        """Note that measuring begins, and return the upload as it was before."""
+        """Count a start of its measurement, and return the upload as it was before."""
         with self._lock:
             upload = self.read(key)
             if upload is None:
@@ -264,15 +264,15 @@ class Uploads:
     def note(
         self, key: str, outcomes: list[UploadOutcome], *, done: bool = False, **counts: int
     ) -> None:
-        """Keep outcomes and counts of captures (as `Upload` names them).
+        """Save outcomes and counts of captures, with the names of `Upload`'s fields.
 
-        When all is done the files go, and the oldest uploads with theirs.
+        Once it is done, its files and the oldest uploads are deleted.
         """
         with self._lock:
             upload = self.read(key)
             if upload is None:
                 return
-            # One that a killed run saved stays saved, though its capture is there already now.
+            # A capture that a killed run saved keeps its outcome; now it would be a repetition.
             saved = {outcome.name: outcome for outcome in upload.outcomes if outcome.saved}
             merged = tuple(
                 outcome if outcome.saved else saved.get(outcome.name, outcome)
@@ -295,7 +295,7 @@ class Uploads:
         return self.folder / key / f"{number:04d}"
 
     def read(self, key: str) -> Upload | None:
-        """Return an upload as it stands; None where there is none of that key."""
+        """Return an upload; None if there is none of that key."""
         try:
             text = (self.folder / key / _ABOUT).read_text(encoding="utf-8")
             return Upload.model_validate_json(text)

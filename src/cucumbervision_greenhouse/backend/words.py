@@ -27,17 +27,17 @@ Option = TypeVar("Option")
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
 _LINE_STARTS = re.compile(r"(?m)^(\s*\d+)\.")
-# What becomes a link, an icon or another sign in spite of these, since it is looked for in the text
-# that is drawn: addresses, :names:, and arrows and the like between spaces.
+# Texts that Streamlit replaces in spite of escapes: addresses, :names:, and arrows and similar
+# signs between spaces.
 _FOUND_LATER = re.compile(
     r"(?i)(https?(?=://)|www(?=\.)|@(?=[-\w])|:(?=[\w+/-]+:)"
     r"|(?<!\S)(?:<(?=->(?!\S)|[-=](?!\S))|-(?=[->](?!\S))|[>~](?==(?!\S))))"
 )
-_JOINER = "\u2060"  # takes no room, and parts no word
+_JOINER = "\u2060"  # has no width, and breaks no word
 
 
 def plain(text: object) -> str:
-    r"""Return a text that Streamlit draws letter by letter, on one line.
+    r"""Return a text that Streamlit draws literally, on one line.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def pick_words(pick: Pick) -> str:
 
 
 def length_words(record: DetectionRecord, units: Units) -> str:
-    """Return a length as people say it: a lower bound as such, and 'not measured' for none.
+    """Return a length in words: 'at least' for a lower bound, 'not measured' for none.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
 
 
 def kind_words(kind: str | None) -> str:
-    """Return what a length is of, for people.
+    """Return the kind of a length in words.
 
     Examples
     --------
@@ -132,7 +132,7 @@ def kind_words(kind: str | None) -> str:
 
 
 def metres_words(along_m: float | None) -> str:
-    """Return a position along a row: a row begins at 0, also where a fruit hangs before it.
+    """Return a position along a row in words; a negative position is shown as 0.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def metres_words(along_m: float | None) -> str:
 
 
 def height_words(record: DetectionRecord, units: Units) -> str:
-    """Return how high a fruit hangs, empty where that is not known.
+    """Return how high a fruit hangs in words; empty if unknown.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def counted(number: int, singular: str, many: str) -> str:
 
 
 def round_day(at_s: float) -> str:
-    """Return a moment as the day and time of this place.
+    """Return a moment as local day and time.
 
     Examples
     --------
@@ -183,7 +183,7 @@ def round_day(at_s: float) -> str:
 
 
 def round_name(round_summary: RoundSummary) -> str:
-    """Return what a round is called in a list: its name, house, day and number of stops."""
+    """Return a round's name in a list: its name, house, day and number of stops."""
     house = f", {round_summary.record.house}" if round_summary.record.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
     name, day = round_summary.record.name or "Round", round_day(round_summary.walked_s)
@@ -211,7 +211,7 @@ _ACTIONS = {
 
 
 def action_words(action: LogEntry) -> str:
-    """Return what somebody did, for people.
+    """Return an action in words.
 
     Examples
     --------
@@ -226,7 +226,7 @@ def action_words(action: LogEntry) -> str:
 
 
 def added_words(*, doubtful: bool) -> str:
-    """Return what became of a fruit that somebody added."""
+    """Return the outcome of adding a fruit in words."""
     if doubtful:
         return (
             "Added, but it does not look like a fruit. It is not on the pick list until someone "
@@ -252,7 +252,7 @@ def remarks(record: DetectionRecord, units: Units) -> str:
 
 
 def stop_name(stop: Stop | StopSummary) -> str:
-    """Return where a stop is, for people.
+    """Return the place of a stop in words.
 
     Examples
     --------
@@ -266,7 +266,7 @@ def stop_name(stop: Stop | StopSummary) -> str:
 
 
 def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
-    """Return options with their names, those with a name of before numbered: a choice goes by name.
+    """Return options with unique names: repeated ones are numbered, since a choice is by name.
 
     Examples
     --------
@@ -283,7 +283,7 @@ def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
 
 
 def step_words(step: int | None) -> str:
-    """Return a stop's number, for people.
+    """Return a stop's number in words.
 
     Examples
     --------
@@ -294,7 +294,7 @@ def step_words(step: int | None) -> str:
 
 
 def row_name(row: str | None) -> str:
-    """Return what a row is called in a sentence.
+    """Return a row's name in a sentence.
 
     Examples
     --------
@@ -305,7 +305,7 @@ def row_name(row: str | None) -> str:
 
 
 def count_words(report: RowCounts) -> str:
-    """Return how many fruit a row has: as found, and with its interval where that is estimated.
+    """Return a row's number of fruit in words, with its interval if it is estimated.
 
     Examples
     --------
@@ -343,7 +343,7 @@ def span_words(span: Span) -> str:
 
 
 def hours_span_words(span: Span) -> str:
-    """Return hours of work with their interval, as `hours_words` says each.
+    """Return hours of work with their interval, each as in `hours_words`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The camera's picture by WebSocket: each when the one before was shown, where it changed."""
+"""The camera's pictures by WebSocket: the next one once the last was shown, if it differs."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.backend.camera_feed import Preview
 
 
-_LOOK_S = 0.03  # how often is looked for a new picture
+_LOOK_S = 0.03  # interval between checks for a new picture
 _PREVIEW_PX = 640
-_STILL_PX, _STILL_LEVELS = (64, 36), 3  # a camera's noise is less, in blocks of so many
+_STILL_PX, _STILL_LEVELS = (64, 36), 3  # blocks of this size average a camera's noise
 
 
 async def preview(socket: WebSocket) -> None:
-    """Send a feed's pictures, each when the one before was shown, and only where they change."""
+    """Send a feed's pictures, each once the last one was shown, and only if it differs."""
     kind: Any = "replay" if socket.query_params.get("source") == "replay" else "camera"
     sent = Shown()
 
@@ -43,14 +43,14 @@ async def preview(socket: WebSocket) -> None:
 
 
 class Shown:
-    """What a viewer saw last, to tell whether a new picture shows anything else."""
+    """The last picture that a viewer saw, to detect changes."""
 
     def __init__(self) -> None:
         self._state: tuple[object, ...] = ()
         self._small: NDArray[np.uint8] | None = None
 
     def fails(self) -> bool:
-        """Return whether it is news that there is nothing to see."""
+        """Return whether the absence of a picture has not been sent yet."""
         before, self._state = self._state, ("failed",)
         return before != self._state
 
@@ -75,7 +75,7 @@ class Shown:
         return changed
 
 
-@lru_cache(maxsize=4)  # one for all viewers
+@lru_cache(maxsize=4)  # encoded once for all viewers
 def encoded(preview: Preview) -> bytes:
     """Return a preview as a message: the header's length, the header as JSON, colour, depth.
 

@@ -1,8 +1,8 @@
-"""Routes of the capture page: the page itself, its pictures and presses, and news.
+"""Routes of the capture page: the page, its pictures, presses and news.
 
-Capture is used while walking, where a connection drops: it is a page of its own, of plain modules.
-News and pictures come by WebSocket: of other lasting connections a browser opens six, and a seventh
-page would wait for ever.
+The page is used while walking, where connections drop, so it is made of plain modules without
+Streamlit. News and pictures come by WebSocket: a browser opens only six other lasting connections,
+so a seventh page would never load.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 _STATIC = Path(__file__).with_name("static")
-_PRESS_S = 4.0  # how long an answer to presses is held back until they are saved
+_PRESS_S = 4.0  # longest delay of the answer until presses are saved
 _MOST_TOGETHER = 50  # presses in one request
 
 Source = Literal["camera", "replay"]
@@ -46,7 +46,7 @@ Moment = Annotated[float, Field(ge=0, lt=4_102_444_800)]
 
 
 class SentPress(Sent):
-    """A press as a browser sends it: its number, its moment by this machine's clock, its place."""
+    """A press as a browser sends it: its number, its time by this machine's clock, its place."""
 
     number: Annotated[str, Field(pattern=r"^[\w-]{1,64}$")]
     at_s: Moment
@@ -64,16 +64,16 @@ class SentPresses(Sent):
 
 
 class SentRound(Sent):
-    """A round to be begun."""
+    """A new round."""
 
     name: Annotated[str, Field(max_length=200)] = ""
     house: Annotated[str, Field(max_length=200)] = ""
 
 
 class SentUndo(Sent):
-    """What a browser takes back: the last thing that it did in a round.
+    """The request to undo a browser's last action in a round.
 
-    That is its last press (the stop, and when it was pressed), unless it did something since.
+    That is its last press (the stop and the time), or a later action.
     """
 
     stop: Key | None = None
@@ -98,7 +98,7 @@ class SentFruit(Sent):
 
 @st.cache_resource(show_spinner=False)
 def _shutter() -> Shutter:
-    """Return what takes the pictures of all viewers."""
+    """Return the shutter of all viewers."""
     return Shutter(resources.store(), resources.waiting(), tasks.wake)
 
 
@@ -116,7 +116,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
         {round_summary.key for round_summary in resources.rounds()},
     )
     taken: list[Pressed | str | None] = []
-    for sent_press in sent:  # all at once, so that none waits for another's last frames
+    for sent_press in sent:  # all at once, so that no press waits for the last frames of another
         try:
             stop = Stop(
                 sent_press.row.strip() or None, sent_press.side or None, sent_press.position_m
@@ -187,12 +187,12 @@ async def _capture_page(_: Request) -> Response:
 
 
 async def _static(request: Request) -> Response:
-    """Answer with a file of ours; never one of another folder."""
+    """Answer with a file of the package's folder, and of no other."""
     name = request.path_params["name"]
     path = (PICTURE_FILES if name.startswith("picture.") else _STATIC) / name
     if path.parent not in {PICTURE_FILES, _STATIC} or not path.is_file():
         raise HTTPException(404)
-    # The worker that keeps the page for a lost connection lies below the page that it keeps.
+    # A service worker must lie at or above the address of the page that it caches.
     headers = {"cache-control": "no-cache", "service-worker-allowed": "/capture"}
     return FileResponse(path, headers=headers)
 

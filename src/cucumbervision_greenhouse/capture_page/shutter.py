@@ -1,8 +1,8 @@
-"""The button: a burst is grabbed at the press, kept on disk, and measured when there is time.
+"""The shutter: a press grabs a burst and saves it; it is measured later.
 
-Three threads, so that nothing holds a press up: one keeps the frames of bursts as they are, the
-worker of all pages measures what waits, in order, and one codes what waits for long. What waits is
-on disk, so that a kill loses nothing of it.
+Three threads, so that nothing delays a press: one saves the raw frames of bursts, the job queue
+measures captures in order, and one codes captures that wait for long. The queue is on disk, so that
+a kill loses nothing.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import StopSummary
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
-_REMEMBERED = 2000  # presses that a browser may send again
-_SOON = 4  # captures that are measured next are not coded before
+_REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
+_SOON = 4  # this many captures are measured soon and are not coded
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Press:
     Parameters
     ----------
     number : str
-        Its own, made by the browser: a press that is sent twice counts once.
+        Number given by the browser: a press that is sent twice counts once.
     at_s : float
         When, seconds since 1970, by this machine's clock.
     """
@@ -71,17 +71,17 @@ class Pressed:
 
     @property
     def error(self) -> str:
-        """Why there is no capture; empty where there is one, or will be."""
+        """Why there is no capture; empty if there is one, or may be."""
         return fault_of(self.queued)
 
     @property
     def is_lost(self) -> bool:
-        """Whether its picture is not there any more: sent again, it would be refused again."""
+        """Whether its picture is no longer held, so that it would be refused again."""
         return self.queued.done() and isinstance(self.queued.exception(), PictureGoneError)
 
     @property
     def moved(self) -> Stop | None:
-        """Where it was put because another stop has the place where it was pressed, if so."""
+        """The place that it got instead, if another stop had its place."""
         if not self.queued.done() or self.queued.exception() is not None:
             return None
         stop = self.queued.result().stop
@@ -89,7 +89,7 @@ class Pressed:
 
 
 class Shutter:
-    """Takes a burst at each press and keeps it.
+    """Grabs and saves a burst at each press.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ class Shutter:
     def press(
         self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press
     ) -> Pressed | None:
-        """Grab a burst for a press; return its outcome, None for one that was kept before.
+        """Grab a burst for a press; return its outcome, or None if it was saved before.
 
-        The same press sent again gets the same outcome: one stop. Where the feed no longer holds
-        the picture of its moment, the outcome is that error; where another fault kept it from being
-        saved, such as a full disk, it is tried anew. Returns at once: the burst's last frames and
-        the disk are waited for elsewhere.
+        The same press sent again gets the same outcome and makes one stop. If the feed no longer
+        holds its picture, the outcome is that error; after another fault, such as a full disk, it
+        is tried again. Returns at once: other threads wait for the burst's last frames and for the
+        disk.
         """
         name = (round_key, press.number)
         at_s = min(press.at_s, time.time())
@@ -146,12 +146,12 @@ class Shutter:
         return self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None
 
     def pressed(self, round_key: str) -> list[Pressed]:
-        """Return the presses of a round that are remembered, the oldest first."""
+        """Return the remembered presses of a round, the oldest first."""
         with self._lock:
             return [press for (key, _), press in self._pressed.items() if key == round_key]
 
     def close(self) -> None:
-        """Keep what was pressed, then end."""
+        """Save all presses, then end."""
         self._pool.shutdown(wait=True)
         self._coder.shutdown(wait=True, cancel_futures=True)
 
@@ -169,8 +169,8 @@ class Shutter:
         return queued_capture
 
     def _code(self, queued_capture: Waiting) -> None:
-        """Code a capture that is not measured at once: as it is, it takes five times the room."""
+        """Code a capture that is not measured soon: raw frames take five times the space."""
         waiting = {capture.key: capture for capture in self._waiting.captures()[_SOON:]}
         if queued_capture.key in waiting:
-            with suppress(CucumberVisionError):  # it stays as it is
+            with suppress(CucumberVisionError):  # it stays uncoded
                 self._waiting.code(waiting[queued_capture.key])

@@ -35,18 +35,18 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
-_UNDO_S = 60.0  # how long a stop that is being measured is waited for
+_UNDO_S = 60.0  # longest wait for a stop that is being measured
 
 
 def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
-    """Return a walk as it stands.
+    """Return the state of a walk.
 
     Parameters
     ----------
     store : Store
         Signed by the viewer.
     round_key : str
-        The round that is open; empty for the newest. Where there is none of that key, none is.
+        The open round; empty for the newest. An unknown key opens none.
     source : str
         'camera' or 'replay'; with any other value, the one that the server was started with.
     """
@@ -94,7 +94,7 @@ def _rows(stops: Sequence[Stop | StopSummary]) -> dict[str, dict[str, Any]]:
 
 
 def _done(store: Store, home: str) -> dict[str, Any] | None:
-    """Return what the viewer did last in a round besides presses, which *Undo* takes back."""
+    """Return the viewer's last action in a round other than a press, for *Undo*."""
     action = _last_action(store, home)
     return None if action is None else {"at_s": action.at_s, "words": action_words(action)}
 
@@ -107,7 +107,7 @@ def _preview_of(source: str) -> Any:
 
 
 def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]:
-    """Return the stop that was measured last: its pictures, with the outlines of its fruit."""
+    """Return the last measured stop: its pictures, with the outlines of its fruit."""
     store, units = resources.store(), resources.settings().units
     record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
     views = [
@@ -148,22 +148,22 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
 
 
 def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
-    """Return what became of a press, once it is on the disk or known not to be.
+    """Return the outcome of a press, once it is saved or has failed.
 
     Parameters
     ----------
     pressed : Pressed, str or None
-        As `Shutter.press` returned it; a text says why it was refused.
+        As `Shutter.press` returned it; a text is the reason for a refusal.
     patience_s : float
-        How long that is waited for; then it waits on, and is to be asked for again.
+        Longest wait; then the outcome is 'waiting', and the browser asks again.
     """
-    if pressed is None:  # kept before this program was started
+    if pressed is None:  # saved before this program was started
         return {"state": "saved", "words": "Saved"}
     if isinstance(pressed, str):
         return {"state": "refused", "words": pressed}
     try:
         queued = pressed.queued.result(max(patience_s, 0.0))
-    except Exception:  # `error` has its words, none where it is not decided yet
+    except Exception:  # `error` is None while it is undecided
         state = "refused" if pressed.is_lost else "waiting"
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
     words = f"{stop_name(queued.stop)}: saved"
@@ -178,14 +178,14 @@ def _place(stop: Stop | StopSummary) -> dict[str, Any]:
 
 
 def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
-    """Take back the last thing that a browser did in a round, and only that; say what it was.
+    """Undo a browser's last action in a round, and return it in words.
 
     A press is taken back by deleting its stop, measured or not.
 
     Raises
     ------
     StoreError
-        If there is nothing to undo, the stop is not there, or its measuring does not end.
+        If there is nothing to undo, the stop does not exist, or is still being measured.
     """
     home, pressed_s = asked.round or "", 0.0
     if asked.stop is not None:
@@ -200,7 +200,7 @@ def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
 
 
 def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
-    """Return the round of a stop that is measured or waits, and when it was taken."""
+    """Return the round of a measured or queued stop, and when it was taken."""
     for queued in resources.waiting().captures():
         if queued.key == stop:
             return queued.round_key, queued.pressed_s
@@ -209,7 +209,7 @@ def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
 
 
 def _last_action(store: Store, round_key: str) -> LogEntry | None:
-    """Return what a viewer did last in a round; a press that was taken back is over."""
+    """Return a viewer's last action in a round, ignoring presses that were undone."""
     if not any(round_summary.key == round_key for round_summary in resources.rounds()):
         return None
     actions = store.own_actions(round_key)
@@ -233,12 +233,12 @@ def _delete_stop(store: Store, key: str) -> str:
 
 
 def outline(asked: SentFruit) -> dict[str, Any]:
-    """Return the outlines of what lies at a point or in a box, to be seen before it is measured.
+    """Return the outlines of the object at a point or in a box, as a preview.
 
     Raises
     ------
     InstancesError
-        If there is nothing.
+        If there is no object.
     """
     record, capture = _picture_of(asked)
     measurer = resources.measurer()
@@ -257,7 +257,7 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     Raises
     ------
     InstancesError
-        If there is none, or it is there already.
+        If there is no fruit, or it was found before.
     """
     record, capture = _picture_of(asked)
     options, measurer = resources.settings().options, resources.measurer()
@@ -266,7 +266,7 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
         mask = measurer.mask_of(capture, asked.point, asked.box)
         return measurer.add(store, record, capture, mask, options)
 
-    # Its networks serve one at a time.
+    # The networks serve one request at a time.
     job = resources.worker().submit("Measuring the fruit", work, record.round_key)
     job.wait()
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}

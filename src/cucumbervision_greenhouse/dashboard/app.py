@@ -1,4 +1,4 @@
-"""The script that Streamlit runs for every viewer: navigation and what frames a page."""
+"""The script that Streamlit runs for every viewer: navigation, and the frame of a page."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from cucumbervision_greenhouse.dashboard.views import (
 if TYPE_CHECKING:
     from streamlit.navigation.page import StreamlitPage
 
-# Streamlit forgets the input of a page that is left; these are kept for its return.
+# Streamlit drops the input of a closed page; these values are kept for its return.
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
-_WITH_FRUIT = ("Today", "Results")  # a keyboard comes to their lists at once
+_WITH_FRUIT = ("Today", "Results")  # keyboard focus goes to their lists at once
 
 _STYLE = Path(__file__).with_name("static") / "pages.css"
 
@@ -83,7 +83,7 @@ def _pages() -> list[StreamlitPage]:
 
 
 def _leave_for_capture() -> None:
-    """Open the capture page, which is none of Streamlit's."""
+    """Open the capture page, which is not a Streamlit page."""
     page_elements.go(f"/capture?{urlencode(page_elements.here())}")
 
 
@@ -96,7 +96,7 @@ def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
 
 
 def read_address() -> None:
-    """Open the round that the address names; the address names the one that is open."""
+    """Open the round in the address, and keep the open round in the address."""
     named = st.query_params.get("round")
     if named == st.session_state.get("named"):
         st.session_state.pop("named_before", None)
@@ -105,20 +105,20 @@ def read_address() -> None:
 
 
 def keep_inputs() -> None:
-    """Keep the input of pages that are not shown."""
+    """Keep the input of closed pages."""
     for name in list(st.session_state):
         if name in _KEPT_INPUTS or str(name).startswith("up_"):
             st.session_state[name] = st.session_state[name]
 
 
 def footer(about_page: StreamlitPage) -> None:
-    """Draw the quiet way to the licence and the source (AGPL-3.0, section 13)."""
+    """Draw the link to the licence and the source (AGPL-3.0, section 13)."""
     with st.container(key="about", horizontal_alignment="right"):
         st.page_link(about_page, label="About", query_params=page_elements.here(), width="content")
 
 
 def _check_guard() -> None:
-    """Refuse to draw pages whose requests no guard has checked."""
+    """Refuse to draw pages if no guard checks their requests."""
     if LOGIN_VARIABLE not in os.environ:
         raise AccessError(
             "the pages run without their guard", remedy="start them with `cucumbervision dashboard`"

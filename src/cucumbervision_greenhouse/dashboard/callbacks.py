@@ -1,4 +1,4 @@
-"""Presses in Streamlit's pages: each is carried out once, and as it was meant."""
+"""Callbacks of Streamlit's pages: each press acts once, on the object that was shown."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _will_rerun = SafeSessionState.on_script_will_rerun
 
 
 def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], str]:
-    """Return the labels of a choice that is drawn next: no two alike, and each meant for good.
+    """Return the labels of a choice that is drawn next: unique, and never reused for another.
 
-    Streamlit knows what was chosen by its label only. The labels say how many stops or fruit there
-    are, so that a browser may answer with one of before.
+    Streamlit identifies a choice by its label alone. Labels contain numbers of stops or fruit, so a
+    browser may answer with an earlier label.
 
     Parameters
     ----------
     key : str
-        Of the choice, in the session.
+        Key of the choice in the session.
     names : mapping
-        What is chosen, with its name.
+        The options with their names.
 
     Returns
     -------
@@ -41,10 +41,10 @@ def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], s
 
 
 def finish_callbacks() -> None:
-    """Let Streamlit interrupt a page only after the callbacks of what was pressed.
+    """Let Streamlit interrupt a page only after the callbacks of a press.
 
-    Streamlit looks for a newer request before and within the callbacks of a run, and begins anew
-    with that one: a press is lost, or done by half, if the page's own news come at that moment.
+    Streamlit checks for a newer request before and during the callbacks of a run, and then starts
+    over with that request: a press would be lost or half done if news arrived at that moment.
     """
     SafeSessionState.on_script_will_rerun = _uninterrupted  # type: ignore[assignment]
 
@@ -54,7 +54,7 @@ def _uninterrupted(state: SafeSessionState, *states: Any, **options: Any) -> Non
     if not getattr(runner, "_execing", False):
         _will_rerun(state, *states, **options)
         return
-    runner._execing = False  # it is not interrupted then
+    runner._execing = False  # prevents an interruption
     try:
         _will_rerun(state, *states, **options)
     finally:

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.backend.settings import Units
 
-# Vega itself says what is wrong with a chart; to check each against its schema takes longer than
-# all else that a page does; channels are named for the same reason, where a string would do.
+# Checking each chart against Altair's schema takes longer than all other work of a page, and Vega
+# reports faults itself. For the same reason channels are named instead of parsed from strings.
 disable_debug_mode()
 
 MAP_PX = 1000, 560
 """Width and height of a row's map, in its own pixels."""
 
 _MAP_EDGE_PX = 50
-# Of viridis: from dark to light with the length.
+# From viridis: lighter with increasing length.
 _STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")
 
 
-_MANY = 40  # fruit from which narrow bars say more than they scatter
+_MANY = 40  # number of fruit from which narrow bars are informative
 
 
 def _class_colors(names: Iterable[str]) -> alt.Scale:
@@ -53,7 +53,7 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     )
 
 
-_BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has room for it
+_BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has space for it
 
 
 def _color_of_class(names: Iterable[str]) -> alt.Color:
@@ -76,7 +76,7 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     step = (1.0 if len(lines) >= _MANY else 2.0) / (1 if units.name == "cm" else 2)
     lengths = np.array([line["length"] for line in lines], np.float64)
     mean, sd = float(lengths.mean()), float(lengths.std(ddof=1)) if len(lengths) > 1 else 0.0
-    # Counted here: the browser is sent some dozen bars, however many fruit there are.
+    # Counted here, so that the browser gets a few dozen bars whatever the number of fruit.
     counted = Counter((math.floor(line["length"] / step), line["class"]) for line in lines)
     table = [
         {"from": k * step, "to": (k + 1) * step, "class": name, "fruit": number}
@@ -180,7 +180,7 @@ def _round_values(first_value: float, last_value: float) -> list[float]:
 
 
 def _data(lines: list[dict[str, Any]]) -> Any:
-    # Sent as a table rather than within the chart's description, where each value costs time.
+    # Sent as a table, since values within the chart's description are slow.
     return pa.Table.from_pylist(lines)
 
 

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 _POINTS = 3500
 _RINGS, _RING_POINTS = 16, 20
 _MARGIN_PX = 12
-_SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
+_SLAB_M = 0.08  # points farther in front of or behind the fruit are left out
 CLOUD_HEIGHT_PX = 420
 _RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
 
 
 def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None:
-    """Return a fruit's depth points and the fitted tube as a scene to be turned.
+    """Return a fruit's depth points and the fitted tube as a scene that can be rotated.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: fl
         rotation_orbit=-30,
         zoom=math.log2(CLOUD_HEIGHT_PX / (2.5 * reach_mm)),
     )
-    # No provider of maps: nothing is asked of another machine.
+    # No map provider, so that no other machine is contacted.
     return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
 
 
@@ -153,7 +153,7 @@ def _tube_rings(
     turn = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)[:, None]
     circles = []
     for k in chosen.tolist():
-        # Any vector that is not along the axis serves to begin the circle.
+        # Any vector that is not parallel to the axis can start the circle.
         normal = np.cross(ahead[k], np.eye(3)[np.argmin(np.abs(ahead[k]))])
         normal /= np.linalg.norm(normal)
         binormal = np.cross(ahead[k], normal)

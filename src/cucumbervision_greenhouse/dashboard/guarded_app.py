@@ -34,10 +34,10 @@ _FIRST_USED = ("cucumbervision_greenhouse.dashboard.app", "pandas", "streamlit.e
 
 @asynccontextmanager
 async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
-    """Load networks, pages and the newest round, and measure what waits, before anybody comes."""
+    """Load networks, pages and the newest round, and start measuring, before the first viewer."""
 
     def prepare() -> None:
-        with suppress(CucumberVisionError, ImportError):  # a page says why
+        with suppress(CucumberVisionError, ImportError):  # a page shows the reason
             tasks.prepare()
             for name in _FIRST_USED:
                 import_module(name)

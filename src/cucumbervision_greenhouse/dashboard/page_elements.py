@@ -47,7 +47,7 @@ def button(
 
 
 def do(act: Callable[[], object]) -> bool:
-    """Correct a round, or say below what keeps that from being done; return whether it was done."""
+    """Correct a round, or show the fault below; return whether it was corrected."""
     try:
         act()
     except CucumberVisionError as error:
@@ -57,7 +57,7 @@ def do(act: Callable[[], object]) -> bool:
 
 
 def draw_undo(round_key: str) -> None:
-    """Draw a button that takes back what the viewer did last, and what kept something undone."""
+    """Draw a button that undoes the viewer's last action, and the fault of the last correction."""
 
     def undo() -> None:
         try:
@@ -73,7 +73,7 @@ def draw_undo(round_key: str) -> None:
 
 
 def table(lines: list[dict[str, Any]]) -> None:
-    """Draw a table; its words wrap on a phone, and columns that say nothing are left out."""
+    """Draw a table; its words wrap on a phone, and columns without values are left out."""
     columns = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
     st.table(
         [{plain(name): plain(line[name]) for name in columns} for line in lines], hide_index=True
@@ -87,7 +87,7 @@ def fruit_list(
     words: str,
     on_taps: Callable[[], None] | None = None,
 ) -> None:
-    """Draw fruit to be tapped off, or to be opened: the address names the one that was tapped.
+    """Draw a list of fruit to tick off or to open; opening one puts it into the address.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def fruit_list(
         'key', 'picture' (a data URL, or None), 'says' (words that are drawn side by side, or under
         each other on a phone), and 'picked'.
     words : str
-        Stand over the list, after how many are picked.
+        Heading of the list, after the number of picked fruit.
     on_taps : callable
         Called with every tap, before anything is drawn, so that all totals count it; None for
         fruit to be opened.
@@ -117,7 +117,7 @@ def pictures(
     act: Callable[[DetectionSummary], None] | None = None,
     joint: JointRecord | None = None,
 ) -> None:
-    """Draw views side by side, each with words, and with what `act` draws below them."""
+    """Draw views side by side, each with words and the elements that `act` draws below."""
     with st.container(horizontal=True):
         for view in views:
             with st.container(width=_PICTURE_PX):
@@ -129,7 +129,7 @@ def pictures(
 
 
 def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
-    """Return the items of the chosen page; `choose_page` with the same key lets it be chosen."""
+    """Return the items of the page that is chosen by `choose_page` with the same key."""
     number = min(st.session_state.get(key, 1), _pages(items, size))
     return items[(number - 1) * size : number * size]
 
@@ -166,7 +166,7 @@ def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
 
 
 def link(page: str, label: str, **parts: str) -> None:
-    """Draw a way to another page of the round, by the name that its address ends on."""
+    """Draw a link to another page of the round; its name is the end of the address."""
     target = st.session_state.get("pages", {}).get(page)
     if target is not None:
         st.page_link(
@@ -181,13 +181,13 @@ def leave_for(page: str, **parts: str) -> None:
 
 
 def here(**parts: str) -> dict[str, str]:
-    """Return what an address says: the round that is open, and what else is named."""
+    """Return the parameters of an address: the open round and other parts."""
     opened = st.session_state.get("round")
     return ({"round": opened} if opened else {}) | parts
 
 
 def work_words(work: PickWork) -> str:
-    """Return the work and crates that picking takes, for people.
+    """Return the work and crates that picking takes, in words.
 
     Examples
     --------
@@ -200,7 +200,7 @@ def work_words(work: PickWork) -> str:
 
 
 def name_in_address(name: str, value: str | None) -> None:
-    """Let the address name a fruit, row or stop, so that it can be sent; None takes it away."""
+    """Put a fruit, row or stop into the address, so that it can be shared; None removes it."""
     if value is not None:
         st.query_params[name] = value
     elif name in st.query_params:
@@ -209,14 +209,14 @@ def name_in_address(name: str, value: str | None) -> None:
 
 
 def say_missing(name: str, present: Container[str | None], words: str) -> None:
-    """Say that what the address names is not there, so that nothing else is taken for it.
+    """Show that the object in the address does not exist, instead of another object.
 
     Parameters
     ----------
     name : str
         The part of the address: 'fruit', 'stop' or 'row'.
     present : container of str
-        What it could name.
+        The existing objects.
     words : str
         What is said.
     """
@@ -232,10 +232,10 @@ def note_address() -> None:
 
 
 def keep_address() -> None:
-    """Stay where the page is if nothing but its own news draws it anew.
+    """Keep the address if only news redraws the page.
 
-    A browser that was slower sends the address of before along with them, which would show the
-    list of fruit in place of the one that was just opened.
+    A slow browser sends an earlier address with them, which would close the fruit that was just
+    opened.
     """
     context, (page, address) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
     news = getattr(st.session_state.get("live"), "changed", None)
@@ -253,20 +253,20 @@ def start_job(key: str, title: str, work: Work, round_key: str) -> None:
 
 
 def finished_job(key: str) -> Job | None:
-    """Return the viewer's job once it is finished; `live` shows its progress until then."""
+    """Return the viewer's job once it is finished; `live` shows its progress."""
     job = resources.worker().get(st.session_state.get(key))
     return job if job is not None and job.finished else None
 
 
 def live() -> None:
-    """Show the work that goes on, and draw the page anew whenever its round changes."""
+    """Show the current work, and redraw the page whenever its round changes."""
     opened = st.session_state.get("round") or ""
     data = {"round": opened, "version": round_caches.news(opened)["version"]}
     component("live")(key="live", data=data, on_changed_change=lambda: None)
 
 
 def go(address: str) -> None:
-    """Leave Streamlit's pages for another address of this server."""
+    """Go from Streamlit's pages to another address of this server."""
     component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)
 
 
@@ -275,7 +275,7 @@ _MARKS = ("ruler", "point", "box", "stroke")
 
 @st.cache_resource(show_spinner=False)
 def component(name: str) -> Any:
-    """Return an element of ours, made of the files of that name in `static`."""
+    """Return a component made of the files of that name in `static`."""
     folder = PICTURE_FILES if name == "picture" else Path(__file__).with_name("static")
     html, css, js = (
         (folder / f"{name}.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
@@ -300,7 +300,7 @@ def picture(
     content: dict[str, object] | None = None,
     on: Mapping[str, Callable[[], None]] | None = None,
 ) -> Any:
-    """Draw a picture that takes clicks, which Streamlit's own does not.
+    """Draw a picture that accepts clicks, which Streamlit's pictures do not.
 
     Parameters
     ----------
@@ -327,9 +327,9 @@ def picture(
     adds : bool
         Whether a point or box adds a fruit; else it is returned.
     outcome : tuple of object and str
-        The last correction, and what became of it, which is said over the picture.
+        The last correction and its outcome, which is shown over the picture.
     content : dict, optional
-        'grid' and 'opened' of a row's map, which has marks in the place of a picture.
+        'grid' and 'opened' of a row's map, which has marks instead of a picture.
     on : mapping of str to callable, optional
         What is called for 'tapped' and 'judged' of a map.
 
@@ -356,7 +356,7 @@ def picture(
         "told": outcome[1],
         "map": content,
     }
-    # The page reads the values itself; a callback makes the component send them.
+    # The page reads the values; a callback is needed for the component to send them.
     acts = {**dict.fromkeys(_MARKS, lambda: None), **(on or {})}
     callbacks = {f"on_{name}_change": act for name, act in acts.items()}
     return component("picture")(key=key, data=data, **callbacks)

@@ -1,4 +1,4 @@
-"""The choice of a round above every page; rounds are begun, renamed, deleted and brought back."""
+"""The choice of a round above every page; rounds are begun, renamed, deleted and restored."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
 def choose_round() -> RoundSummary | None:
-    """Draw the choice, and return the round that is open; None where there is none."""
+    """Draw the choice, and return the open round, or None."""
     rounds = {round_summary.key: round_summary for round_summary in resources.rounds()}
     names = {key: round_name(round_summary) for key, round_summary in rounds.items()}
     label = label_options("round", names)
@@ -34,7 +34,7 @@ def choose_round() -> RoundSummary | None:
         st.session_state.pop(_MISSING, None)
     elif asked is None and not st.session_state.get(_MISSING):
         st.session_state["round"] = next(iter(rounds), None)
-    else:  # no other round is shown in its place
+    else:  # no other round is shown instead
         st.session_state[_MISSING] = asked or st.session_state[_MISSING]
         st.session_state["round"] = None
     with st.container(key="rounds"):
@@ -49,10 +49,10 @@ def choose_round() -> RoundSummary | None:
     )
     round_summary = rounds.get(key) if key else None
     if round_summary is not None and st.query_params.get("round") != round_summary.key:
-        # A browser that was slower sends the round of before once more: that opens nothing.
+        # A slow browser sends the earlier round again, which must not open it.
         st.session_state["named_before"] = st.session_state.get("named")
         st.query_params["round"] = st.session_state["named"] = round_summary.key
-    # They know whether they are open, so that what is done in them closes them.
+    # Popovers keep their state, so that an action inside closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
     with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
         _begin()
@@ -62,7 +62,7 @@ def choose_round() -> RoundSummary | None:
 
 
 def missing_round() -> str:
-    """Return the round that the address names and that is not there; empty where all is well."""
+    """Return the round in the address if it does not exist, else an empty text."""
     return str(st.session_state.get(_MISSING) or "")
 
 
@@ -76,7 +76,7 @@ def _begin() -> None:
         st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
 
     def begin() -> None:
-        # What the fields hold now: the page may not have been drawn since they were filled in.
+        # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
         if houses and (chosen := st.session_state["known_house"]) != _NEW_HOUSE:
             house = chosen
@@ -138,7 +138,7 @@ def _do(act: Callable[[str], None], key: str) -> None:
 
 
 def _rename(key: str) -> None:
-    # What the field holds now: it may have been typed into since it was drawn.
+    # Read the field's current value, which may have changed since it was drawn.
     if name := st.session_state[f"name_{key}"].strip():
         resources.store().rename_round(key, name)
 
@@ -151,5 +151,5 @@ def _delete(key: str) -> None:
 
 def _bring_back(key: str) -> None:
     resources.store().restore_round(key)
-    tasks.merge(key)  # its fruit and those of its neighbours were linked past it
+    tasks.merge(key)  # the neighbouring rounds were linked without it
     st.session_state["round"] = key

@@ -52,7 +52,7 @@ def _receive(request: Request, content: bytes) -> Any:
     uploads = resources.uploads()
     try:
         received = uploads.append(part.upload, part.number, part.offset, content)
-    except OSError as error:  # a full disk: it is sent again until there is room
+    except OSError as error:  # a full disk: the browser sends the part again until there is space
         words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
         return JSONResponse({"error": words}, 507)
     if uploads.is_whole(part.upload):
@@ -62,7 +62,7 @@ def _receive(request: Request, content: bytes) -> Any:
 
 @answer
 def _files(request: Request, _: bytes) -> Response:
-    """Answer with a round's files in a zip, made anew."""
+    """Answer with a round's files in a new zip."""
     round_summary = next(
         (x for x in resources.rounds() if x.key == request.path_params["round"]), None
     )
@@ -88,9 +88,9 @@ def _files(request: Request, _: bytes) -> Response:
 
 @lru_cache(maxsize=1)
 def _index() -> str:
-    """Return Streamlit's own first page, told where its server is.
+    """Return Streamlit's first page with the address of its server.
 
-    It would look for it below the page's address first: requests that fail in the console.
+    Otherwise it tries addresses below the page's first, which fail in the console.
     """
     text = (Path(streamlit.__file__).parent / "static/index.html").read_text(encoding="utf-8")
     told = "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"

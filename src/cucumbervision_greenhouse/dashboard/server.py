@@ -1,4 +1,4 @@
-"""Start the dashboard's server, and tell its pages by the environment what to show."""
+"""Start the dashboard's server, and pass its options to the pages by the environment."""
 
 from __future__ import annotations
 
@@ -40,16 +40,15 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "server.port": port,
         "server.headless": "false" if browser else "true",
         "server.showEmailPrompt": "false",
-        # Beside its own greeting this silences what Streamlit offers to developers on the page.
+        # Besides the greeting this hides Streamlit's developer menu on the page.
         "logger.hideWelcomeMessage": "true",
         "server.fileWatcherType": "none",
-        # A collection after each run of a part of a page, several times a second where a camera's
-        # picture is shown, looks through all packages: 0.16 s each, in which nothing is measured.
-        # Python collects by itself when there is something to collect.
+        # Streamlit collects garbage after each run of a fragment, which takes 0.16 s, several times
+        # a second, and blocks measuring. Python collects by itself when necessary.
         "runner.postScriptGC": "false",
         "server.maxUploadSize": 200,
-        # Streamlit names a large part that it has sent before by its hash; a page that no longer
-        # has it ends in "Cached ForwardMsg MISS". Beyond this size, in bytes, it would do so.
+        # Streamlit sends large messages, beyond this size in bytes, by their hash if they were sent
+        # before; a page that has dropped one fails with "Cached ForwardMsg MISS".
         "global.minCachedMessageSize": 10**12,
         "browser.gatherUsageStats": "false",
         "browser.serverAddress": address,
@@ -79,9 +78,9 @@ def serve(
     store : str
         Path of an SQLite file, or the URL of a PostgreSQL database.
     replay : Path, optional
-        Folder or recording to show where no camera is; the bundled captures by default.
+        Folder or recording to show without a camera; the bundled captures by default.
     images : Path, optional
-        Folder of the pictures, which PostgreSQL needs.
+        Folder of the pictures; required with PostgreSQL.
     address : str
         Address to bind to.
     port : int
@@ -89,7 +88,7 @@ def serve(
     browser : bool
         Open a browser on this machine.
     login : bool
-        Require a login on this machine too: for a proxy on it that others reach.
+        Require a login on this machine too, for a proxy that serves others.
     ready : callable, optional
         Called with the address to open, which contains the token where one is needed.
 
@@ -98,7 +97,7 @@ def serve(
     MissingExtraError
         If the extra 'dashboard' is not installed.
     AccessError
-        If the token of the environment is short.
+        If the token in the environment is too short.
     CucumberVisionError
         If the replay does not exist.
     """
@@ -124,7 +123,7 @@ def serve(
 
 
 def _shown_host(address: str) -> str:
-    """Return what to open in a browser: of all addresses, this machine's name."""
+    """Return the address to open in a browser; for all interfaces, this machine's name."""
     if address in ("", "0.0.0.0", "::"):
         return socket.gethostname()
     return f"[{address}]" if ":" in address else address

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from cucumbervision_greenhouse.backend.uploads import Upload
-    from cucumbervision_greenhouse.store.views import RoundView
+    from cucumbervision_greenhouse.store.views import RoundSummary
 
 _SHOWN = 5  # uploads whose outcomes are shown
 
@@ -32,11 +32,11 @@ _ENDINGS = [
 
 
 @page_elements.of_round
-def page(one: RoundView) -> None:
+def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     st.write("Zips of captures, or colour and depth pictures with matching names. Many at once.")
     sender = st.container()
-    place = _place(one)
+    place = _place(round_summary)
     camera = st.selectbox(
         "Camera of pictures without intrinsics",
         ["", *CAMERAS],
@@ -46,31 +46,31 @@ def page(one: RoundView) -> None:
     )
     with sender:
         component("upload")(
-            key=f"upload_{one.key}",
+            key=f"upload_{round_summary.key}",
             data={
-                "round": one.key,
+                "round": round_summary.key,
                 "place": place.model_dump(),
                 "camera": camera,
                 "limit_mb": resources.settings().upload_limit_mb,
                 "accept": ",".join(f".{ending}" for ending in _ENDINGS),
             },
         )
-    if doubts := round_caches.doubts_of(one):
+    if doubts := round_caches.doubts_of(round_summary):
         words = f"Check the data of this round. {'. '.join(doubts)}."
         st.warning(plain(words), icon=":material/error:")
-    for upload in resources.uploads().all(one.key)[:_SHOWN]:
+    for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
         _show(upload)
 
 
-def _place(one: RoundView) -> SentPlace:
+def _place(round_summary: RoundSummary) -> SentPlace:
     """Draw where the first capture was taken, for files that do not say; it goes on from there.
 
     What was typed stays until it was sent, also in the address for a reload; another row goes on
     where its last stop is.
     """
-    stops = resources.store().stops(one.key)
+    stops = resources.store().stops(round_summary.key)
     sides = sides_of(stops)
-    keys = {name: f"up_{name}_{one.key}" for name in ("row", "side", "at", "step", "way")}
+    keys = {name: f"up_{name}_{round_summary.key}" for name in ("row", "side", "at", "step", "way")}
 
     def suggest(place: NextPlace) -> None:
         side = place.side if place.side in sides else sides[0]
@@ -80,26 +80,26 @@ def _place(one: RoundView) -> SentPlace:
     def change_row() -> None:
         row = st.session_state[keys["row"]].strip()
         side = st.session_state[keys["side"]]
-        own = [stop for stop in stops if (stop.row or "") == row]
-        suggest(next_place(own) if own else NextPlace(row, side))
+        row_stops = [stop for stop in stops if (stop.row or "") == row]
+        suggest(next_place(row_stops) if row_stops else NextPlace(row, side))
         keep()
 
     def keep() -> None:
         page_elements.name_in_address("row", st.session_state[keys["row"]].strip())
 
-    sent = [upload.sending.key for upload in resources.uploads().all(one.key)[:1]]
-    given = (tuple(sent), one.stops)
-    before = st.session_state.get(f"up_given_{one.key}")
+    sent = [upload.sending.key for upload in resources.uploads().all(round_summary.key)[:1]]
+    basis = (tuple(sent), round_summary.stops)
+    before = st.session_state.get(f"up_given_{round_summary.key}")
     is_typed = "row" in st.query_params
-    if before is not None and before[0] != given[0] and is_typed:
+    if before is not None and before[0] != basis[0] and is_typed:
         page_elements.name_in_address("row", None)  # it was sent: on from there
         is_typed = False
-    if keys["row"] not in st.session_state or (before != given and not is_typed):
+    if keys["row"] not in st.session_state or (before != basis and not is_typed):
         suggest(next_place(stops))
         if is_typed:
             st.session_state[keys["row"]] = st.query_params["row"]
             change_row()
-    st.session_state[f"up_given_{one.key}"] = given
+    st.session_state[f"up_given_{round_summary.key}"] = basis
     return _draw_place(keys, sides, change_row, keep)
 
 
@@ -154,30 +154,36 @@ def _side_words(side: str) -> str:
 def _show(upload: Upload) -> None:
     """Draw an upload: what is there of it, or the outcome of each of its files."""
     sending, uploads = upload.sending, resources.uploads()
-    names = ", ".join(plain(one.name) for one in sending.files[:3])
-    more = f" and {len(sending.files) - 3} more" if len(sending.files) > 3 else ""
+    names = ", ".join(plain(file.name) for file in sending.files[:3])
+    suffix = f" and {len(sending.files) - 3} more" if len(sending.files) > 3 else ""
     if not upload.done and not uploads.is_whole(sending.key):
-        there = sum(uploads.received(sending.key))
+        received = sum(uploads.received(sending.key))
         st.info(
-            f"{names}{more}: {there / 1e6:.0f} of {sending.size / 1e6:.0f} MB are here. "
+            f"{names}{suffix}: {received / 1e6:.0f} of {sending.size / 1e6:.0f} MB are here. "
             "Choose the same files again to send the rest.",
             icon=":material/upload:",
         )
         return
-    saved = sum(one.saved for one in upload.outcomes)
-    left = len(upload.outcomes) - saved
-    words = f"{counted(saved, 'capture', 'captures')} saved{f', {left} not' if left else ''}"
+    saved = sum(outcome.saved for outcome in upload.outcomes)
+    not_saved = len(upload.outcomes) - saved
+    words = (
+        f"{counted(saved, 'capture', 'captures')} saved{f', {not_saved} not' if not_saved else ''}"
+    )
     when = round_day(upload.begun_s)
     if not upload.done:
         at_work = progress_of(sending.round, (), uploads=[upload]).words
-        st.info(f"{names}{more}, {when}: {at_work or 'waiting'}. {words} so far.")
+        st.info(f"{names}{suffix}, {when}: {at_work or 'waiting'}. {words} so far.")
     else:
-        (st.success if saved else st.warning)(f"{names}{more}, {when}: {words}.")
+        (st.success if saved else st.warning)(f"{names}{suffix}, {when}: {words}.")
     if saved:
         page_elements.link("results", "Results")
     lines = [
-        {"File": one.name, "": "saved" if one.saved else "not saved", "Result": one.words}
-        for one in sorted(upload.outcomes, key=lambda one: one.saved)
+        {
+            "File": outcome.name,
+            "": "saved" if outcome.saved else "not saved",
+            "Result": outcome.words,
+        }
+        for outcome in sorted(upload.outcomes, key=lambda outcome: outcome.saved)
     ]
     if lines:
         page_elements.table(lines)

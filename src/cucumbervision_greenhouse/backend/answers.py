@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.access import device_of
+from cucumbervision_greenhouse.backend.words import page_remedy
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -53,14 +54,14 @@ def answer(
         except HTTPException as error:  # too large or too slow, as `AccessGuard` found
             return JSONResponse({"error": error.detail}, error.status_code, error.headers)
         try:
-            answer = await run_in_threadpool(work, request, content)
+            reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
-            return JSONResponse({"error": str(error)}, 409)
+            return JSONResponse({"error": page_remedy(str(error))}, 409)
         except ValidationError:
             return JSONResponse({"error": "the request is damaged; reload the page"}, 400)
-        if isinstance(answer, Response):
-            return answer
-        return JSONResponse(answer, headers={"cache-control": "no-store"})
+        if isinstance(reply, Response):
+            return reply
+        return JSONResponse(reply, headers={"cache-control": "no-store"})
 
     return route
 

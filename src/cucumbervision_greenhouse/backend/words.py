@@ -36,6 +36,39 @@ _FOUND_LATER = re.compile(
 _JOINER = "\u2060"  # has no width, and breaks no word
 
 
+# Remedies of the core name options of commands; a reader of a page has the camera file and the
+# page 'Settings' instead.
+_ON_PAGES = (
+    (r"measure it without --calibration", "choose no calibration in 'Settings'"),
+    (
+        r"say so with --aligned-to (color|depth)",
+        r"say aligned_to: \1 in the camera file sent with it",
+    ),
+    (r"--depth-unit ([\d.]+) is", r"depth_unit_m: \1 in the camera file is"),
+    (r"--depth-unit ([\d.]+(?: or [\d.]+)*)", r"depth_unit_m: \1 in the camera file"),
+    (r"leave out --depth-along and --aligned-to", "leave both out of the camera file"),
+    (r"give --intrinsics", "send one camera file alone"),
+    (r"leave --input-size out|choose another --input-size", "choose the input size in 'Settings'"),
+    (r"choose other --instances", "choose where fruit come from in 'Settings'"),
+    (r"; --classes chooses among them", ""),
+)
+
+
+def page_remedy(text: str) -> str:
+    """Return an error or doubt whose remedy says what to do on the page.
+
+    Examples
+    --------
+    >>> page_remedy("it was made for another camera; measure it without --calibration")
+    "it was made for another camera; choose no calibration in 'Settings'"
+    >>> page_remedy("is one step of depth really 1 mm? --depth-unit 0.0001 would explain it")
+    'is one step of depth really 1 mm? depth_unit_m: 0.0001 in the camera file would explain it'
+    """
+    for option, remedy in _ON_PAGES:
+        text = re.sub(option, remedy, text)
+    return text
+
+
 def plain(text: object) -> str:
     r"""Return a text that Streamlit draws literally, on one line.
 

@@ -43,25 +43,26 @@ def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
     ForecastError
         Names the first fruit with an invalid figure or `best_class`, or a duplicate identifier.
     """
-    seen: set[str] = set()
-    for one in fruit:
-        figures = (one.length_m, one.sd_m, one.day, one.position_m)
-        if not all(map(math.isfinite, figures)) or one.length_m <= 0 or one.sd_m <= 0:
+    names: set[str] = set()
+    for state in fruit:
+        figures = (state.length_m, state.sd_m, state.day, state.position_m)
+        if not all(map(math.isfinite, figures)) or state.length_m <= 0 or state.sd_m <= 0:
             raise ForecastError(
-                f"fruit {one.fruit_id!r}: length {one.length_m} m, sd {one.sd_m} m, day {one.day}, "
-                f"position {one.position_m} m",
+                f"fruit {state.fruit_id!r}: length {state.length_m} m, sd {state.sd_m} m, "
+                f"day {state.day}, position {state.position_m} m",
                 remedy="give finite figures, length and sd positive; leave unmeasured fruit out",
             )
-        if one.best_class and one.best_class not in classes:
+        if state.best_class and state.best_class not in classes:
             raise ForecastError(
-                f"fruit {one.fruit_id!r}: no class is called {one.best_class!r}",
+                f"fruit {state.fruit_id!r}: no class is called {state.best_class!r}",
                 remedy=f"take one of {', '.join(classes)}",
             )
-        if one.fruit_id in seen:
+        if state.fruit_id in names:
             raise ForecastError(
-                f"two fruit are called {one.fruit_id!r}", remedy="give each fruit a name of its own"
+                f"two fruit are called {state.fruit_id!r}",
+                remedy="give each fruit a name of its own",
             )
-        seen.add(one.fruit_id)
+        names.add(state.fruit_id)
 
 
 @lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
@@ -239,22 +240,22 @@ def forecast(
     """
     _check(days, draws, scale_sd, level)
     _check_fruit(fruit, [c.name for c in profile.classes])
-    left = sorted(
+    hanging = sorted(
         (f for f in fruit if not f.picked),
         key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),
     )
-    now = max((f.day for f in fruit), default=0.0) if today is None else today
+    day_of_forecast = max((f.day for f in fruit), default=0.0) if today is None else today
     rng = np.random.default_rng(seed)
-    lengths = draw_lengths(left, growth, now, days, draws, scale_sd, rng)
+    lengths = draw_lengths(hanging, growth, day_of_forecast, days, draws, scale_sd, rng)
     tally = _Tally(
-        left,
+        hanging,
         profile,
         growth.curve.unslowed(profile.edges_m),
         lengths,
         detection or DetectionRates(),
         rng,
     )
-    shape = (len(left), days + 1, len(profile.outcomes))
+    shape = (len(hanging), days + 1, len(profile.outcomes))
     probability, in_class, picked = np.empty(shape), [], []
     for day in range(days + 1):
         probability[:, day], counts, newly_ready = tally.day(day)
@@ -263,13 +264,13 @@ def forecast(
     house, by_row = _counts(np.stack(in_class, axis=2), level, rng)
     picks, row_picks = _counts(np.stack(picked, axis=2), level, rng)
     return Forecast(
-        now,
+        day_of_forecast,
         np.arange(days + 1),
         profile.outcomes,
         profile.pick,
         tally.rows,
-        tuple(left),
-        _possible_today(left, growth, now, scale_sd, profile),
+        tuple(hanging),
+        _possible_today(hanging, growth, day_of_forecast, scale_sd, profile),
         probability,
         house,
         by_row,
@@ -293,29 +294,29 @@ def _possible_today(
     spans after growth. A fruit in no class, or possibly in any, stays so.
     """
     names = [c.name for c in profile.classes]
-    found = [one.possible for one in fruit]
+    possible = [state.possible for state in fruit]
     aged = [
         k
-        for k, one in enumerate(fruit)
-        if not one.possible
+        for k, state in enumerate(fruit)
+        if not state.possible
         or (
-            one.day < today
-            and one.possible != (NO_CLASS,)
-            and {*one.possible} < {*profile.outcomes}
+            state.day < today
+            and state.possible != (NO_CLASS,)
+            and {*state.possible} < {*profile.outcomes}
         )
     ]
     if not aged:
-        return tuple(found)
+        return tuple(possible)
     mean, sd = _lengths_today([fruit[k] for k in aged], growth, today, scale_sd)
     edges = growth.curve.unslowed(profile.edges_m)
-    for k, low, high in zip(aged, mean - INTERVAL_Z * sd, mean + INTERVAL_Z * sd, strict=True):
-        one = fruit[k]
-        best = names.index(one.best_class) if one.best_class else 0
+    for k, low_m, high_m in zip(aged, mean - INTERVAL_Z * sd, mean + INTERVAL_Z * sd, strict=True):
+        state = fruit[k]
+        best = names.index(state.best_class) if state.best_class else 0
         bins = [max(n, best) if n < len(names) else n for n in profile.outcome_of_bin]
         by_bin = [profile.outcomes[n] for n in bins]
-        ends = float(low), math.inf if one.at_least else float(high)
-        found[k] = possible_classes(*ends, edges, by_bin)
-    return tuple(found)
+        ends = float(low_m), math.inf if state.at_least else float(high_m)
+        possible[k] = possible_classes(*ends, edges, by_bin)
+    return tuple(possible)
 
 
 def _lengths_today(
@@ -330,9 +331,9 @@ def _lengths_today(
     for spreads, beta, root in zip(growth.spreads, growth.mean, growth.root, strict=True):
         filtered = kalman_filter(histories, spreads)
         columns = filtered.length[:, 1:]
-        seen = np.delete(columns, unseen, axis=1)
-        mean = filtered.length[:, 0] + seen @ beta
-        variance = filtered.covariance[:, 0] + ((seen @ root) ** 2).sum(axis=1)
+        columns_of_rows = np.delete(columns, unseen, axis=1)
+        mean = filtered.length[:, 0] + columns_of_rows @ beta
+        variance = filtered.covariance[:, 0] + ((columns_of_rows @ root) ** 2).sum(axis=1)
         variance += ((spreads.row * columns[:, unseen]) ** 2).sum(axis=1)
         means += mean / len(growth.spreads)
         squares += (variance + mean**2) / len(growth.spreads)
@@ -361,7 +362,7 @@ class _Tally:
     ) -> None:
         names = [c.name for c in profile.classes]
         self.rows = tuple(dict.fromkeys(f.row for f in fruit))
-        at = {name: k for k, name in enumerate(self.rows)}
+        index_of_row = {name: k for k, name in enumerate(self.rows)}
         self._profile, self._lengths = profile, lengths
         self._edges = edges_m.astype(np.float32)
         self._weights = _weights(lengths.unslowed_m.shape[1:], detection, rng)
@@ -369,7 +370,7 @@ class _Tally:
         best = [names.index(f.best_class) if f.best_class else 0 for f in fruit]
         self._best = np.array(best, np.int8)
         self._ready = np.array([name in profile.pick for name in profile.outcomes])
-        row = np.array([at[f.row] for f in fruit], np.int64)
+        row = np.array([index_of_row[f.row] for f in fruit], np.int64)
         shape = lengths.unslowed_m.shape[1:]
         # The fruit of a row are contiguous.
         ends = np.searchsorted(row, np.arange(len(self.rows) + 1)).tolist()
@@ -382,16 +383,21 @@ class _Tally:
         bins = np.zeros(lengths.shape, np.int8)
         for edge in self._edges:
             bins += lengths >= edge
-        found = self._of_bin.take(bins)
+        class_of_bin = self._of_bin.take(bins)
         classes = len(self._profile.classes)
         if self._best.any():
-            found = np.where(found < classes, np.maximum(found, self._best), found)
-        now = self._ready.take(found) & ~self._before
-        self._before |= now
-        each = [found == k for k in range(classes + 2)]
-        share = [np.add.reduce(one, axis=0, dtype=np.int32) / len(found) for one in each]
-        in_class = [self._count(one) for one in each]
-        ready = [self._count(one & now) for one in each]
+            class_of_bin = np.where(
+                class_of_bin < classes, np.maximum(class_of_bin, self._best), class_of_bin
+            )
+        newly = self._ready.take(class_of_bin) & ~self._before
+        self._before |= newly
+        is_class = [class_of_bin == k for k in range(classes + 2)]
+        share = [
+            np.add.reduce(members, axis=0, dtype=np.int32) / len(class_of_bin)
+            for members in is_class
+        ]
+        in_class = [self._count(members) for members in is_class]
+        ready = [self._count(members & newly) for members in is_class]
         return np.stack(share, axis=-1), np.stack(in_class, axis=-1), np.stack(ready, axis=-1)
 
     def _count(self, which: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -428,7 +434,7 @@ def _counts(
 ) -> tuple[Counts, Counts]:
     """Return the house's and the rows' counts of draws, shape (draws, R, D, C)."""
     ends = [0.5 - level / 2, 0.5 + level / 2]
-    found = []
+    house_and_rows = []
     for counts in (drawn.sum(axis=1), drawn):
         # Jitter by half a fruit: the whole numbers in the interval then cover `level` on average,
         # where plain quantiles of small counts would cover far more.
@@ -436,13 +442,16 @@ def _counts(
         spread = counts + np.moveaxis(
             jitter, 0, -2
         )  # today first, independent of the number of days
-        low, high = np.quantile(spread, ends, axis=0)
+        low_count, high_count = np.quantile(spread, ends, axis=0)
         mean = counts.mean(axis=0)
         # Round to whole numbers around the mean.
-        low, high = np.minimum(np.ceil(low), np.floor(mean)), np.maximum(high, mean)
-        high = np.maximum(np.floor(high), np.ceil(mean))
-        found.append(Counts(mean, low + 0.0, high))
-    return found[0], found[1]
+        low_count, high_count = (
+            np.minimum(np.ceil(low_count), np.floor(mean)),
+            np.maximum(high_count, mean),
+        )
+        high_count = np.maximum(np.floor(high_count), np.ceil(mean))
+        house_and_rows.append(Counts(mean, low_count + 0.0, high_count))
+    return house_and_rows[0], house_and_rows[1]
 
 
 def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:

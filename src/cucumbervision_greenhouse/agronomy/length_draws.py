@@ -118,27 +118,27 @@ def draw_lengths(
     ForecastError
         If a fruit has links after its day, or was measured after `today`.
     """
-    if late := [one for one in fruit if one.day > today]:
+    if late := [state for state in fruit if state.day > today]:
         raise ForecastError(
             f"fruit {late[0].fruit_id!r} was measured on day {late[0].day:g}, after today, day "
             f"{today:g}",
             remedy="give the day of the latest round as today",
         )
     histories = histories_of(fruit, growth, today, scale_sd)
-    each = -(-draws // len(growth.spreads))
-    total = each * len(growth.spreads)
+    per_spread = -(-draws // len(growth.spreads))
+    total = per_spread * len(growth.spreads)
     unslowed = np.empty((days + 1, total, len(fruit)), np.float32)
     newcomers = np.zeros((days + 1, total))
     [later] = rng.spawn(1)  # today's draws do not depend on the number of days
     for h, spreads in enumerate(growth.spreads):
-        z = rng.standard_normal((each, growth.basis.size))
+        z = rng.standard_normal((per_spread, growth.basis.size))
         beta = growth.mean[h] + z @ growth.root[h].T
         unseen = len(histories.basis.rows) - len(growth.basis.rows)
-        luck = spreads.row * rng.standard_normal((each, unseen))
+        luck = spreads.row * rng.standard_normal((per_spread, unseen))
         beta = np.insert(beta, [1 + len(growth.basis.rows)] * unseen, luck, axis=1)
-        weather = spreads.day * later.standard_normal((days, each))
+        weather = spreads.day * later.standard_normal((days, per_spread))
         shared = _Shared(beta, weather, len(histories.basis.rows))
-        where = slice(h * each, (h + 1) * each)
+        where = slice(h * per_spread, (h + 1) * per_spread)
         _fill(
             unslowed[:, where],
             kalman_filter(histories, spreads),
@@ -161,18 +161,18 @@ def histories_of(
     for link in growth.links:
         links.setdefault(link.fruit_id, []).append(link)
     points = []
-    for one in fruit:
-        alone = max(one.sd_m**2 - (scale_sd * one.length_m) ** 2, (0.1 * one.sd_m) ** 2)
-        past = measured_points(links[one.fruit_id]) if one.fruit_id in links else []
-        if past and past[-1][0] > one.day:
+    for state in fruit:
+        alone = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
+        past = measured_points(links[state.fruit_id]) if state.fruit_id in links else []
+        if past and past[-1][0] > state.day:
             raise ForecastError(
-                f"fruit {one.fruit_id!r} was measured on day {one.day:g}, a link of it ends on day "
-                f"{past[-1][0]:g}",
+                f"fruit {state.fruit_id!r} was measured on day {state.day:g}, a link of it ends "
+                f"on day {past[-1][0]:g}",
                 remedy="give the fruit as last measured, on the links' own count of days",
             )
-        series = [*(p for p in past if p[0] < one.day), (one.day, one.length_m, alone**0.5)]
+        series = [*(p for p in past if p[0] < state.day), (state.day, state.length_m, alone**0.5)]
         points.append(growth.curve.points(series, growth.pace_m))
-    names = [one.row for one in fruit]
+    names = [state.row for state in fruit]
     rows = tuple(dict.fromkeys((*growth.basis.rows, *names)))
     return measured_histories(points, names, replace(growth.basis, rows=rows), today)
 
@@ -205,11 +205,11 @@ def _fill(
     var_x, cov, var_b = filtered.covariance.T
     sd_x = np.sqrt(var_x)
     slope = cov / sd_x
-    rest = np.sqrt(np.maximum(var_b - slope**2, 0.0))
+    residual_sd = np.sqrt(np.maximum(var_b - slope**2, 0.0))
     z = rng.standard_normal(shape, np.float32)
     length = _affine(filtered.length, shared.beta) + sd_x.astype(np.float32) * z
     rate = _affine(filtered.growth, shared.beta) + slope.astype(np.float32) * z
-    rate += rest.astype(np.float32) * rng.standard_normal(shape, np.float32)
+    rate += residual_sd.astype(np.float32) * rng.standard_normal(shape, np.float32)
     rate += shared.rates.astype(np.float32)[:, rows]
     lengths[0] = length
     for day in range(1, len(lengths)):
@@ -232,7 +232,7 @@ def _affine(columns: NDArray[np.float64], beta: NDArray[np.float64]) -> NDArray[
 
 
 def _newcomers(shared: _Shared, spreads: Spreads, rng: np.random.Generator) -> NDArray[np.float64]:
-    own = np.hypot(spreads.row, spreads.fruit) * rng.standard_normal(len(shared.beta))
+    own_rate = np.hypot(spreads.row, spreads.fruit) * rng.standard_normal(len(shared.beta))
     luck = spreads.fruit_day * rng.standard_normal(shared.days.shape)
-    steps = np.maximum(shared.beta[:, 0] + own + shared.days + luck, 0.0)
+    steps = np.maximum(shared.beta[:, 0] + own_rate + shared.days + luck, 0.0)
     return np.asarray(np.cumsum(steps, axis=0), np.float64)

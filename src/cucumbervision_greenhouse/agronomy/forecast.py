@@ -248,12 +248,12 @@ def forecast(
     rng = np.random.default_rng(seed)
     lengths = draw_lengths(hanging, growth, day_of_forecast, days, draws, scale_sd, rng)
     tally = _Tally(
-        hanging,
-        profile,
-        growth.curve.unslowed(profile.edges_m),
-        lengths,
-        detection or DetectionRates(),
-        rng,
+        fruit=hanging,
+        profile=profile,
+        edges_m=growth.curve.unslowed(profile.edges_m),
+        lengths=lengths,
+        detection=detection or DetectionRates(),
+        rng=rng,
     )
     shape = (len(hanging), days + 1, len(profile.outcomes))
     probability, in_class, picked = np.empty(shape), [], []
@@ -264,20 +264,20 @@ def forecast(
     house, by_row = _counts(np.stack(in_class, axis=2), level, rng)
     picks, row_picks = _counts(np.stack(picked, axis=2), level, rng)
     return Forecast(
-        day_of_forecast,
-        np.arange(days + 1),
-        profile.outcomes,
-        profile.pick,
-        tally.rows,
-        tuple(hanging),
-        _possible_today(hanging, growth, day_of_forecast, scale_sd, profile),
-        probability,
-        house,
-        by_row,
-        picks,
-        row_picks,
-        _complete(lengths, growth, profile),
-        level,
+        today=day_of_forecast,
+        days=np.arange(days + 1),
+        classes=profile.outcomes,
+        pick=profile.pick,
+        rows=tally.rows,
+        fruit=tuple(hanging),
+        possible=_possible_today(hanging, growth, day_of_forecast, scale_sd, profile),
+        probability=probability,
+        house=house,
+        by_row=by_row,
+        picks=picks,
+        row_picks=row_picks,
+        complete=_complete(lengths, growth, profile),
+        level=level,
     )
 
 

@@ -52,18 +52,18 @@ class Added:
     stop_key : str
         Its stop; empty where there is none.
     fruit : int
-        How many fruit it shows; 0 where it was there already.
+        Number of fruit in it; 0 if it was saved before.
     new : bool
-        Whether it was saved now.
+        Whether it was saved by this call.
     deleted : bool
-        Whether it was already there and was deleted; undo the deletion to restore it.
+        Whether it was saved before and deleted; undo the deletion to restore it.
     remeasured : bool
-        Whether it was there already, and measured again: from other intrinsics, with another
-        calibration or other options.
+        Whether it was saved before and measured again, because its intrinsics, the calibration or
+        the options have changed.
     failure : Failure, optional
         Why not.
     note : str
-        Why nothing was measured in one that was saved all the same.
+        Why nothing was measured in a capture that was saved nevertheless.
     """
 
     name: str
@@ -116,7 +116,7 @@ class RoundCapture(Listed):
         place: Place | None = None,
         keep: bool = False,
     ) -> RoundCapture:
-        """Return a capture with what the round has of it already.
+        """Return a capture with its state in the round.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class RoundCapture(Listed):
         capture : Capture
             The frame.
         measurer : Measurer
-            What is to measure it.
+            The measurer.
         number, place
             As for `Placed.of`.
 
@@ -153,10 +153,10 @@ class RoundCapture(Listed):
 
 
 class _Changed(ResultWorker):
-    """Measures what is new in a round, or would be measured otherwise now."""
+    """Measures captures that are new in a round, or whose inputs have changed."""
 
     def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
-        """Read a capture, unless nothing is to be done with it."""
+        """Read a capture, unless it is deleted or unchanged."""
         if isinstance(item, RoundCapture) and (item.is_deleted or item.same):
             return Outcome()
         return super().read(item)

@@ -1,4 +1,4 @@
-"""What the data of a round makes doubtful, in the words of a batch of `measure`."""
+"""Doubts about the data of a round, in the words of the command `measure`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _REFUSED = (Choice.IMPLAUSIBLE, Choice.IMPLAUSIBLE_DIAMETER)
 
 
 def round_doubts(store: Store, views: Iterable[DetectionSummary]) -> list[str]:
-    """Return what the data of a round makes doubtful, a line each with the remedy.
+    """Return the doubts about the data of a round, one line each with the remedy.
 
     Parameters
     ----------
     store : Store
-        Asked for every method's length where fruit of impossible sizes are among them.
+        Source of every method's length, read if fruit have impossible sizes.
     views : iterable of DetectionSummary
-        Those of one round; what somebody marked as no fruit does not count.
+        Detections of one round; rejected ones are ignored.
     """
     fruit = [view for view in views if view.verdict is not Verdict.REJECTED]
     methods: dict[str, tuple[MethodRecord, ...]] = {}

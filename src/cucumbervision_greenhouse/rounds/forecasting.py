@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
-_UNKNOWN_SD = 0.08  # relative, of a length without interval
+_UNKNOWN_SD = 0.08  # relative standard deviation of a length without interval
 
 
 def detection_rates(rows: Sequence[RowCounts], table: Sequence[RoundFruit]) -> DetectionRates:
-    """Return which share of the fruit the forecast sees, from how often each was seen.
+    """Return the detection rates of a round, from the numbers of views of its fruit.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def fruit_states(
 ) -> list[FruitState]:
     """Return a round's measured fruit as the forecast takes them; picked ones are marked.
 
-    Those that were picked at `picked_before_s` or later count as hanging.
+    Fruit that were picked at `picked_before_s` or later count as hanging.
     """
     states = []
     for view in (line.view for line in table):
@@ -138,7 +138,7 @@ def _median_and_sd(length: Length) -> tuple[float, float]:
 
 
 def growth_links(store: Store, round_key: str, content: RoundContent | None = None) -> list[Link]:
-    """Return what is known of growth up to a round: its fruit followed back through earlier ones.
+    """Return the links of growth up to a round: its fruit followed back through earlier rounds.
 
     Links count that are sure enough (`day_linking.SURE`), and all that were made by hand. Lengths
     are the fruit's, of all their views (`fruit_table`).
@@ -212,16 +212,16 @@ _FRESH_DAYS, _USEFUL_DAYS = 2, 7
 
 
 class Age(StrEnum):
-    """What a round is worth by its age."""
+    """The use of a round by its age."""
 
-    FRESH = "fresh"  # its lengths are those of today, or nearly so
-    OLD = "old"  # aged by the growth that is expected
-    USELESS = "useless"  # what hung then is picked, or far too long
+    FRESH = "fresh"  # its lengths are still valid
+    OLD = "old"  # its lengths are extrapolated by the expected growth
+    USELESS = "useless"  # its fruit are picked by now, or far too long
 
 
 @dataclass(frozen=True)
 class RowPicks:
-    """What is to be picked in one row, in walking order.
+    """The fruit to be picked in one row, in walking order.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class Today:
         return tuple(pick for row in self.rows for pick in row.of(kind))
 
     def left(self, picked: set[str]) -> Today:
-        """Return the same without the fruit that were picked meanwhile, by their keys."""
+        """Return a copy without the fruit of these keys, which were picked meanwhile."""
         rows = [
             RowPicks(row.row, tuple(p for p in row.picks if p.fruit.fruit_id not in picked))
             for row in self.rows
@@ -294,13 +294,13 @@ class Today:
 
 
 def midnight_s(now_s: float) -> float:
-    """Return when the day of a moment began here, seconds since 1970."""
+    """Return the local midnight before a time, seconds since 1970."""
     local_time = datetime.datetime.fromtimestamp(now_s).astimezone()
     return local_time.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
 
 
 def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
-    """Return a round's age in days of the calendar, and what it is worth.
+    """Return a round's age in calendar days, and its use.
 
     Examples
     --------

@@ -63,14 +63,14 @@ class RoundFruit:
 
 @dataclass(frozen=True)
 class RoundFigures:
-    """The figures of a round, the same on all pages and in all files. Deleted fruit count not.
+    """The figures of a round, the same on all pages and in all files, without deleted fruit.
 
     Parameters
     ----------
     fruit, measured, picked : int
         Fruit, each once; those with a length; and those that were picked.
     detections : int
-        Finds that these are made of.
+        Number of their detections.
     mean_m, sd_m, shortest_m, longest_m : float, optional
         Of the lengths of the fruit on the plant, metres; lower bounds are left out.
     """
@@ -177,7 +177,7 @@ def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
 def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
     """Return the pooled length of each fruit by all keys of its views, and how many gave it.
 
-    Whole views of which one is a thread and another a chord count as one: the best.
+    Whole views with different kinds of length count as one view, the best.
     """
     length_of_key = {}
     kind = {view.key: view.record.length and view.record.length.kind for view in content.views}
@@ -214,9 +214,9 @@ class OtherDay:
     round : RoundSummary
         The round of that day.
     linked : DetectionSummary, optional
-        The fruit that it is taken to be there.
+        The same fruit on that day, if it is linked.
     neighbours : tuple of DetectionSummary
-        Others that it might be, the nearest first.
+        Other candidates, the nearest first.
     """
 
     round: RoundSummary

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 Report: TypeAlias = Callable[[int, int], None]
 
-_SAVED_AT_ONCE = 20  # what is measured is not lost when a program ends
+_SAVED_AT_ONCE = 20  # saved in batches, so that a program that ends loses little
 _STOPS_KEPT = 24  # in memory, with their pictures
 
 _ENDED, _NOT_MEASURED, _NO_PICTURE = "end-hidden", "not-measured", "no-picture"
@@ -51,12 +51,12 @@ _MIXED = "measured-differently"
 
 @dataclass(frozen=True)
 class JointRun:
-    """What was done of a round's fruit that several stops show.
+    """The joint measurements of one run.
 
     Parameters
     ----------
     fruit : int
-        How many were looked at.
+        Number of fruit that were processed.
     failures : tuple of Failure
         What went wrong with some of them; they are looked at again the next time.
     """
@@ -108,7 +108,7 @@ def measure_jointly(
         if interrupted is not None and interrupted():
             break
         count += 1
-        # Whatever one fruit raises, its views' lengths stay and the others go on.
+        # An error of one fruit leaves its views' lengths, and the loop continues.
         with Boundary(failures, store.name, f"fruit {views[0].key[:8]} in {len(views)} views"):
             done.append(source.measured(key, views))
         if report is not None:
@@ -123,7 +123,7 @@ def measure_jointly(
 
 @dataclass(frozen=True, eq=False)
 class _StoredView:
-    """One view with all that is stored of it."""
+    """One view with all its stored data."""
 
     view: DetectionSummary
     record: DetectionRecord
@@ -144,7 +144,7 @@ class _StoredView:
 
     @property
     def definition(self) -> LengthDefinition:
-        """Which length was asked for."""
+        """The definition of length that was configured."""
         options = [
             artifact.details for artifact in self.stop.artifacts if artifact.kind == "config"
         ]
@@ -154,7 +154,7 @@ class _StoredView:
 
 
 class _Source:
-    """Reads what is stored of a round's views, each stop once."""
+    """Reads the stored data of a round's views, each stop once."""
 
     def __init__(self, store: Store, content: RoundContent) -> None:
         self._corrected = store.corrected(content.key)

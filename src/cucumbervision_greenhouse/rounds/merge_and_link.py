@@ -44,7 +44,7 @@ DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class RowCounts:
-    """What merging found of one row.
+    """The result of merging one row.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class RowCounts:
 
 @dataclass(frozen=True)
 class RowLinks:
-    """What linking found of one row between two rounds.
+    """The result of linking one row between two rounds.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) ->
         stops=len(row.stops),
         views=len(row.views),
         fruit=fruit,
-        # Without a row, pictures need not be of one place: nothing is said of what none shows.
+        # Captures without a row may be of different places, so missed fruit are not estimated.
         count=count if row.name else CountEstimate.counted(len(count.view_counts)),
         merged=done,
         stop_sd_m=float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
@@ -235,12 +235,14 @@ def link_rounds(
         sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
         row_links.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
-    store.save_growth(later, earlier, ())  # as they were linked before captures of that day came
+    store.save_growth(
+        later, earlier, ()
+    )  # as they were linked before the captures of that day were added
     return row_links
 
 
-_SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
-_FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
+_SAME_DAY_S = DAY_S / 4  # rounds closer in time show the fruit of one day
+_FARTHEST_S = 10 * DAY_S  # fruit of earlier rounds are picked by now, or too long
 
 
 def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> str:
@@ -267,15 +269,15 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
             link_rounds(store, earlier.key, round_key, profile)
         for later in after[:1]:
             link_rounds(store, round_key, later.key, profile)
-            if before is not None:  # they were neighbours while this round was not there
+            if before is not None:  # they were neighbours before this round was added
                 store.save_growth(before.key, later.key, ())
-    except (RoundError, StoreError) as error:  # a round or fruit may be deleted meanwhile
+    except (RoundError, StoreError) as error:  # a round or fruit may have been deleted meanwhile
         return str(error)
     return ""
 
 
 def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> int:
-    """Say where a stop was taken really; return the change's number in the log.
+    """Correct the place of a stop; return the number of the correction in the log.
 
     Where the side changes, what lay to the left of the camera lies to the right of it.
 

@@ -75,7 +75,7 @@ class NextPlace:
 
 
 def next_place(stops: Sequence[_Placed]) -> NextPlace:
-    """Return where a walk goes on: one step from its last stop, as its last two lie apart.
+    """Return the next place of a walk: one step from its last stop, the distance of the last two.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
 
 
 def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
-    """Return a stop where no other is: one whose place is taken goes on from the last of its row.
+    """Return a stop at a free place: if its place is taken, one step after the last of its row.
 
-    So two people who walk one round from one place never give the same place to two stops.
+    Two people who walk one round thus never give one place to two stops.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
         return stop
     same_side = [placed for placed in taken if (placed.row, placed.side) == (stop.row, stop.side)]
     on = next_place(same_side)
-    if on.back and on.position_m == 0.0:  # a row ends there: on from its other end
+    if on.back and on.position_m == 0.0:  # the row ends there: continue from its other end
         on = replace(
             on, position_m=max(placed.position_m or 0.0 for placed in same_side), back=False
         ).onward()
@@ -141,7 +141,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
 
 
 def stops_at(stop: _Placed, stops: Iterable[_T]) -> list[_T]:
-    """Return the stops that are where this one is; none where its place is not known."""
+    """Return the stops at the place of a stop; none if its place is unknown."""
     at_m = stop.position_m
     if at_m is None:
         return []

@@ -47,7 +47,7 @@ class CameraAt:
         return float(self.pose[7]) if len(self.pose) == 16 else 0.0
 
     def is_one_with(self, camera_at: CameraAt) -> bool:
-        """Return whether both may be the same camera: no other intrinsics, and the same height."""
+        """Return whether both may be one camera: the same intrinsics, if known, and height."""
         comparable = self.camera and camera_at.camera
         level = abs(self.height_m - camera_at.height_m) < _SAME_HEIGHT_M
         return level and (not comparable or self.camera == camera_at.camera)
@@ -62,7 +62,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class RoundSummary:
-    """A round and how much it holds: stops, detections of fruit, time of the last stop."""
+    """A round with its numbers of stops and detections, and the time of its last stop."""
 
     record: Round
     stops: int

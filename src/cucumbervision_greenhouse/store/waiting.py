@@ -52,7 +52,7 @@ class Waiting:
     source : str
         What it was taken from.
     tries : int
-        How often its measuring was begun and not ended.
+        Number of measurements that were started and not finished.
     """
 
     key: str
@@ -71,7 +71,7 @@ class Waiting:
         CaptureError
             If it was damaged since.
         """
-        for _ in range(2):  # it may be coded just then
+        for _ in range(2):  # another thread may code it at the same time
             paths = _raw_frames(self.folder)
             if (self.folder / MANIFEST).exists() or not paths:
                 capture = next(iter(open_source(self.folder))).load()
@@ -269,7 +269,7 @@ class WaitingCaptures:
     def _all(self) -> list[Waiting]:
         queue, read_before = [], self._read
         for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
-            # Another thread may just be done with it.
+            # Another thread may have removed it.
             with suppress(OSError, ValueError, KeyError, TypeError):
                 queued_capture, tries = read_before.get(path) or _read(path), path.with_name(_TRIES)
                 queue.append(

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
-_SLIP = 2.0  # a length by hand beyond so many times the program's is asked about
+_SLIP = 2.0  # ratio to the program's length from which a length by hand is questioned
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
 
 
@@ -290,7 +290,7 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
     if odd:
         st.warning(f"{plain('; '.join(odd))}. Is that right?", icon=":material/help:")
         odd = [] if st.checkbox("Yes, these lengths are right", key=f"sure_{odd}") else odd
-    unsure = bool(odd or bad)  # also where the button was pressed before that was known
+    unsure = bool(odd or bad)  # also if the button was pressed before the check
     save: dict[str, Any] = {"type": "primary", "icon": ":material/save:", "disabled": unsure}
     if st.button("Save these lengths", **save) and not unsure:
         if not write_hand_lengths(path, fruit, saved, kind or LengthDefinition.CENTRELINE):
@@ -302,7 +302,7 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
 def _read(
     typed: Mapping[str, Sequence[str]], saved: dict[str, tuple[float | None, float | None]]
 ) -> list[str]:
-    """Put what was typed among the known lengths; return what is none."""
+    """Add typed values to the saved lengths; return those that are not lengths."""
     units, bad = resources.settings().units, list[str]()
     for key, cells in typed.items():
         lengths = list(saved.get(key, (None, None)))

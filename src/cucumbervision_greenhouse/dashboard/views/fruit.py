@@ -61,7 +61,7 @@ def show(round_summary: RoundSummary, graded: GradedRound, key: str) -> None:
     detail = round_caches.fruit_detail(round_summary, key)
     _head(graded, key)
     picture_side, right = page_elements.halves()
-    # Each in a place of its own: nothing that comes or goes above draws the buttons elsewhere.
+    # Each in its own container, so that elements above do not move the buttons.
     with right.container():
         _figures(graded, detail)
     with right.container():
@@ -77,7 +77,7 @@ def show(round_summary: RoundSummary, graded: GradedRound, key: str) -> None:
 
 
 def _head(graded: GradedRound, key: str) -> None:
-    listed = {key, *(view.key for view in graded.fruit)}  # one marked as no fruit keeps its place
+    listed = {key, *(view.key for view in graded.fruit)}  # a rejected fruit keeps its place
     keys = [fruit_key for fruit_key in graded.grades if fruit_key in listed]
     index = keys.index(key)
 
@@ -132,9 +132,9 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
     is_picked = detail.view.picked_s is not None
 
     def judge(verdict: Verdict | None) -> None:
-        # All its views: otherwise another one would stand in for a fruit that was deleted.
+        # All its views: otherwise another view would represent the deleted fruit.
         views = store.detections(detail.view.round_key)
-        group = next(x.group for x in views if x.key == key)  # merged anew since it was drawn
+        group = next(x.group for x in views if x.key == key)  # merged again since it was drawn
         store.set_verdict([x.key for x in views if x.group == group], verdict)
 
     def pick() -> None:
@@ -145,7 +145,7 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
             (Verdict.ACCEPTED, "Accept", "Accepted", "check"),
             (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
         ):
-            # Named after the fruit: a press means the one on the screen, not the one drawn next.
+            # Keyed by the fruit, so that a press acts on the fruit on the screen, not on the next.
             if verdict_before is verdict:
                 button(st, done, icon, judge, None, type="primary", key=f"clear_{key}")
             else:

@@ -40,9 +40,7 @@ _ROWS_AT_ONCE = 4
 def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     maps, undo, views = st.container(), st.container(), st.container()
-    list_stops(
-        round_summary
-    )  # before the rest, which a stop on a third side keeps from being drawn
+    list_stops(round_summary)  # first, since a stop on a third side prevents drawing the map
     with undo:
         draw_undo(round_summary.key)
     with maps:
@@ -105,7 +103,7 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
 def _row(
     round_summary: RoundSummary, row: str, layers: list[dict[str, Any]], content: dict[str, object]
 ) -> None:
-    """Draw a row's map; a tap is answered beside the mark, where the fruit is judged too."""
+    """Draw a row's map; a tap opens the fruit beside its mark, where it can be judged."""
     key = f"map_{round_summary.key}_{row}"
 
     def tapped() -> None:

@@ -70,7 +70,7 @@ def _age(round_summary: RoundSummary, today: Today) -> None:
 
 
 def _next(round_summary: RoundSummary, today: Today) -> None:
-    """Say what to do next, with a way to where it is done."""
+    """Show what to do next, with a link to the page for it."""
     progress = tasks.progress(round_summary.key)
     steps: list[tuple[str, str, str]] = []
     if progress.waiting:
@@ -210,7 +210,7 @@ def _lines(
 
 
 def _keep(key: str) -> None:
-    """Keep new taps; those that were kept before come along with every one of them."""
+    """Save new taps; each message also contains the earlier ones."""
     handled: set[str] = st.session_state.setdefault("taps_seen", set())
     store = resources.store()
     for tap in st.session_state[key].taps or ():

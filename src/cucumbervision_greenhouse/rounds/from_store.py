@@ -35,11 +35,12 @@ if TYPE_CHECKING:
         StopSummary,
     )
 
-_CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
-_REACH = (0.687, 0.384)  # a D435's colour camera, where a stop has no camera
-_UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
+_CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
+_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
+# Relative standard deviation: of a length without interval, and the least of any.
+_UNKNOWN_SD, _LEAST_SD = 0.08, 0.01
 _DIAMETER_SD = 0.05
-_MOST_VIEWS = 5  # of one fruit, the best: each further one costs more than it tells
+_MOST_VIEWS = 5  # of one fruit: each further view costs more time than it adds
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ class StoredRow:
 
 @dataclass(frozen=True, eq=False)
 class RoundContent:
-    """What the store holds of a round: read once, used by all that ask for it.
+    """The stored content of a round, read once and shared.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ class RoundContent:
 
     @cached_property
     def rows(self) -> tuple[StoredRow, ...]:
-        """Its rows as arrays, laid out once."""
+        """Its rows as arrays, computed once."""
         return tuple(_load_rows(self))
 
 
@@ -116,7 +117,7 @@ def find_round(store: Store, name: str = "") -> RoundSummary:
     Raises
     ------
     RoundError
-        If there is none, or several begin so.
+        If no key starts so, or several do.
     """
     rounds = store.rounds()
     name_or_key = name.strip().lower()
@@ -150,7 +151,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     """
     stops, views = store.stops(round_key), store.detections(round_key)
     cameras, judged = store.cameras(round_key), store.judged(round_key)
-    stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
+    stops = [stop for stop in stops if stop.key in cameras]  # a stop may be deleted meanwhile
     false, joint = FalseShare.learnt(*judged), store.joint(round_key)
     return RoundContent(
         key=round_key,
@@ -209,7 +210,7 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    stop_keys = {stop.key for stop in content.stops}  # a stop may be saved while we read
+    stop_keys = {stop.key for stop in content.stops}  # a stop may be saved meanwhile
     candidates = [
         v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in stop_keys
     ]
@@ -301,7 +302,7 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
-    """Return the pairs of a row's views that were decided by hand."""
+    """Return the pairs of a row's views that were merged or separated by hand."""
     index = {key: k for k, key in enumerate(row.fruit_keys)}
 
     def pairs(kind: LinkKind) -> Ints:
@@ -316,7 +317,7 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
 
 
 def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
-    """Return a row as it was merged and saved, what was done by hand included."""
+    """Return a row as it was merged and saved, with corrections by hand."""
     groups = {view.key: view.group for view in content.views}
     names = [groups[key] for key in row.fruit_keys]
     _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)

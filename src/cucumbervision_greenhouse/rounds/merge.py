@@ -112,7 +112,7 @@ def _assign(capture_views: Ints, row: Ints, column: Ints, ratio: Floats, sizes: 
 def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
     """Join fruit whose views are alike on average and never of one capture, the most alike first.
 
-    A view at a time cannot do that: of four views, two and two may have found each other.
+    Assigning one view at a time cannot do that: of four views, two pairs may have formed.
     """
     groups = {c: np.flatnonzero(cluster == c).tolist() for c in np.unique(cluster).tolist()}
     apart = cluster[i] != cluster[j]
@@ -165,8 +165,8 @@ _NEVER = -1e3  # log likelihood ratio of a pair that was separated by hand
 
 _GATE_SD = 4.0
 _PASSES = 4  # of assignment and estimation
-_SEEN_AGAIN = 0.9  # share of a fruit's views that the captures which could show it do show
-_SEEN_ACROSS = 0.3  # the same for captures from the other aisle, most of whose view leaves hide
+_SEEN_AGAIN = 0.9  # share of the captures which could show a fruit that do show it
+_SEEN_ACROSS = 0.3  # the same for captures from the other aisle, where leaves hide most fruit
 # Between the cameras of the two aisles, into the row: the sum of both distances to the same fruit.
 _ACROSS_M, _ACROSS_SD_M = 1.4, 0.3
 
@@ -178,7 +178,7 @@ class ByHand:
     Parameters
     ----------
     same, apart : ndarray of int64, shape (K, 2)
-        One fruit, and two.
+        Pairs of one fruit, and pairs of two.
     """
 
     same: Ints = field(default_factory=lambda: NO_PAIRS)

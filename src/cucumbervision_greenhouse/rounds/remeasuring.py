@@ -72,7 +72,7 @@ def measure_round_again(
     done : int
         How many stops were measured again.
     failures : list of Failure
-        Why others were not; these are as they were.
+        Faults of the other stops, which are unchanged.
     """
     measurer, loop, done = Measurer(options), loop or LoopOptions(), 0
     failures: list[Failure] = []
@@ -144,14 +144,14 @@ def measure_stop_again(
     key : str
         The stop's.
     results : sequence of CaptureResult
-        What was measured in its captures, in order.
+        The new results of its captures, in order.
     measurer : Measurer
-        What measures.
+        The measurer.
 
     Raises
     ------
     CucumberVisionError
-        If one of them could not be measured; the stop is then as it was.
+        If one of them could not be measured; the stop is then unchanged.
     """
     stop = store.stop(key)
     views = store.detections(stop.round_key, DetectionFilter(stop_key=key))
@@ -214,7 +214,7 @@ def _with_old(
 def _stop_of(
     stop: StopRecord, results: Sequence[CaptureResult], measurer: Measurer, store: Store
 ) -> StopRecord:
-    """Return what is saved of a stop that was measured again: its place is as it was."""
+    """Return the record of a stop that was measured again, with its place unchanged."""
     new = stop_record(stop.round_key, results, measurer, key=stop.key, images=store.images)
     new = placed_stop(new, stored_pose(stop.pose, stop.side))
     return replace(stop, captures=new.captures, artifacts=new.artifacts, failures=new.failures)

@@ -137,13 +137,13 @@ def joint_tube_is_used(tube: Length, pooled: tuple[float, float] | None) -> bool
     return apart < _MOST_APART_SD and wider < _MOST_WIDER
 
 
-_MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
-_SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
+_MARGIN_M = 0.03  # a fruit closer to a picture's edge may be outside
+_SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q, and its weight as a number of captures
 _FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of false positives
 _MOST_LEARNT = 500  # views; a house changes
 # With fewer of its chances to show a fruit again come true, a row's pictures are unrelated.
 _LEAST_AGAIN, _CHANCES = 0.25, 10
-_STEPS = 400  # where much is hidden, it converges slowly
+_STEPS = 400  # it converges slowly if many fruit are hidden
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ class CountEstimate:
 
     @classmethod
     def counted(cls, fruit: int) -> CountEstimate:
-        """Return the count of fruit of which nothing tells how many were missed.
+        """Return the count of fruit without an estimate of missed ones.
 
         Examples
         --------
@@ -237,7 +237,7 @@ class CountEstimate:
         )
 
     def interval(self, level: float = 0.9) -> tuple[int, int]:
-        """Return whole numbers between which the number of fruit lies with that probability.
+        """Return the interval, in whole numbers, of the number of fruit.
 
         Examples
         --------
@@ -282,8 +282,8 @@ def count_fruit(
 ) -> CountEstimate:
     """Count the fruit of a merged row.
 
-    Pictures that should show fruit again, and hardly show any, are not of one row, or not from
-    where they are said to be: nothing is then said of fruit that none shows.
+    Captures that should show fruit again, and hardly do, are of different rows or have wrong
+    places: missed fruit are then not estimated.
 
     Parameters
     ----------

@@ -120,13 +120,14 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     return i, j
 
 
-_SIZE_TAIL = 0.1  # share of sizes that are wrong anyhow: an end unseen, leaves taken for fruit
+_SIZE_TAIL = 0.1  # share of sizes that are wrong: a hidden end, leaves measured as fruit
 
-_SIZE_REACH = 0.7  # of the logarithm: how wrong they are, to either side
+_SIZE_REACH = 0.7  # largest error of their logarithm, either way
 
-_MOST_HIDDEN = 1.2  # of the logarithm: a fruit read at less than 30 % is rarely found at all
+# Of the logarithm: a fruit of which less than 30 % is visible is rarely detected.
+_MOST_HIDDEN = 1.2
 
-_LONGEST_PAST = 0.02  # noise of the logarithm that a lower bound has at least
+_LONGEST_PAST = 0.02  # least noise of the logarithm of a lower bound
 
 
 def crowd_of(views: RowViews, per_m: float) -> Crowd:

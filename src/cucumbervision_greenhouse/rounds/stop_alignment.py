@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 _FREEDOM = 4.0  # degrees of freedom of Student's t
 _ROUNDS = 6  # of reweighting
-_STEP_M = 0.01  # of the shifts that are tried
-_REACH_SD = 3.5  # how far a stop is looked for
+_STEP_M = 0.01  # step of the candidate shifts
+_REACH_SD = 3.5  # search range, in standard deviations
 _MOST_TRIED = 121
 
 
@@ -57,7 +57,7 @@ class FittedStops:
 
 
 def prior_stops(stops: RowStops) -> FittedStops:
-    """Return the stops as they were declared, before any fruit is looked at."""
+    """Return the stops at their declared places, before any alignment."""
     covariance = np.zeros((3, len(stops), len(stops)))
     index = np.arange(len(stops))
     covariance[:, index, index] = stops.sd_m.T**2

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.stages import StageHashes
     from cucumbervision_greenhouse.store.images import ImageStore
 
-_PATH_POINTS = 48  # enough to draw a fruit by
+_PATH_POINTS = 48  # points of a stored path
 
 AS_READ = (
     *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
@@ -73,7 +73,7 @@ def stop_record(
     results : sequence of CaptureResult
         The captures.
     measurer : Measurer, optional
-        What measured them: its software, options, networks and calibration are kept.
+        The measurer, whose software, options, networks and calibration are stored.
     key : str, optional
         The stop's own key, kept for sending it again; a new one by default.
     position_sd_m : float, optional
@@ -188,7 +188,7 @@ def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
 
 
 def fruit_record(numbered: NumberedFruit) -> DetectionRecord:
-    """Return a record of one fruit.
+    """Return the record of one fruit.
 
     The fruit's offset along the row is how far right of the camera its middle lies; who knows that
     the row runs the other way, or the camera's pose, replaces it.
@@ -228,7 +228,7 @@ def view_score(fruit: FruitMeasurement) -> float:
 
 
 def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
-    """Return a stored fruit as it was found, in a picture of this height and width."""
+    """Return a stored fruit as an instance in a picture of this height and width."""
     edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     return Instance(
         np.array(edges),
@@ -246,7 +246,7 @@ _MEASURED_FROM = "measured-from"
 def measured_from(
     capture: Capture, stages: Iterable[Stage | str], hashes: StageHashes
 ) -> ArtifactRecord:
-    """Return what the fruit of a capture depend on besides its pictures.
+    """Return the inputs of a capture's measurement besides its pictures.
 
     These are its intrinsics, the stages that they went through, what these depend on, and the
     data set's masks where they are its own.

@@ -50,7 +50,7 @@ STOP_EDITS = ("place-stop", "delete-stop", TAKE_BACK)
 
 @dataclass(frozen=True)
 class StopPlace:
-    """What can be corrected about a stop.
+    """The correctable values of a stop.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Corrections(Database):
     """
 
     def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None) -> int:
-        """Accept or reject detections; None takes the verdict away."""
+        """Accept or reject detections; None removes the verdict."""
         kinds = {Verdict.ACCEPTED: "accept", Verdict.REJECTED: "reject", None: "clear"}
         with self.writing() as connection:
             detections = find_detections(connection, fruit)
@@ -253,7 +253,7 @@ class Corrections(Database):
                     change(connection, table, table.ended_by_id == action.id, ended_by_id=None)
                 if "before" in action.details:
                     change_line(connection, action.details, restore=True)
-            except IntegrityError:  # something newer has taken its place
+            except IntegrityError:  # a newer mark has replaced it
                 raise _blocked_by_later(action.id) from None
         return made
 

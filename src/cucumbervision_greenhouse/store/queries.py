@@ -185,7 +185,7 @@ class Queries(Database):
         )
 
     def picked(self, round_key: str) -> dict[str, float]:
-        """Return when detections were marked as picked, by their keys."""
+        """Return the times of picking by the detections' keys."""
         with self.reading() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
             return {key: values["picked"] for key, values in marks.items()}
@@ -280,12 +280,12 @@ class Queries(Database):
         return camera_of
 
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
-        """Return what the stops of a round were measured with, by the stops' keys."""
+        """Return the artifacts that the stops of a round were measured with, by the stops' keys."""
         with self.reading() as connection:
             return artifacts_of(connection, and_(RoundLine.key == round_key, ~StopLine.deleted))
 
     def stop(self, stop_key: str) -> StopRecord:
-        """Return a stop with everything: as it was saved, but where people put it since.
+        """Return a stop with all its data: as it was saved, but at its corrected place.
 
         Its pose is the one that it was saved with; `cameras` gives it mirrored where the stop is.
 
@@ -303,12 +303,12 @@ class Queries(Database):
             return links_of(connection, round_key, kind)
 
     def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[LogEntry]:
-        """Return what was done by hand, the newest first."""
+        """Return the log of actions by hand, the newest first."""
         with self.reading() as connection:
             return _actions_of(connection, round_key, limit)
 
     def own_actions(self, round_key: str) -> list[LogEntry]:
-        """Return what can be undone in a round by who the store is signed by, the newest first.
+        """Return the actions in a round that the store's signer can undo, the newest first.
 
         That is what was done by that person from that device. Without any: what was done by nobody
         in particular, as by a command.

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from pathlib import Path
 
@@ -10,11 +9,8 @@ import pytest
 from cucumbervision.accuracy.measured import Measured, Reading, read_measured
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths, write_own_truth
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
 
 HEAD = "capture,fruit,length_cm,kind"
 
@@ -31,28 +27,6 @@ def run_of(*readings: Reading) -> Measured:
 
 def reading(capture: str, fruit: int, **lengths_m: float | None) -> Reading:
     return Reading(capture, fruit, lengths_m)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bundled captures through the real run."""
-    out = tmp_path_factory.mktemp("run")
-    measure_inputs([example_captures()], out, MeasureOptions())
-    return out
-
-
-@pytest.fixture(scope="module")
-def table(run: Path) -> Path:
-    """Their truth, centreline and chord, as a European spreadsheet writes it."""
-    lines = ["capture;fruit;length_cm;kind"]
-    for folder in sorted(example_captures().iterdir()):
-        for k, true in enumerate(json.loads((folder / "truth.json").read_text()), 1):
-            for kind in ("centreline", "chord"):
-                text = f"{100 * true[kind + '_m']:.3f}".replace(".", ",")
-                lines.append(f"{folder.name};{k};{text};{kind}")
-    path = run / "truth.csv"
-    path.write_text("\r\n".join(lines), encoding="utf-8-sig")
-    return path
 
 
 def test_metrics_by_hand(tmp_path: Path) -> None:
@@ -152,47 +126,6 @@ def test_bundled_captures_against_their_own_truth(run: Path, table: Path) -> Non
     assert ("chord", "reported") not in scores
     assert "Some of these captures are simulated." in found.notes
     assert all(0.4 < reading.distance_m < 0.7 for _, reading in found.pairs)
-
-
-def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: Path) -> None:
-    alone = tmp_path / "measurements.csv"
-    alone.write_bytes((run / "measurements.csv").read_bytes())
-    by_csv, by_json = evaluated(alone, table), evaluated(run / "measurements.json", table)
-    assert [s.method for s in by_csv.scores] == [
-        s.method for s in by_json.scores if s.metrics.measured > 0
-    ]
-    assert [reading.lengths_m["M3"] for _, reading in by_csv.pairs] == [
-        reading.lengths_m["M3"] for _, reading in by_json.pairs
-    ]
-    european = tmp_path / "excel.csv"
-    text = alone.read_text(encoding="utf-8-sig").replace(",", ";").replace(".", ",")
-    european.write_text(text, encoding="utf-8-sig")
-    assert [s.metrics.mae_cm for s in evaluated(european, table).scores] == [
-        s.metrics.mae_cm for s in by_csv.scores
-    ]
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "text"),
-    [
-        ("measurements.json", "{}", "holds no measurements"),
-        ("measurements.json", "{", "is not JSON"),
-        (
-            "measurements.json",
-            '{"captures": [{"name": "a", "intrinsics": {}, "fruit": '
-            '[{"capture": "a", "fruit": 1, "mask_source": ["sam"]}]}]}',
-            "mask_source is not text",
-        ),
-        ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
-        ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
-        ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "is damaged or of another form"),
-        ("other.txt", "", "holds no measurements"),
-    ],
-)
-def test_what_is_no_run_is_refused(tmp_path: Path, name: str, content: str, text: str) -> None:
-    (tmp_path / name).write_text(content)
-    with pytest.raises(CucumberVisionError, match=text):
-        read_measured(tmp_path)
 
 
 def test_the_tables_hold_scores_and_each_length(run: Path, table: Path, tmp_path: Path) -> None:

@@ -70,6 +70,17 @@ def test_a_folder_goes_as_the_captures_that_it_holds(service: str, tmp_path: Pat
         client.measure(tmp_path / "none.zip")
 
 
+def test_a_recording_is_played_here_and_goes_as_its_captures(service: str, recording: Path) -> None:
+    told = Client(service, TOKEN).measure(recording)
+    assert told["failures"] == []
+    names = [f"walk_{number:06d}" for number in _first_frames(recording)]
+    assert [one["name"] for one in told["captures"]] == names
+
+
+def _first_frames(recording: Path) -> list[int]:
+    return [ref.frame for ref in open_source(recording)]
+
+
 def test_where_other_machines_reach_it_nothing_is_said_to_listen_without_a_token() -> None:
     said = CliRunner().invoke(app, ["serve", "--address", "0.0.0.0"], env={TOKEN_VARIABLE: ""})
     assert isinstance(said.exception, AccessError)

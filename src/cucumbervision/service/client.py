@@ -15,7 +15,7 @@ import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_reader_errors
@@ -65,7 +65,7 @@ class Client:
         return self._ask("/health")
 
     def measure(self, *sources: Capture | Path) -> dict[str, Any]:
-        """Measure captures, or files and folders of them.
+        """Measure captures, or files and folders of them; recordings are played on this machine.
 
         Returns
         -------
@@ -81,7 +81,7 @@ class Client:
         """
         files: list[tuple[str, bytes]] = []
         for source in sources:
-            if isinstance(source, Path) and source.is_dir():
+            if isinstance(source, Path) and _is_opened_here(source):
                 files += [packed(ref.load()) for ref in open_source(source)]
             else:
                 files.append(_file(source) if isinstance(source, Path) else packed(source))
@@ -160,6 +160,11 @@ class _Handler(urllib.request.HTTPHandler, urllib.request.HTTPSHandler):
 
 
 _OPENER = urllib.request.build_opener(_Handler)
+
+
+def _is_opened_here(path: Path) -> bool:
+    """Return whether a path goes capture by capture: a folder, or a recording."""
+    return path.is_dir() or path.suffix.lower() in RECORDING_SUFFIXES
 
 
 def packed(capture: Capture) -> tuple[str, bytes]:

@@ -204,7 +204,7 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
     measure_options,
     {"profile", "depth", "intrinsics", "depth_unit", "depth_along", "aligned_to", "burst"},
 )
-@takes("loop", loop_options, {"guard"})
+@takes("loop", loop_options)
 def remeasure(
     store: StoreName = "house.db",
     round_: RoundName = "",

@@ -63,7 +63,7 @@ def test_what_is_too_large_is_refused_before_it_is_sent(tmp_path: Path) -> None:
     with pytest.raises(UploadError, match="more than the 0 MB that are taken"):
         uploads.begin(FILES, 5)
     assert uploads.all() == []
-    huge = Sending(round=ROUND, files=(SentFile(name="a.bag", size=10**18),))
+    huge = Sending(round=ROUND, files=(SentFile(name="a.zip", size=10**18),))
     with pytest.raises(UploadError, match="the disk has room for"):
         uploads.begin(huge, 10**19)
     uploads.begin(FILES, 10)

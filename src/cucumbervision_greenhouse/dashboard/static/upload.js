@@ -47,12 +47,15 @@ export default function (component) {
     if (share !== null) bar.value = share;
   };
   const chosen = (files) => {
-    own.files = [...files];
+    const isRecording = (file) => data.recordings.some((ending) => file.name.toLowerCase().endsWith(ending));
+    own.files = [...files].filter((file) => !isRecording(file));
+    const left = [...files].filter(isRecording).map((file) => file.name).join(", ");
+    const besides = left && ` Recordings are not sent; 'cucumbervision round add' reads them where they lie: ${left}.`;
     const all = own.files.reduce((sum, file) => sum + file.size, 0), most = data.limit_mb * 1e6;
     button.disabled = own.busy || !own.files.length || all > most;
-    if (!own.files.length) tell(`At most ${mb(most)} at once.`, null);
+    if (!own.files.length) tell(`At most ${mb(most)} at once.${besides}`, null);
     else if (all > most) tell(`${mb(all)} are more than the ${mb(most)} that are taken at once. 'Settings' has the limit.`, null);
-    else tell(`${own.files.length === 1 ? "1 file" : `${own.files.length} files`}, ${mb(all)}.`, null);
+    else tell(`${own.files.length === 1 ? "1 file" : `${own.files.length} files`}, ${mb(all)}.${besides}`, null);
   };
   input.onchange = () => chosen(input.files);
   drop.ondragover = (event) => { event.preventDefault(); drop.classList.add("over"); };

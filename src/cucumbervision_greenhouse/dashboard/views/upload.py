@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
+from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.backend import resources, round_caches
@@ -52,6 +53,7 @@ def page(round_summary: RoundSummary) -> None:
                 "place": place.model_dump(),
                 "camera": camera,
                 "limit_mb": resources.settings().upload_limit_mb,
+                "recordings": sorted(RECORDING_SUFFIXES),
                 "accept": ",".join(f".{ending}" for ending in _ENDINGS),
             },
         )

@@ -1,4 +1,4 @@
-"""`scripts/structure` counts bound names that are pronouns, and refuses more than a limit."""
+"""`scripts/structure`: bound names that are pronouns, with a limit; commands with their options."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
+from typing import Annotated
 
 import pytest
+import typer
 
 pytest.importorskip("grimp")
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "structure"
@@ -66,3 +68,19 @@ def test_a_limit_for_no_package_is_a_fault(structure: ModuleType, tmp_path: Path
     assert structure.pronouns({"frm": 1.0}, tmp_path)[1] == [
         "frm: no such package, or it binds no name"
     ]
+
+
+def test_commands_are_listed_with_their_options(structure: ModuleType) -> None:
+    app, rows = typer.Typer(), typer.Typer()
+
+    @app.command()
+    def measure(inputs: str, *, out: Annotated[str, typer.Option("--out", "-o")]) -> None:
+        """Measure."""
+
+    @rows.command()
+    def show(*, open_it: Annotated[bool, typer.Option("--open/--closed")] = True) -> None:
+        """Show."""
+
+    app.add_typer(rows, name="row")
+    listed = structure.commands(typer.main.get_command(app))
+    assert listed == {"measure": ["--out"], "row show": ["--open"]}

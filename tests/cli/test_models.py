@@ -32,12 +32,20 @@ def test_list_shows_what_there_is(folder: Path) -> None:
         assert word in fetched
 
 
-def test_verify_names_each_file(folder: Path) -> None:
-    # MobileSAM is two files; the five networks of our own are one each.
-    for result, files in ((call("verify"), 7), (call("verify", "mobile-sam"), 2)):
-        assert result.exit_code == 0
-        assert [line.split()[0] for line in result.output.splitlines()] == ["ok"] * files
-        assert "mobile-sam-encoder.onnx" in result.output
+def test_list_hashes_the_files_and_names_a_damaged_one(folder: Path) -> None:
+    registry = load_registry()
+    files = [folder / file.file for file in registry.get("sam-vit-b").files]
+    for path in files:
+        path.write_bytes(b"a network")
+    installed = registry.install("sam-vit-b", tuple(files))
+    assert call("list").exit_code == 0
+    damaged = next(iter(installed.values()))
+    damaged.write_bytes(b"a netwerk")
+    result = call("list")
+    assert result.exit_code == 1
+    (line,) = (line for line in result.output.splitlines() if "Meta AI" in line)
+    assert "damaged" in line
+    assert f"{damaged}: its SHA-256 is not the registry's; " in result.output
 
 
 def test_pull_of_an_embedded_model_fetches_nothing(folder: Path) -> None:
@@ -59,7 +67,7 @@ def test_export_writes_the_files(folder: Path) -> None:
 
 
 def test_errors_come_out_as_themselves(folder: Path) -> None:
-    for words in (("verify", "x"), ("pull", "x"), ("export", "x", "--out", str(folder))):
+    for words in (("pull", "x"), ("export", "x", "--out", str(folder))):
         assert isinstance(call(*words).exception, UnknownModelError)
 
 

@@ -293,11 +293,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")
 StoreName = Annotated[
     str,
     typer.Option(
-        "--store", envvar="CUCUMBERVISION_STORE", help="SQLite file, or postgresql://… address."
+        "--store",
+        envvar="CUCUMBERVISION_STORE",
+        help="SQLite file, or postgresql://…?images=FOLDER.",
     ),
-]
-Images = Annotated[
-    Path | None, typer.Option(help="Folder of the pictures; required with PostgreSQL.")
 ]
 RoundName = Annotated[
     str, typer.Option("--round", "-r", help="Name, key or start of a key; default: the newest.")

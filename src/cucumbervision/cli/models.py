@@ -1,4 +1,4 @@
-"""`cucumbervision models`: list, verify, select and export networks."""
+"""`cucumbervision models`: list, select and export networks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 app = typer.Typer(
     name="models",
-    help="List, fetch, verify and export the networks.",
+    help="List, fetch, select and export the networks.",
     no_args_is_help=True,
 )
 
@@ -18,38 +18,35 @@ Name = Annotated[str, typer.Argument(help="A name that `models list` shows.")]
 
 @app.command("list")
 def list_models() -> None:
-    """List every network: task, licence, size, origin, and whether it is on this machine."""
+    """List every network: task, licence, size, origin, and whether it is on this machine.
+
+    The files on this machine are hashed; those that differ from the registry are named at the end.
+    """
     from rich.table import Table
 
     from cucumbervision.cli.console import plain_console
+    from cucumbervision.errors import ModelError
     from cucumbervision.perception.registry import load_registry
 
     registry = load_registry()
+    faults: list[ModelError] = []
     table = Table("name", "task", "licence", "size", "from", "state")
     for model in registry.models:
         size = f"{registry.size_bytes(model.name) / 1e6:.0f} MB"
         state = registry.state(model.name)
         if model in registry.user_models and model == registry.default(model.task):
             state = "in use"
+        if state != "not pulled":
+            try:
+                registry.resolve(model.name)
+            except ModelError as error:
+                faults.append(error)
+                state = "damaged"
         table.add_row(model.name, model.task, model.licence, size, model.origin, state)
     plain_console().print(table)
-
-
-@app.command()
-def verify(
-    name: Annotated[
-        str | None, typer.Argument(help="Name of a network; default: all on this machine.")
-    ] = None,
-) -> None:
-    """Hash the files and compare with the registry."""
-    from cucumbervision.cli.console import plain_console
-    from cucumbervision.perception.registry import load_registry
-
-    registry = load_registry()
-    names = [model.name for model in registry.models if registry.state(model.name) != "not pulled"]
-    for network in [name] if name else names:
-        for path in registry.resolve(network).values():
-            plain_console().print(f"ok {network}: {path}", soft_wrap=True)
+    for fault in faults:
+        plain_console().print(str(fault), soft_wrap=True)
+    raise typer.Exit(1 if faults else 0)
 
 
 @app.command()

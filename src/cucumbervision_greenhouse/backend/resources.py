@@ -16,7 +16,6 @@ from cucumbervision_greenhouse.backend.access import VIEWER, device_of
 from cucumbervision_greenhouse.backend.jobs import JobQueue
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
 from cucumbervision_greenhouse.backend.settings import (
-    IMAGES_VARIABLE,
     STORE_VARIABLE,
     Settings,
     default_store,
@@ -52,10 +51,10 @@ def _who() -> tuple[str, str]:
 
 @st.cache_resource(show_spinner=False)
 def _store() -> Store:
-    place, images = where(), os.environ.get(IMAGES_VARIABLE)
+    place = where()
     if "://" not in place:
         Path(place).parent.mkdir(parents=True, exist_ok=True)
-    return open_store(place, images=Path(images) if images else None)
+    return open_store(place)
 
 
 @st.cache_resource(show_spinner=False)

@@ -18,7 +18,6 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.agronomy.picking import Rates
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
-IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 
 _UNITS = {"cm": 100.0, "in": 1 / 0.0254}

@@ -13,15 +13,13 @@ from cucumbervision.cli.choices import ListenOn, Port
 def dashboard(
     store: Annotated[
         str | None,
-        typer.Option(help="SQLite file or postgresql:// URL; default: a file in your user folder."),
+        typer.Option(
+            help="SQLite file or postgresql://…?images=FOLDER; default: a file in your user folder."
+        ),
     ] = None,
     replay: Annotated[
         Path | None,
         typer.Option(help="Folder or recording to show instead of a camera.", show_default=False),
-    ] = None,
-    images: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the pictures; required with PostgreSQL.", show_default=False),
     ] = None,
     port: Port = 8501,
     address: ListenOn = "127.0.0.1",
@@ -46,7 +44,6 @@ def dashboard(
     serve(
         store or default_store(),
         replay=replay,
-        images=images,
         address=address,
         port=port,
         browser=browser,

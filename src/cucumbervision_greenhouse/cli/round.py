@@ -13,7 +13,6 @@ import typer
 
 from cucumbervision.cli.choices import (
     EXIT_CODES,
-    Images,
     Profile,
     RoundName,
     StoreName,
@@ -43,14 +42,12 @@ app = typer.Typer(
 
 
 @contextmanager
-def opened_round(
-    where: str, name: str, images: Path | None = None
-) -> Iterator[tuple[Store, RoundSummary]]:
+def opened_round(where: str, name: str) -> Iterator[tuple[Store, RoundSummary]]:
     """Open a store and find a round in it; close the store at the end."""
     from cucumbervision_greenhouse.rounds.from_store import find_round
     from cucumbervision_greenhouse.store.repository import open_store
 
-    with open_store(where, images=images, create=False) as store:
+    with open_store(where, create=False) as store:
         yield store, find_round(store, name)
 
 
@@ -68,7 +65,6 @@ def new(
     store: StoreName = "house.db",
     house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
-    images: Images = None,
 ) -> None:
     """Create a round and print its key."""
     from cucumbervision.agronomy.profiles import load_profile
@@ -77,7 +73,7 @@ def new(
 
     load_profile(profile)
     record = Round(name=name, house=house, profile=profile)
-    with open_store(store, images=images) as opened:
+    with open_store(store) as opened:
         opened.save_round(record)
         saved = next(
             round_summary.record
@@ -115,7 +111,6 @@ def add(
     poses: Annotated[
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
     ] = None,
-    images: Images = None,
     *,
     options: MeasureOptions,
     loop: LoopOptions,
@@ -148,7 +143,7 @@ def add(
         poses=poses_of,
     )
     with (
-        opened_round(store, round_, images) as (opened, round_summary),
+        opened_round(store, round_) as (opened, round_summary),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as is_cancelled,
     ):
@@ -208,7 +203,6 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 def remeasure(
     store: StoreName = "house.db",
     round_: RoundName = "",
-    images: Images = None,
     *,
     options: MeasureOptions,
     loop: LoopOptions,
@@ -223,7 +217,7 @@ def remeasure(
     from cucumbervision.pipeline.measurer import exit_code
     from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
 
-    with opened_round(store, round_, images) as (opened, round_summary):
+    with opened_round(store, round_) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
             done, failures = measure_round_again(
@@ -241,7 +235,6 @@ def remeasure(
 def merge(
     store: StoreName = "house.db",
     round_: RoundName = "",
-    images: Images = None,
 ) -> None:
     """Merge views of the same fruit from several stops, and measure it from all views together.
 
@@ -250,7 +243,7 @@ def merge(
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 
-    with opened_round(store, round_, images) as (opened, round_summary):
+    with opened_round(store, round_) as (opened, round_summary):
         rows = merge_round(opened, round_summary.key)
         measure_all_views(opened, round_summary.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
@@ -405,14 +398,13 @@ def check(
     remove: Annotated[
         bool, typer.Option("--remove", help="Remove pictures that no stop refers to.")
     ] = False,
-    images: Images = None,
 ) -> None:
     """Verify a store: its file, all hashes and all pictures. Exits with 1 if something is wrong."""
     from cucumbervision.cli.console import screen
     from cucumbervision_greenhouse.store.check import check_store
     from cucumbervision_greenhouse.store.repository import open_store
 
-    with open_store(store, images=images, create=False) as opened:
+    with open_store(store, create=False) as opened:
         report = check_store(opened, remove=remove)
     console = screen()
     console.print(f"{report.pictures} pictures, {len(report.orphans)} files that no stop names")
@@ -435,7 +427,6 @@ def export(
         typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; default: the newest."),
     ] = "",
     store: StoreName = "house.db",
-    images: Images = None,
     formats: Annotated[
         list[ExportFormat] | None,
         typer.Option("--format", "-f", help="Repeat for several; default: csv, xlsx, json."),
@@ -447,7 +438,7 @@ def export(
     from cucumbervision_greenhouse.exports.writers import write_exports
 
     usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
-    with opened_round(store, round_, images) as (opened, round_summary):
+    with opened_round(store, round_) as (opened, round_summary):
         tables = round_tables(
             opened,
             round_summary.key,

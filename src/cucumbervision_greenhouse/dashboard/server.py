@@ -12,7 +12,6 @@ from pathlib import Path
 from cucumbervision.access import TOKEN_VARIABLE, check_access
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision_greenhouse.backend.settings import (
-    IMAGES_VARIABLE,
     REPLAY_VARIABLE,
     STORE_VARIABLE,
 )
@@ -64,7 +63,6 @@ def serve(
     store: str,
     *,
     replay: Path | None = None,
-    images: Path | None = None,
     address: str = "127.0.0.1",
     port: int = 8501,
     browser: bool = True,
@@ -76,11 +74,9 @@ def serve(
     Parameters
     ----------
     store : str
-        Path of an SQLite file, or the URL of a PostgreSQL database.
+        Path of an SQLite file, or 'postgresql://user@host/database?images=FOLDER'.
     replay : Path, optional
         Folder or recording to show without a camera; the bundled captures by default.
-    images : Path, optional
-        Folder of the pictures; required with PostgreSQL.
     address : str
         Address to bind to.
     port : int
@@ -113,7 +109,7 @@ def serve(
         place += f"/?token={token}"
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
-    variables = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}
+    variables = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay}
     os.environ.update({name: str(value) for name, value in variables.items() if value})
     if ready is not None:
         ready(place)

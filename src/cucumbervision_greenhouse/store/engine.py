@@ -278,7 +278,7 @@ class Database:
             raise StoreError(
                 "the folder of the pictures is not known",
                 source=self.name,
-                remedy="open the store with images=FOLDER",
+                remedy="open the store with images=FOLDER, or postgresql://…?images=FOLDER",
             )
         return ImageStore(self._images)
 

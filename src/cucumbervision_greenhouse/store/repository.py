@@ -81,10 +81,10 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     Parameters
     ----------
     where : str or Path
-        The path of an SQLite file, or 'postgresql://user@host/database'.
+        The path of an SQLite file, or 'postgresql://user@host/database?images=FOLDER'.
     images : Path, optional
-        Folder of the pictures. Beside an SQLite file 'house.db' it is 'house.images'; with
-        PostgreSQL it must be named before pictures are read or written.
+        Folder of the pictures; by default that of the address. Beside an SQLite file 'house.db' it
+        is 'house.images'; with PostgreSQL it must be named before pictures are read or written.
     create : bool
         False refuses an SQLite file that is not there: for reading alone.
 
@@ -115,6 +115,12 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     3 1.2 0.31
     """
     url = database_url(where)
+    folder = url.query.get("images", "")
+    url = url.difference_update_query(["images"])
+    if isinstance(folder, tuple):
+        raise StoreError(
+            f"names {len(folder)} folders of pictures", source=named(url), remedy="name one"
+        )
     if not create and url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():
         raise StoreError("is not there", source=named(url), remedy="check the path")
     engine = make_engine(url)
@@ -123,7 +129,9 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     except BaseException:
         engine.dispose()
         raise
-    if images is None and url.get_backend_name() == "sqlite":
+    if images is None and folder:
+        images = Path(folder)
+    elif images is None and url.get_backend_name() == "sqlite":
         images = Path(url.database or "").with_suffix(".images")
     if images is not None:
         ImageStore(images).clean()

@@ -22,7 +22,6 @@ Folder = Annotated[
 Names = Annotated[
     str, typer.Option(help="Comma-separated class names, if the set has none.", metavar="A,B")
 ]
-Copy = Annotated[bool, typer.Option("--copy", help="Copy pictures instead of linking them.")]
 Out = Annotated[Path, typer.Argument(help="New output folder.", metavar="OUT")]
 OutOrSame = Annotated[
     Path | None,
@@ -82,7 +81,6 @@ def convert(
     ] = None,
     source: Annotated[str, typer.Option(help="Source of pictures without one.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of pictures without one.")] = "",
-    copy: Copy = False,
     splits: Annotated[
         str, typer.Option(help="Comma-separated splits to write (YOLO).", metavar="A,B")
     ] = "train,val,test",
@@ -100,7 +98,6 @@ def convert(
             keep=parse_keep(keep or ()),
             source=source,
             licence=licence,
-            link=not copy,
             splits=_list(splits),
             progress=tick,
         )
@@ -118,7 +115,6 @@ def split(
     scene_pattern: Annotated[
         str, typer.Option(help="Regular expression for scene names in file names.", metavar="REGEX")
     ] = "",
-    copy: Copy = False,
 ) -> None:
     """Split a data set into train, val and test by scene.
 
@@ -144,7 +140,7 @@ def split(
     with ticking("looking", sum(not p.scene for p in dataset.pictures)) as tick:
         dataset = find_scenes(dataset, tick)
     parted = split_by_scene(dataset, parts, seed=seed)
-    written = write_coco(parted, out or dataset.folder, link=not copy)
+    written = write_coco(parted, out or dataset.folder)
     table = Table("split", "pictures", "scenes", "fruit", title=f"{written.folder}: splits")
     for name in SPLITS:
         subset = parted.in_split(name)
@@ -159,7 +155,6 @@ def pseudo(
     folder: Folder,
     out: OutOrSame = None,
     names: Names = "",
-    copy: Copy = False,
 ) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
     from cucumbervision.perception.networks import open_segmenter
@@ -171,7 +166,7 @@ def pseudo(
     segmenter = open_segmenter()
     with ticking("drawing", len(dataset.pictures)) as tick:
         drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
-    written = write_coco(drawn.dataset, out or dataset.folder, link=not copy)
+    written = write_coco(drawn.dataset, out or dataset.folder)
     show(
         f"{drawn.drawn} masks drawn, {len(drawn.refused)} did not fit their box and are to be "
         f"ignored, in {written.folder}",
@@ -205,7 +200,6 @@ def windows(
 def merge(
     out: Out,
     folders: Annotated[list[Path], typer.Argument(help="Sets to merge.", metavar="SET...")],
-    copy: Copy = False,
 ) -> None:
     """Merge data sets; source and licence of each picture are kept."""
     from cucumbervision_lab.cli.screen import show, ticking
@@ -213,7 +207,7 @@ def merge(
 
     sets = [_open(folder) for folder in folders]
     with ticking("writing", sum(len(d.pictures) for d in sets)) as tick:
-        merged = merge_datasets(sets, out, link=not copy, progress=tick)
+        merged = merge_datasets(sets, out, progress=tick)
     show(f"{len(merged.pictures)} pictures of {len(sets)} sets are in {merged.folder}")
     _finish(*sets)
 
@@ -222,13 +216,9 @@ def merge(
 def from_store(
     store: Annotated[str, typer.Argument(help="SQLite file or postgresql:// URL.")],
     out: Annotated[Path, typer.Argument(help="Folder to write into.", metavar="OUT")],
-    images: Annotated[
-        Path | None, typer.Option(help="Folder of the store's pictures, if not the default.")
-    ] = None,
     licence: Annotated[
         str, typer.Option(help="Licence of the pictures, recorded in the set.")
     ] = "",
-    copy: Copy = False,
 ) -> None:
     """Export reviewed detections as a data set for fine-tuning the detector.
 
@@ -242,8 +232,8 @@ def from_store(
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.datasets.derive import dataset_from_store
 
-    with open_store(store, images=images, create=False) as opened:
-        made = dataset_from_store(opened, out, licence=licence, link=not copy)
+    with open_store(store, create=False) as opened:
+        made = dataset_from_store(opened, out, licence=licence)
     columns = ("accepted", "corrected", "added", "rejected", "unjudged")
     table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
     for split, judgement in made.judged.items():

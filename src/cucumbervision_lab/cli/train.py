@@ -40,10 +40,8 @@ Batch = Annotated[
     int, typer.Option("--batch", min=0, help="Batch size; 0: 8 on the CPU, 64 on a GPU.")
 ]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or a CUDA device number.")]
-Precision = Annotated[str, typer.Option("--precision", help="auto, f32 or bf16 (on the CPU).")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="Number of threads; 0: all cores.")]
-Workers = Annotated[int, typer.Option("--workers", min=0, help="Number of data loading processes.")]
 Minutes = Annotated[
     float | None,
     typer.Option("--minutes", min=0, help="Time limit; stops after the current epoch."),
@@ -57,10 +55,11 @@ Credit = Annotated[
 ]
 
 
-@app.command("pose", help="Train boxes and the five keypoints.")
-@app.command("seg", help="Train boxes and masks.")
+@app.command()
 def network(
-    context: typer.Context,
+    task: Annotated[
+        str, typer.Argument(help="seg: boxes and masks; pose: boxes and the five keypoints.")
+    ],
     out: Out,
     data: Data = None,
     init: Init = None,
@@ -69,14 +68,12 @@ def network(
     resume: Resume = False,
     batch: Batch = 0,
     device: Device = "auto",
-    precision: Precision = "auto",
     seed: Seed = 0,
     threads: Threads = 0,
-    workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
 ) -> None:
-    """Train a network for the task given by the command name."""
+    """Train a detector: boxes with masks, or with keypoints."""
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.settings import TrainOptions
     from cucumbervision_lab.training.train import train
@@ -84,14 +81,13 @@ def network(
     options = TrainOptions(
         batch=batch,
         device=device,
-        precision=precision,
         seed=seed,
         threads=threads,
-        workers=workers,
         minutes=minutes,
         learning_rate=learning_rate,
     )
-    task = str(context.info_name)
+    if task not in ("seg", "pose"):
+        raise typer.BadParameter("give seg or pose", param_hint="TASK")
     with TrainConsole() as console:
         trained = train(
             task,
@@ -123,9 +119,7 @@ def recipe(
     only: Annotated[str, typer.Option("--only", help="seg or pose; default: both.")] = "",
     batch: Batch = 0,
     device: Device = "auto",
-    precision: Precision = "auto",
     threads: Threads = 0,
-    workers: Workers = 0,
     minutes: Minutes = None,
 ) -> None:
     """Train the networks from a recipe of picture sources and schedules.
@@ -141,9 +135,7 @@ def recipe(
     options = TrainOptions(
         batch=batch,
         device=device,
-        precision=precision,
         threads=threads,
-        workers=workers,
         minutes=minutes,
     )
     with TrainConsole() as console:
@@ -183,9 +175,7 @@ def house(
     ] = 0.5,
     batch: Batch = 0,
     device: Device = "auto",
-    precision: Precision = "auto",
     threads: Threads = 0,
-    workers: Workers = 0,
     minutes: Minutes = None,
 ) -> None:
     """Fine-tune the detector on pictures of your greenhouse, and compare it with the one in use.
@@ -206,9 +196,7 @@ def house(
             options=TrainOptions(
                 batch=batch,
                 device=device,
-                precision=precision,
                 threads=threads,
-                workers=workers,
                 minutes=minutes,
             ),
             callbacks=console,

@@ -230,9 +230,29 @@ def test_what_is_not_there_is_said(store: Store) -> None:
 def test_pictures_of_a_server_need_a_folder(cluster: Any) -> None:
     with (
         open_store(cluster.new_database()) as store,
-        pytest.raises(StoreError, match="open the store with images=FOLDER"),
+        pytest.raises(
+            StoreError, match=r"open the store with images=FOLDER, or postgresql://…\?images=FOLDER"
+        ),
     ):
         _ = store.images
+
+
+def test_the_address_of_a_server_names_the_folder_of_the_pictures(
+    cluster: Any, tmp_path: Path
+) -> None:
+    address = cluster.new_database()
+    mark = "&" if "?" in address else "?"
+    with open_store(f"{address}{mark}images={tmp_path}/of%20the%20house") as store:
+        assert store.images.folder == tmp_path / "of the house"
+        assert "images" not in store.name
+
+
+def test_the_address_of_a_file_may_name_the_folder_of_the_pictures(tmp_path: Path) -> None:
+    address = f"sqlite:///{tmp_path}/house.db?images={tmp_path}/pictures"
+    with open_store(address) as store:
+        assert store.images.folder == tmp_path / "pictures"
+    with pytest.raises(StoreError, match="names 2 folders of pictures"):
+        open_store(f"{address}&images={tmp_path}/others")
 
 
 def test_pictures_of_a_file_lie_beside_it(tmp_path: Path) -> None:

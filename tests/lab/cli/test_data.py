@@ -111,7 +111,7 @@ def test_windows_of_the_train_pictures(photos: Path, tmp_path: Path) -> None:
 
 def test_a_split_by_file_is_a_leak(photos: Path, tmp_path: Path) -> None:
     hub = tmp_path / "hub"
-    call("convert", photos, hub, "--names", NAMES, "--copy")
+    call("convert", photos, hub, "--names", NAMES)
     file = hub / "annotations.json"
     data = json.loads(file.read_text())
     for k, image in enumerate(data["images"]):

@@ -24,9 +24,9 @@ needs_extra = pytest.mark.skipif(
 )
 
 
-def test_help_names_both_tasks_and_export_alone() -> None:
+def test_help_names_the_commands_of_training_and_not_those_of_publishing() -> None:
     text = CliRunner().invoke(app, ["--help"]).output
-    for word in ("seg", "pose", "recipe", "ends", "export"):
+    for word in ("network", "recipe", "ends", "export"):
         assert word in text
     assert "publish" not in text
 
@@ -43,7 +43,7 @@ def test_an_epoch_is_a_line() -> None:
 @pytest.mark.train
 @pytest.mark.parametrize("command", ["seg", "pose"])
 def test_errors_come_through(command: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, [command, "--out", str(tmp_path), "--resume"])
+    result = CliRunner().invoke(app, ["network", command, "--out", str(tmp_path), "--resume"])
     assert isinstance(result.exception, TrainingError)
     assert "no training run to resume" in str(result.exception)
 
@@ -141,5 +141,5 @@ def test_export_names_what_is_missing(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="the extra is there")
 def test_missing_extra_is_named(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["seg", "--out", str(tmp_path), "--resume"])
+    result = CliRunner().invoke(app, ["network", "seg", "--out", str(tmp_path), "--resume"])
     assert isinstance(result.exception, MissingExtraError)

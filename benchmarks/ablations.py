@@ -1,0 +1,256 @@
+"""What each rescoring of a detection is worth: recall and precision with it and without it.
+
+    python benchmarks/ablations.py PHOTOS ON_PLANT DRAWN [--split test]
+
+PHOTOS holds the audited photos (as `evaluate photos`, at full and at half size), ON_PLANT the D435
+captures of `greenhouse.py`, DRAWN a labelled set with depth (as `evaluate models`). Every line of
+the table leaves one step out. A step also shifts the confidences, so each line gives recall and
+false positives at the threshold in use, and the best F1 score of any threshold, which shows
+whether the step tells fruit from other things better. The passes of the networks over a picture
+are shared by all lines; the processor time of a line counts them in full.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from cucumbervision.capture.pictures import read_color
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.crops import CropClassifier
+from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.pipeline.inputs import read_captures
+from cucumbervision.pipeline.measurer import Failure
+from cucumbervision_lab.detection.outcomes import match_detections
+from cucumbervision_lab.detection.photos import audited_photos, half_size
+from cucumbervision_lab.detection.picture_result import Networks, merge_detections, open_networks
+from cucumbervision_lab.detection.pictures import (
+    DetectedFruit,
+    Frame,
+    Stage,
+    TrueFruit,
+    capture_of,
+    frame_of,
+    read_held_out,
+)
+from cucumbervision_lab.detection.run import chosen_networks
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+MARKED = Path(__file__).with_name("greenhouse_captures.json")
+MERGING = "cucumbervision.perception.networks"
+THRESHOLDS = (0.05, 0.1, 0.15, DEFAULT_CONFIDENCE, 0.25, 0.3, 0.4, 0.5, 0.6)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A labelled picture, with depth where there is any."""
+
+    test: str
+    truth: Frame
+    color: NDArray[np.uint8]
+    depth_m: NDArray[np.float32] | None = None
+    focal_px: float | None = None
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A step that is left out: the replaced functions, and what else changes."""
+
+    name: str
+    replaced: tuple[tuple[Any, str, Any], ...] = ()
+    single_size: bool = False
+    depth_votes: bool = True
+
+
+@dataclass
+class Score:
+    """Hits and false positives by threshold, the number of fruit, and processor time."""
+
+    hits: NDArray[np.int_] = field(default_factory=lambda: np.zeros(len(THRESHOLDS), int))
+    false: NDArray[np.int_] = field(default_factory=lambda: np.zeros(len(THRESHOLDS), int))
+    fruit: int = 0
+    seconds: float = 0.0
+
+    def best_f1(self) -> float:
+        """Return the best F1 score of any threshold."""
+        return float(np.max(2 * self.hits / (self.hits + self.false + self.fruit)))
+
+
+class SharedPasses:
+    """Passes of a network over the current picture, computed once, with their processor time."""
+
+    def __init__(self) -> None:
+        self._pass = YoloDetector._detect_at
+        self._passes: dict[tuple[Any, ...], Any] = {}
+        self.computed_s = self.used_s = 0.0
+
+    def clear(self) -> None:
+        """Forget the passes over the last picture."""
+        self._passes.clear()
+
+    def __get__(self, network: YoloDetector, owner: type) -> Callable[..., Any]:
+        def detect_at(
+            color: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
+        ) -> tuple[Any, ...]:
+            key = (id(network), size_px, confidence, color.tobytes())
+            if key not in self._passes:
+                start = time.process_time()
+                detections = self._pass(network, color, size_px, confidence)
+                self._passes[key] = detections, time.process_time() - start
+                self.computed_s += self._passes[key][1]
+            self.used_s += self._passes[key][1]
+            return self._passes[key][0]  # type: ignore[no-any-return]
+
+        return detect_at
+
+
+def ablations() -> list[Ablation]:
+    """Return every line of the table."""
+
+    def pass_straight(
+        network: YoloDetector, color: NDArray[np.uint8], size: tuple[int, int], confidence: float
+    ) -> tuple[Any, ...]:
+        return network._detect_at(color, size, confidence)
+
+    straight = (YoloDetector, "_detect_mirrored", pass_straight)
+    no_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
+    no_pose = (MERGING, "with_pose_votes", lambda detections, _, __: tuple(detections))
+    no_pieces = (MERGING, "join_pieces_by_depth", lambda found, _, __: tuple(found))
+    return [
+        Ablation("as shipped"),
+        Ablation("without the mirror image", (straight,)),
+        Ablation("without the second size", single_size=True),
+        Ablation("without the second look", (no_look,)),
+        Ablation("without the pose vote", (no_pose,)),
+        Ablation("without the depth vote", depth_votes=False),
+        Ablation("without pose and depth votes", (no_pose,), depth_votes=False),
+        Ablation("without joined pieces", (no_pieces,)),
+        Ablation("without all of these", (no_look, no_pose, no_pieces), True, depth_votes=False),
+    ]
+
+
+def scenes(photos: Path, on_plant: Path, drawn: Path, split: str) -> Iterator[Scene]:
+    """Yield the pictures of all tests."""
+    for photo in audited_photos(photos, split)[0]:
+        color = read_color(photo.path)
+        yield Scene("photos", photo.truth, color)
+        yield Scene("photos, half size", *half_size(photo.truth, color))
+    marks = {entry["name"]: entry for entry in json.loads(MARKED.read_text())["captures"]}
+    reading = ReadOptions(intrinsics=on_plant / "intrinsics.json")
+    for capture in read_captures([on_plant / "on_plant"], reading):
+        if isinstance(capture, Failure):
+            raise SystemExit(capture.message)
+        mark = marks[capture.name.removesuffix("_color")]
+        boxes = [fruit["box"] for fruit in mark["fruit"]]
+        true = [TrueFruit(np.asarray(box, float)) for box in boxes]
+        true += [TrueFruit(np.asarray(box, float), ignore=True) for box in mark["ignored"]]
+        height, width = capture.color.shape[:2]
+        truth = Frame(capture.name, capture.name, width, height, tuple(true))
+        yield Scene(
+            "D435 on the plant", truth, capture.color, capture.depth_m, capture.intrinsics.fx_px
+        )
+    held_out = read_held_out(drawn, "all")
+    for picture in held_out.pictures:
+        color = read_color(held_out.path(picture))
+        capture_ = capture_of(picture, held_out, color)
+        depth_m = None if capture_ is None else capture_.depth_m
+        focal_px = None if capture_ is None else capture_.intrinsics.fx_px
+        yield Scene("drawn", frame_of(picture, held_out, depth_m), color, depth_m, focal_px)
+
+
+def score_scene(
+    scene: Scene, ablation: Ablation, networks: Networks, passes: SharedPasses, score: Score
+) -> None:
+    """Add one picture to a score."""
+    score.fruit += sum(fruit.required for fruit in scene.truth.true)
+    focal_px = scene.focal_px if ablation.depth_votes else None
+    with ExitStack() as stack:
+        for owner, name, function in ablation.replaced:
+            target = f"{owner}.{name}" if isinstance(owner, str) else None
+            stack.enter_context(
+                patch(target, function) if target else patch.object(owner, name, function)
+            )
+        computed_s, used_s, start = passes.computed_s, passes.used_s, time.process_time()
+        segmented = networks.segment.detect(scene.color) if networks.segment else None
+        posed = networks.pose.detect(scene.color) if networks.pose else None
+        looks = networks.segment.looks if networks.segment else 1
+        score.seconds += passes.used_s - used_s - (passes.computed_s - computed_s)
+        score.seconds += time.process_time() - start
+        for k, threshold in enumerate(THRESHOLDS):
+            start = time.process_time()
+            instances = merge_detections(
+                segmented, posed, threshold, scene.depth_m, looks=looks, focal_px=focal_px
+            )
+            if threshold == DEFAULT_CONFIDENCE:
+                score.seconds += time.process_time() - start
+            kept = tuple(DetectedFruit(fruit.box, fruit.confidence) for fruit in instances)
+            frame = replace(scene.truth, kept=kept)
+            matches, _, _ = match_detections(frame, threshold, Stage.KEPT)
+            score.hits[k] += len(matches.pairs)
+            score.false[k] += len(matches.false)
+
+
+def score_table(scores: dict[tuple[str, str], Score], tests: list[str]) -> Table:
+    """Return one line an ablation: recall and false positives by test, best F1, time."""
+    table = Table("step", *tests, "processor time", title="found / fruit, false positives; best F1")
+    in_use = THRESHOLDS.index(DEFAULT_CONFIDENCE)
+    names = list(dict.fromkeys(name for name, _ in scores))
+    whole_s = sum(scores[names[0], test].seconds for test in tests)
+    for name in names:
+        row = [scores[name, test] for test in tests]
+        cells = [
+            f"{score.hits[in_use]} / {score.fruit}, {score.false[in_use]}; {score.best_f1():.3f}"
+            for score in row
+        ]
+        share = 100 * sum(score.seconds for score in row) / whole_s
+        table.add_row(name, *cells, f"{share:.0f} %")
+    return table
+
+
+def main() -> None:
+    """Run every ablation on every test, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("photos", type=Path)
+    parser.add_argument("on_plant", type=Path)
+    parser.add_argument("drawn", type=Path)
+    parser.add_argument("--split", default="test", help="of the photos")
+    paths = parser.parse_args()
+    lines = ablations()
+    chosen = chosen_networks(None, None)
+    shipped = open_networks(*chosen, None, ranked=False)
+    assert shipped.segment is not None
+    largest_px = max(shipped.segment._sizes_px[0])
+    single = open_networks(chosen[0], None, None, ranked=False, input_sizes=(largest_px,))
+    single = replace(single, pose=shipped.pose)
+    scores: dict[tuple[str, str], Score] = {}
+    passes = SharedPasses()
+    with patch.object(YoloDetector, "_detect_at", passes):
+        pictures = scenes(paths.photos, paths.on_plant, paths.drawn, paths.split)
+        for scene in track(pictures, "pictures", total=None):
+            passes.clear()
+            for line in lines:
+                score = scores.setdefault((line.name, scene.test), Score())
+                networks = single if line.single_size else shipped
+                score_scene(scene, line, networks, passes, score)
+    kinds = list(dict.fromkeys(test for _, test in scores))
+    Console(width=150, highlight=False).print(score_table(scores, kinds))
+
+
+if __name__ == "__main__":
+    main()

@@ -116,9 +116,9 @@ def test_a_finished_plan_has_nothing_to_do(seg_run: Path) -> None:
 
 def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    words = ["train", "seg", str(seg_set), "--out", str(run), "--init", "yolo26n-seg.yaml"]
+    words = ["train", "network", "seg", str(seg_set), "--out", str(run)]
+    words += ["--init", "yolo26n-seg.yaml"]
     words += ["--plan", "64x320,96x8", "--per-epoch", "8", "--batch", "4", "--threads", "1"]
-    words += ["--precision", "f32"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", "from cucumbervision.cli.app import main; main()", *words]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:

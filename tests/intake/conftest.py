@@ -15,6 +15,8 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
+from cucumbervision.intake.archives import Limits
+from cucumbervision.intake.uploads import AcceptedUploads, accept_uploads
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
@@ -93,3 +95,22 @@ def files_in() -> Callable[[Path], list[str]]:
         )
 
     return listed
+
+
+def send(folder: Path, limits: Limits | None = None, **files: bytes) -> AcceptedUploads:
+    """Send files; 'a__b' stands for a.b and 'a___b' for a/b."""
+    named = [(n.replace("___", "/").replace("__", "."), io.BytesIO(d)) for n, d in files.items()]
+    return accept_uploads(named, folder / "in", limits)
+
+
+def faults(got: AcceptedUploads) -> dict[str, str]:
+    return {one.source: str(one) for one in got.refused}
+
+
+def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
+    stream = io.BytesIO()
+    kind = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(stream, "w", kind) as archive:
+        for name, data in members:
+            archive.writestr(name, data)
+    return stream.getvalue()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import threading
 from collections.abc import Iterator, MutableMapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +19,17 @@ import anyio
 from starlette.testclient import TestClient
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import example_captures
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
 from cucumbervision.service.client import packed
 from cucumbervision.service.server import ServiceSettings, request_limits
-from cucumbervision.service.work import LeftError, MeasureReply, Work
+from cucumbervision.service.work import MeasureReply, Work
 
 TOKEN = "0123456789abcdef"
 ADMITTED = {"Authorization": f"Bearer {TOKEN}"}
 HERE = "http://127.0.0.1:8600"
-
-
-@pytest.fixture(scope="module")
-def bench() -> Capture:
-    return next(iter(open_source(example_captures() / "simulated-bench"))).load()
-
-
-@pytest.fixture
-def measurer() -> Measurer:
-    return Measurer(MeasureOptions(instances="dataset"))
 
 
 @pytest.fixture
@@ -119,16 +105,6 @@ def test_a_form_whose_last_file_is_cut_off_is_refused(client: TestClient) -> Non
         "the form is cut off; send it again",
     )
     assert client.post("/measure", **form(b"one\r\n", b"two\r\n--x--\r\n")).status_code == 200
-
-
-def test_nothing_is_begun_for_a_client_that_has_left(measurer: Measurer, bench: Capture) -> None:
-    work, asked = Work(measurer, ServiceSettings()), [False, True]
-    with pytest.raises(LeftError), work.turn(lambda: True):
-        raise AssertionError
-    two = [(f"{n}.zip", io.BytesIO(packed(replace(bench, name=n))[1])) for n in ("a", "b", "c")]
-    # It leaves while the first capture is read.
-    reply = work.measure(two, lambda: asked.pop(0) if asked else True)
-    assert reply.captures == []
 
 
 @pytest.mark.parametrize("token", ["", "Bearer", "Bearer 0123456789abcdeF", f"Basic {TOKEN}"])
@@ -229,23 +205,6 @@ def test_the_description_names_every_column(client: TestClient) -> None:
     }
     assert told["paths"]["/measure"]["post"]["security"] == [{"HTTPBearer": []}]
     assert json.dumps(told).count("http") < 5  # no page that loads from elsewhere
-
-
-def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
-    work, inside, most = Work(measurer, ServiceSettings(waiting=8)), [0], [0]
-
-    def one() -> None:
-        with work.turn():
-            inside[0] += 1
-            most[0] = max(most[0], inside[0])
-            inside[0] -= 1
-
-    threads = [threading.Thread(target=one) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
-    assert most == [1]
 
 
 def test_no_trace_goes_where_the_environment_says(

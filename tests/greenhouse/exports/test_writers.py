@@ -9,181 +9,30 @@ import re
 import shutil
 import subprocess
 import sys
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tests.greenhouse.exports.conftest import CONFIG, EVIL, MODEL, SITE, WALK
 from typer.testing import CliRunner
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.files import defused
-from cucumbervision.measurement.result import Length, LengthDefinition
-from cucumbervision.pipeline.fields import FIELDS, Cell, Column
+from cucumbervision.pipeline.fields import Cell, Column
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import SHEETS, render_sheet, write_exports
 from cucumbervision_greenhouse.store.records import (
-    ArtifactRecord,
-    CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
     Round,
-    StopRecord,
     key_of,
 )
-from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.repository import Store
 
-EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
-WALK = Round(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
-CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
-THREAD = LengthDefinition.THREAD
 ROOT = Path(__file__).parents[3]
-
-
-def fruit(number: int, length_m: float | None) -> DetectionRecord:
-    record = DetectionRecord(
-        number,
-        score=0.9,
-        method="M6",
-        reason="best",
-        flags="uncertain" if number == 1 else "",
-        centre_x_m=0.1 * number,
-        centre_y_m=0.0,
-        centre_z_m=0.5,
-        offset_m=0.1 * number,
-        offset_sd_m=0.01,
-        methods=(MethodRecord("M1", 0.2), MethodRecord("M6", length_m)),
-    )
-    if length_m is None:
-        return replace(record, method=None, reason="no-tube", flags="")
-    return replace(
-        record,
-        length=Length(length_m, THREAD, 0.97 * length_m, 1.03 * length_m, THREAD),
-        thread_m=length_m,
-        chord_m=0.9 * length_m,
-        centreline_m=0.95 * length_m,
-        inner_arc_m=0.004,
-        diameter_max_m=0.045,
-        volume_m3=330e-6,
-    )
-
-
-@pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("house") / "house.db"
-
-
-@pytest.fixture(scope="module")
-def store(house: Path) -> Iterator[Store]:
-    """A round of eight stops; one fruit is not measured, one picked, one rejected."""
-    with open_store(house) as opened:
-        opened.save_round(WALK)
-        for step in range(8):
-            thumbnail = opened.images.put_thumbnail(np.full((48, 64, 3), 20 * step, np.uint8))
-            lengths = [0.18 + 0.02 * step, 0.31 if step else None]
-            found = tuple(fruit(k, length) for k, length in enumerate(lengths, 1))
-            opened.save_stop(
-                StopRecord(
-                    key_of("export", step),
-                    WALK.key,
-                    row="3" if step < 5 else "10",
-                    side="left",
-                    position_m=2.0 * step,
-                    position_sd_m=0.03,
-                    step=step,
-                    taken_s=WALK.started_s + step,
-                    note=EVIL if step == 0 else "",
-                    captures=(CaptureRecord(f"c{step}", thumbnail=thumbnail, fruit=found),),
-                    artifacts=(
-                        ArtifactRecord("config", "measure", CONFIG),
-                        ArtifactRecord("model", "yolo", MODEL),
-                        *([ArtifactRecord("calibration", "house", SITE)] if step else []),
-                    ),
-                    failures=({"input": "x", "error": "CaptureError"},) if step == 3 else (),
-                )
-            )
-        keys = [view.key for view in opened.detections(WALK.key)]
-        opened.pick([keys[4]], at_s=WALK.started_s + 60)
-        opened.set_verdict([keys[6]], Verdict.REJECTED)
-        yield opened
-
-
-@pytest.fixture(scope="module")
-def tables(store: Store) -> RoundTables:
-    return round_tables(
-        store, WALK.key, load_profile("long-cucumber"), profile_name="long-cucumber"
-    )
-
-
-def test_the_tables_say_what_is_in_the_store(tables: RoundTables) -> None:
-    summary = tables.summary
-    assert (summary["stops"], summary["captures"], summary["detections"]) == (8, 8, 15)
-    assert (summary["fruit"], summary["measured"], summary["picked"]) == (15, 14, 1)
-    assert (summary["failures"], summary["rows"]) == (1, 2)
-    records = tables["fruit"].rows
-    # The second row in numbers, not in letters: 3 before 10.
-    assert [line["row"] for line in records] == ["3"] * 9 + ["10"] * 6
-    first = records[0]
-    assert first["length_cm"] == 18.0
-    assert first["chord_cm"] == 16.2
-    assert (first["m1_cm"], first["m6_cm"], first["m2_cm"]) == (20.0, 18.0, None)
-    assert first["volume_ml"] == 330.0
-    assert first["mass_g"] == 316.8  # 330 ml at 960 kg per cubic metre
-    assert (first["grade"], first["grade_words"]) == ("too short", "too short")
-    assert records[1]["length_cm"] is None
-    assert (records[1]["grade"], records[1]["grade_verdict"]) == ("not measured", "missing")
-    assert (first["config_sha256"], first["models_sha256"]) == (CONFIG, MODEL)
-    assert first["calibration_sha256"] is None
-    assert records[2]["calibration_sha256"] == SITE
-
-
-def test_the_summary_is_the_fruits(tables: RoundTables) -> None:
-    hanging = [
-        float(str(line["length_cm"]))
-        for line in tables["fruit"].rows
-        if line["length_cm"] is not None and line["picked_utc"] is None
-    ]
-    assert tables.summary["mean_length_cm"] == pytest.approx(np.mean(hanging), abs=1e-3)
-    assert tables.summary["sd_length_cm"] == pytest.approx(np.std(hanging, ddof=1), abs=1e-3)
-    assert sum(count for *_, count in tables.bins) == len(hanging)
-
-
-def test_the_forecast_adds_up(tables: RoundTables) -> None:
-    lines = tables["forecast"].rows
-    assert len(lines) == 3 * 8 * 4  # house and two rows, today and seven days, four outcomes
-    for day in range(8):
-        of_day = [line for line in lines if line["day"] == day]
-        house = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "house")
-        rows = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "row")
-        # 14 hang, 13 of them measured; nothing was merged that would tell how many were missed.
-        if day:
-            assert house == pytest.approx(14, rel=0.03)
-        assert rows == pytest.approx(house, abs=0.02)
-    # Today each fruit in its class: of 13 one has 0.95 * 26 cm, give or take 3 %.
-    of_today = [line for line in lines if line["day"] == 0 and line["scope"] == "house"]
-    grades = Counter(x["grade"] for x in tables["fruit"].rows if x["picked_utc"] is None)
-    assert {line["class"]: line["expected"] for line in of_today} == {
-        "I": grades["I"],
-        "II": grades["II"],
-        "too short": grades["too short"],
-        "too long": grades["too long"],
-    }
-    assert (grades["undecided"], grades["not measured"]) == (1, 1)
-    picks = [line for line in tables["picks"].rows if line["kind"] == "ready"]
-    assert len(picks) == grades["I"]
-    assert tables.summary["ready_today"] == tables["work"].rows[0]["fruit"] == len(picks)
-    assert [line["order"] for line in tables["picks"].rows] == list(
-        range(1, len(tables["picks"].rows) + 1)
-    )
-    numbers = {line["number"] for line in tables["fruit"].rows if line["picked_utc"] is None}
-    assert {line["number"] for line in tables["picks"].rows} <= numbers
 
 
 def test_without_a_profile_there_are_no_grades_and_no_forecast(store: Store) -> None:
@@ -200,21 +49,6 @@ def test_an_empty_round_can_be_written_too(store: Store, tmp_path: Path) -> None
     tables = round_tables(store, empty.key, load_profile("long-cucumber"))
     assert tables.summary["fruit"] == 0
     assert len(write_exports(tables, tmp_path / "out")) == 8 + 1 + 8 + 1 + 1
-
-
-def test_a_round_that_is_not_there_is_named(store: Store) -> None:
-    with pytest.raises(CucumberVisionError, match="no round has the key"):
-        round_tables(store, key_of("nothing"))
-
-
-def test_every_field_that_the_store_keeps_of_a_fruit_is_exported(tables: RoundTables) -> None:
-    kept = {"inner_arc_mm", "diameter_mean_mm", "box_x1_px", "mask_source", "raw_length_cm", "fill"}
-    columns = {one.name: one for one in tables["fruit"].columns}
-    for one in FIELDS:
-        if hasattr(DetectionRecord, one.si_name) or one.name in kept:
-            assert (columns[one.name].unit, columns[one.name].says) == (one.unit, one.says)
-    first = tables["fruit"].rows[0]
-    assert (first["inner_arc_mm"], first["diameter_max_mm"], first["score"]) == (4.0, 45.0, 0.9)
 
 
 def _read(text: str, column: Column) -> Cell:
@@ -314,27 +148,6 @@ def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
     assert page.index("<h1>") < first < page.index("<p")
     assert page[last:].count("<p>") == 1
     assert all(sha[:8] in page[last:] for sha in (CONFIG, MODEL, SITE))
-
-
-def test_the_fruit_begin_with_what_people_read(tables: RoundTables) -> None:
-    read = tables["fruit"].columns[:10]
-    assert [column.title for column in read] == [
-        *("number", "row", "along [m]", "length [cm]", "at least", "interval low [cm]"),
-        *("interval high [cm]", "grade", "remarks", "taken utc"),
-    ]
-    # 18 cm, give or take 3 %, at 0 m and 10 cm to the right of it; its only flag is 'uncertain'.
-    assert [tables["fruit"].rows[0][column.name] for column in read] == [
-        *(1, "3", 0.1, 18.0, False, 17.46, 18.54, "too short", "the length is uncertain"),
-        "2024-10-04T00:00:00Z",
-    ]
-    picked = [one["remarks"] for one in tables["fruit"].rows if one["picked_utc"]]
-    assert [str(remark).split(";")[0] for remark in picked] == ["picked"]
-
-
-def test_days_are_counted_from_the_day_of_the_round(tables: RoundTables) -> None:
-    house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
-    assert [line["date_utc"] for line in house[:5:4]] == ["2024-10-04", "2024-10-05"]
-    assert tables["work"].rows[0]["date_utc"] == "2024-10-04"
 
 
 def test_the_page_prints_on_a4(tables: RoundTables, tmp_path: Path) -> None:

@@ -208,14 +208,6 @@ def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
     assert left == {pick.fruit.fruit_id for pick in picks[1:]}
 
 
-def test_rounds_are_found_by_name(store: Store, row: Walk) -> None:
-    del row
-    assert find_round(store).key == find_round(store, "morning").key == MORNING
-    assert find_round(store, MORNING[:6]).key == MORNING
-    with pytest.raises(RoundError, match="no round is called 'evening'"):
-        find_round(store, "evening")
-
-
 def test_three_sides_are_refused(store: Store, save_walk: Save) -> None:
     small = simulate_row(replace(ROW, fruit=10), 1)
     save_walk(small)
@@ -242,11 +234,3 @@ def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> No
     sizes = [line.view.views for line in fruit_table(read_round(store, MORNING))]
     links = store.links(MORNING, LinkKind.SAME)
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)
-
-
-def test_a_number_is_never_the_start_of_a_rounds_key(store: Store) -> None:
-    key = "2aaaaaaa-0000-4000-8000-000000000000"
-    store.save_round(Round(key, "Tuesday"))
-    assert find_round(store, "2aa").key == key
-    with pytest.raises(RoundError, match="no round is called '2'"):
-        find_round(store, "2")

@@ -5,12 +5,11 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import func, select, text
+from sqlalchemy import func, select
 
 from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
 from cucumbervision_greenhouse.store.engine import begin
@@ -20,13 +19,12 @@ from cucumbervision_greenhouse.store.records import (
     MethodRecord,
     Round,
     Saved,
-    StopRecord,
     key_of,
     new_key,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.schema import Base
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
@@ -41,12 +39,6 @@ def lines(store: Store) -> dict[str, int]:
             name: connection.execute(select(func.count()).select_from(table)).scalar_one()
             for name, table in Base.metadata.tables.items()
         }
-
-
-def test_a_stop_comes_back_as_it_was_sent(store: Store, make_stop: MakeStop) -> None:
-    stop = make_stop(3, pose=tuple(float(x) for x in range(16)), note="=1+1 'quoted' ž\n")
-    assert store.save_stop(stop) is Saved.NEW
-    assert store.stop(stop.key) == stop
 
 
 @pytest.mark.parametrize("bad", ["a\0", "a\ud800b", "a\u202eb", "a\nb", "a\x1b["])
@@ -73,14 +65,6 @@ def test_a_house_gets_the_name_that_it_had_first(store: Store) -> None:
     houses = {one.key: one.record.house for one in store.rounds()}
     assert houses[first.key] == houses[second.key] == "House 7"
     assert store.save_round(second) is Saved.ALREADY_THERE
-
-
-def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
-    stop = StopRecord(new_key(), WALK)
-    store.save_stop(stop)
-    assert store.stop(stop.key) == stop
-    [view] = store.stops(WALK)
-    assert (view.row, view.captures, view.fruit, view.thumbnail) == (None, 0, 0, None)
 
 
 def test_the_same_stop_sent_again_changes_nothing_and_says_so(
@@ -122,35 +106,6 @@ def test_a_stop_needs_its_round(store: Store, make_stop: MakeStop) -> None:
         store.save_stop(make_stop(1, round_key=new_key()))
 
 
-@pytest.mark.parametrize(
-    ("captures", "fault"),
-    [
-        ((CaptureRecord("a"), CaptureRecord("a")), "two captures are called a"),
-        (
-            (CaptureRecord("a", fruit=(DetectionRecord(1), DetectionRecord(1))),),
-            "two fruit have number 1",
-        ),
-    ],
-)
-def test_doubles_within_a_stop_are_refused(
-    store: Store, make_stop: MakeStop, captures: tuple[CaptureRecord, ...], fault: str
-) -> None:
-    with pytest.raises(StoreError, match=fault):
-        store.save_stop(make_stop(1, captures=captures))
-
-
-def test_rounds_are_listed_with_what_they_hold(store: Store, make_stop: MakeStop) -> None:
-    store.save_round(Round(key_of("other"), "elsewhere", "house 2", 500.0))
-    store.save_stop(make_stop(1))
-    store.save_stop(make_stop(2, fruit=3))
-    found = [(r.record.name, r.stops, r.fruit, r.last_s) for r in store.rounds()]
-    assert found == [
-        ("next morning", 0, 0, None),
-        ("morning", 2, 5, 1002.0),
-        ("elsewhere", 0, 0, None),
-    ]
-
-
 def test_a_round_sent_again_changes_nothing_and_another_is_refused(store: Store) -> None:
     walk = store.rounds()[1].record
     assert store.save_round(walk) is Saved.ALREADY_THERE
@@ -165,66 +120,6 @@ def test_rows_of_a_house_are_kept_once(store: Store, make_stop: MakeStop) -> Non
     assert lines(store)["rows"] == 2
     assert lines(store)["artifacts"] == 1
     assert [stop.row for stop in store.stops(WALK)] == ["3", "3", "4"]
-
-
-def test_a_fruit_lies_where_its_stop_and_its_offset_say(store: Store, make_stop: MakeStop) -> None:
-    store.save_stop(make_stop(2))
-    _, second = store.detections(WALK)
-    assert second.along_m == pytest.approx(0.8 + 0.2)
-    assert second.along_sd_m == pytest.approx(hypot(0.04, 0.03))
-    store.save_stop(make_stop(3, position_m=None))
-    assert store.detections(WALK)[2].along_m is None
-
-
-def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
-    store: Store, make_stop: MakeStop
-) -> None:
-    stop = make_stop(1)
-    store.save_stop(stop)
-    listed = store.detections(WALK)[1]
-    whole = stop.captures[0].fruit[1]
-    assert listed.record == replace(whole, mask=None, keypoints=(), methods=())
-    detail = store.detection(listed.key)
-    assert detail.view == replace(listed, record=whole)
-    assert detail.original == whole
-    assert (detail.capture, detail.stop) == (stop.captures[0], stop)
-    assert (detail.links, detail.log) == ((), ())
-    methods = tuple(replace(one, path_m=(), diameter_m=()) for one in whole.methods)
-    assert store.measurements(WALK)[listed.key] == methods
-
-
-def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
-    store.save_stop(make_stop(1))
-    store.save_stop(make_stop(2, row="4"))
-    unmeasured = CaptureRecord("a", fruit=(DetectionRecord(1),))
-    store.save_stop(make_stop(3, side="right", captures=(unmeasured,)))
-    keys = [one.key for one in store.detections(WALK)]
-    store.set_verdict([keys[2]], Verdict.REJECTED)
-
-    def kept(**only: Any) -> list[int]:
-        found = store.detections(WALK, DetectionFilter(**only))
-        return [10 * (one.step or 0) + one.record.number for one in found]
-
-    assert kept() == [11, 12, 21, 22, 31]
-    assert kept(row="4") == [21, 22]
-    assert kept(stop_key=key_of(WALK, 1)) == [11, 12]
-    assert kept(min_length_m=0.115) == [12, 21, 22]
-    assert kept(verdict=Verdict.REJECTED) == [21]
-    assert kept(min_length_m=0.215, row="4") == [22]
-
-
-def test_what_is_not_there_is_said(store: Store) -> None:
-    for call in (
-        "stops",
-        "detections",
-        "links",
-        "measurements",
-        "stop",
-        "detection",
-        "undo",
-    ):
-        with pytest.raises(StoreError, match="is not in the store"):
-            getattr(store, call)(new_key())
 
 
 def test_pictures_of_a_server_need_a_folder(cluster: Any) -> None:
@@ -258,24 +153,6 @@ def test_the_address_of_a_file_may_name_the_folder_of_the_pictures(tmp_path: Pat
 def test_pictures_of_a_file_lie_beside_it(tmp_path: Path) -> None:
     with open_store(tmp_path / "house.db") as store:
         assert store.images.folder == tmp_path / "house.images"
-
-
-def test_an_open_reader_neither_waits_for_a_writer_nor_sees_half(
-    store: Store, make_stop: MakeStop
-) -> None:
-    store.save_stop(make_stop(1))
-    with begin(store.engine, write=True) as connection:
-        connection.execute(text("UPDATE stops SET note = 'changed'"))
-        assert [stop.note for stop in store.stops(WALK)] == [""]
-    assert [stop.note for stop in store.stops(WALK)] == ["changed"]
-
-
-def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
-    count = select(func.count()).select_from(Base.metadata.tables["stops"])
-    with begin(store.engine) as connection:
-        before = connection.execute(count).scalar_one()
-        store.save_stop(make_stop(1))
-        assert connection.execute(count).scalar_one() == before == 0
 
 
 def test_many_threads_lose_nothing(store: Store, make_stop: MakeStop) -> None:

@@ -14,15 +14,10 @@ from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.intervals import shipped_interval_models
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import (
-    CAMERA,
-    PAPER_THREADS_CM,
     Suite,
-    build_fruit,
-    nearest_m,
     paper_cases,
     simulate,
     stress_cases,
-    validation_cases,
 )
 from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES
 from cucumbervision_lab.benchmark.length_tables import comparable_readings
@@ -72,43 +67,11 @@ def test_every_length_of_a_method_has_an_interval(readings: pd.DataFrame) -> Non
     assert others["low_m"].isna().all()
 
 
-def test_the_same_case_is_always_the_same() -> None:
-    case = stress_cases(1, first=5)[0]
-    one, other = (simulate(case) for _ in range(2))
-    assert (one.capture.depth_m == other.capture.depth_m).all()
-    assert one.depth_scale == other.depth_scale
-
-
-def test_fruit_are_as_long_as_their_cases_say() -> None:
-    for case in (*paper_cases(7), *validation_cases()):
-        assert build_fruit(case).thread_m == pytest.approx(case.length_m, rel=0.004)
-    for case in stress_cases(5):
-        assert build_fruit(case).centreline_m == pytest.approx(case.length_m, rel=1e-4)
-    assert [c.length_m * 100 for c in paper_cases(7)] == pytest.approx(PAPER_THREADS_CM)
-
-
-def test_whole_fruit_fit_into_the_picture() -> None:
-    assert nearest_m(0.2, 0) == pytest.approx(0.2 * 910.22 / (0.86 * 1280))
-    cut = [
-        simulate(case, frames=1).truth.cut_off for case in (*validation_cases(), *stress_cases(10))
-    ]
-    assert sum(cut) <= 1
-    assert CAMERA.width == 1280
-
-
 def test_the_protocol_is_the_papers() -> None:
     protocol, stress = plan_cases(BenchmarkOptions())
     assert len([c for c in protocol if c.suite is Suite.PAPER]) == 48
     assert len({c.fruit for c in protocol if c.suite is Suite.PAPER}) == 7
     assert len({c.fruit for c in stress}) == len(stress) == 2000
-
-
-def test_hiding_leaves_hide_about_what_was_asked() -> None:
-    hidden = [c for c in stress_cases(60) if c.hidden_share > 0.1][:8]
-    for case in hidden:
-        assert simulate(case, frames=1).truth.hidden_share == pytest.approx(
-            case.hidden_share, abs=0.2
-        )
 
 
 def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from sqlalchemy import func, select, text
+
+from cucumbervision.errors import StoreError
+from cucumbervision_greenhouse.store.engine import begin
+from cucumbervision_greenhouse.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    Round,
+    key_of,
+    new_key,
+)
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.schema import Base
+from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from tests.greenhouse.store.conftest import MakeStop
+
+
+WALK = key_of("walk")
+
+
+def test_rounds_are_listed_with_what_they_hold(store: Store, make_stop: MakeStop) -> None:
+    store.save_round(Round(key_of("other"), "elsewhere", "house 2", 500.0))
+    store.save_stop(make_stop(1))
+    store.save_stop(make_stop(2, fruit=3))
+    found = [(r.record.name, r.stops, r.fruit, r.last_s) for r in store.rounds()]
+    assert found == [
+        ("next morning", 0, 0, None),
+        ("morning", 2, 5, 1002.0),
+        ("elsewhere", 0, 0, None),
+    ]
+
+
+def test_a_fruit_lies_where_its_stop_and_its_offset_say(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(2))
+    _, second = store.detections(WALK)
+    assert second.along_m == pytest.approx(0.8 + 0.2)
+    assert second.along_sd_m == pytest.approx(hypot(0.04, 0.03))
+    store.save_stop(make_stop(3, position_m=None))
+    assert store.detections(WALK)[2].along_m is None
+
+
+def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
+    store: Store, make_stop: MakeStop
+) -> None:
+    stop = make_stop(1)
+    store.save_stop(stop)
+    listed = store.detections(WALK)[1]
+    whole = stop.captures[0].fruit[1]
+    assert listed.record == replace(whole, mask=None, keypoints=(), methods=())
+    detail = store.detection(listed.key)
+    assert detail.view == replace(listed, record=whole)
+    assert detail.original == whole
+    assert (detail.capture, detail.stop) == (stop.captures[0], stop)
+    assert (detail.links, detail.log) == ((), ())
+    methods = tuple(replace(one, path_m=(), diameter_m=()) for one in whole.methods)
+    assert store.measurements(WALK)[listed.key] == methods
+
+
+def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(1))
+    store.save_stop(make_stop(2, row="4"))
+    unmeasured = CaptureRecord("a", fruit=(DetectionRecord(1),))
+    store.save_stop(make_stop(3, side="right", captures=(unmeasured,)))
+    keys = [one.key for one in store.detections(WALK)]
+    store.set_verdict([keys[2]], Verdict.REJECTED)
+
+    def kept(**only: Any) -> list[int]:
+        found = store.detections(WALK, DetectionFilter(**only))
+        return [10 * (one.step or 0) + one.record.number for one in found]
+
+    assert kept() == [11, 12, 21, 22, 31]
+    assert kept(row="4") == [21, 22]
+    assert kept(stop_key=key_of(WALK, 1)) == [11, 12]
+    assert kept(min_length_m=0.115) == [12, 21, 22]
+    assert kept(verdict=Verdict.REJECTED) == [21]
+    assert kept(min_length_m=0.215, row="4") == [22]
+
+
+def test_what_is_not_there_is_said(store: Store) -> None:
+    for call in (
+        "stops",
+        "detections",
+        "links",
+        "measurements",
+        "stop",
+        "detection",
+        "undo",
+    ):
+        with pytest.raises(StoreError, match="is not in the store"):
+            getattr(store, call)(new_key())
+
+
+def test_an_open_reader_neither_waits_for_a_writer_nor_sees_half(
+    store: Store, make_stop: MakeStop
+) -> None:
+    store.save_stop(make_stop(1))
+    with begin(store.engine, write=True) as connection:
+        connection.execute(text("UPDATE stops SET note = 'changed'"))
+        assert [stop.note for stop in store.stops(WALK)] == [""]
+    assert [stop.note for stop in store.stops(WALK)] == ["changed"]
+
+
+def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
+    count = select(func.count()).select_from(Base.metadata.tables["stops"])
+    with begin(store.engine) as connection:
+        before = connection.execute(count).scalar_one()
+        store.save_stop(make_stop(1))
+        assert connection.execute(count).scalar_one() == before == 0

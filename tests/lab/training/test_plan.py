@@ -19,7 +19,6 @@ from cucumbervision_lab.training.plan import (
     group_by_source,
     parse_plan,
 )
-from cucumbervision_lab.training.settings import one_to_many_at, rate_at
 
 
 def test_plan_is_read_as_written() -> None:
@@ -57,13 +56,6 @@ def test_state_comes_back_as_saved(tmp_path: Path) -> None:
         RunState.load(tmp_path)
     with pytest.raises(TrainingError, match="no training run to resume"):
         RunState.load(tmp_path / "none")
-
-
-def test_what_falls_over_the_plan() -> None:
-    assert [rate_at(t) for t in (0.0, 1.0)] == pytest.approx([1.0, 0.05])
-    assert [one_to_many_at(t, 0.3) for t in (0.0, 0.5, 1.0)] == pytest.approx([0.3, 0.2, 0.1])
-    # A network that already gives it less keeps that.
-    assert one_to_many_at(1.0, 0.05) == pytest.approx(0.05)
 
 
 def test_sources_come_as_often_as_their_weights_say() -> None:

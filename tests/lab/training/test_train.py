@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -17,65 +16,18 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
+from tests.lab.training.conftest import QUICK, Notes
+
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, stored_run_state
-from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
-from cucumbervision_lab.training.plan import RunState, parse_plan
-from cucumbervision_lab.training.settings import TrainOptions, rate_at, trainer_settings
+from cucumbervision_lab.training.plan import RunState
+from cucumbervision_lab.training.settings import TrainOptions, rate_at
 from cucumbervision_lab.training.train import NETWORK, EpochReport, train
-from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
 pytestmark = pytest.mark.train
-
-QUICK = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, validate_every=1)
-
-
-class Notes:
-    """Keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.epochs: list[EpochReport] = []
-        self.fractions: list[float] = []
-
-    def batch(self, fraction: float, size_px: int) -> None:
-        self.fractions.append(fraction)
-
-    def epoch(self, report: EpochReport) -> None:
-        self.epochs.append(report)
-
-
-class Deaf:
-    def batch(self, done: int, total: int) -> None:
-        pass
-
-    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
-        return False
-
-
-@pytest.fixture(scope="module")
-def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Train a plan of two sizes in two calls: the second prolongs what the first ended."""
-    run = tmp_path_factory.mktemp("run") / "seg"
-    notes = Notes()
-    train(
-        "seg",
-        seg_set,
-        run,
-        init="yolo26n-seg.yaml",
-        plan="64x16",
-        per_epoch=8,
-        options=QUICK,
-        callbacks=notes,
-    )
-    assert [(r.pictures, r.of, r.size_px) for r in notes.epochs] == [(8, 16, 64), (16, 16, 64)]
-    # Eight pictures, four at a time.
-    assert notes.fractions == [0.5, 1.0, 0.5, 1.0]
-    other = TrainOptions(**{**vars(QUICK), "batch": 2, "learning_rate": 0.1})
-    train("seg", None, run, resume=True, plan="64x16,96x8", options=other)
-    return run
 
 
 def rows(run: Path) -> list[tuple[int, int]]:
@@ -165,106 +117,6 @@ def test_another_machine_goes_on_in_the_same_plan(seg_set: Path, tmp_path: Path)
     assert [(pictures, of) for pictures, _, of in seen] == [(16, 24), (24, 24)]
     expected = [0.001 * rate_at(1 / 3) * 0.02, 0.001 * rate_at(2 / 3) * 0.04]
     assert [one for _, one, _ in seen] == pytest.approx(expected, rel=1e-3)
-
-
-def backbone(network: object) -> dict[str, object]:
-    state = network.state_dict()  # type: ignore[attr-defined]
-    return {key: value for key, value in state.items() if not key.startswith("model.23.")}
-
-
-def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_path: Path) -> None:
-    import_ultralytics()
-    import torch
-    from ultralytics.nn.tasks import load_checkpoint
-
-    data = prepare_data(pose_set, "pose", tmp_path)
-    init = str(seg_run / NETWORK)
-    state = RunState("pose", str(data), init, parse_plan("64x8", 8))
-    settings = trainer_settings(state, init, tmp_path, QUICK, "cpu")
-    assert (settings["model"], settings["pretrained"]) == ("yolo26n-pose.yaml", init)
-    course = TrainerSettings(state.plan)
-    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=False)
-    trainer.setup_model()
-    ours, theirs = backbone(trainer.model), backbone(load_checkpoint(init)[0].float())
-    assert ours.keys() == theirs.keys()
-    assert len(ours) > 300
-    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
-    # The boxes' branch of the head too; the points' own is new.
-    head = trainer.model.model[-1]
-    taken = load_checkpoint(init)[0].float().model[-1]
-    assert torch.equal(head.cv2[0][0].conv.weight, taken.cv2[0][0].conv.weight)
-
-
-def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: Path) -> None:
-    import_ultralytics()
-    data = prepare_data(pose_set, "pose", tmp_path)
-    plan = parse_plan("64x8,96x8", 8)
-    state = RunState("pose", str(data), "yolo26n-pose.yaml", plan)
-    settings = trainer_settings(state, state.init, tmp_path, QUICK, "cpu")
-    course = TrainerSettings(plan, by_place=True)
-    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=True)
-    seen = {}
-
-    def look(t: object) -> None:
-        loss = t.model.criterion  # type: ignore[attr-defined]
-        seen["loss"] = loss.one2one.keypoint_loss.sigmas.tolist()
-        seen["share"] = [loss.o2m, loss.o2o]
-        seen["narrowed"] = ["predict" in vars(t.model)]  # type: ignore[attr-defined]
-
-    trainer.add_callback("on_train_batch_end", look)
-    trainer.train()
-    # Kindly at the plan's beginning, strictly in validation.
-    assert seen["loss"] == pytest.approx([0.2] * 5)
-    assert trainer.validator.sigma.tolist() == pytest.approx([0.05] * 5)
-    assert seen["share"] == pytest.approx([0.8, 0.2])
-    assert seen["narrowed"] == [True]
-    assert "predict" not in vars(trainer.model)
-    assert trainer.validator.end2end
-    assert 0 < trainer.metrics["val/pose_loss"] < 1e4
-
-
-def test_small_batches_leave_the_norms(seg_run: Path, seg_set: Path, tmp_path: Path) -> None:
-    import_ultralytics()
-    import torch
-    from ultralytics.nn.tasks import load_checkpoint
-
-    init = seg_run / NETWORK
-    options = TrainOptions(**{**vars(QUICK), "batch": 3})
-    train(
-        "seg", seg_set, tmp_path / "run", init=str(init), plan="64x8", per_epoch=8, options=options
-    )
-    before, after = (
-        load_checkpoint(str(path))[0].float().state_dict()
-        for path in (init, tmp_path / "run" / NETWORK)
-    )
-    means = [key for key in before if key.endswith("running_mean")]
-    assert len(means) > 100
-    assert all(torch.equal(before[key], after[key]) for key in means)
-    assert not torch.equal(before["model.0.conv.weight"], after["model.0.conv.weight"])
-
-
-def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
-    losses = {}
-    for precision in ("f32", "bf16"):
-        notes = Notes()
-        options = TrainOptions(**{**vars(QUICK), "precision": precision, "learning_rate": 0.002})
-        train(
-            "seg",
-            seg_set,
-            tmp_path / precision,
-            init="yolo26n-seg.yaml",
-            plan="64x24",
-            per_epoch=8,
-            options=options,
-            callbacks=notes,
-        )
-        losses[precision] = [
-            sum(v for k, v in r.metrics.items() if k.startswith("train/")) for r in notes.epochs
-        ]
-    # Rounding grows with every step, and differs from one processor to another.
-    assert losses["bf16"][0] == pytest.approx(losses["f32"][0], rel=0.1)
-    assert losses["bf16"] == pytest.approx(losses["f32"], rel=0.3)
-    assert losses["bf16"] != losses["f32"]
 
 
 def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path: Path) -> None:

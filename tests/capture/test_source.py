@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.source import (
+    CaptureSource,
+    Folder,
+    ReadOptions,
+    example_captures,
+    fail,
+    safe_name,
+    unique_name,
+)
+from cucumbervision.errors import CaptureError
+
+
+def named(*names: str) -> Folder:
+    folder = Folder(Path("house"))
+    for name in names:
+        folder.add(name)
+    return folder
+
+
+@pytest.mark.parametrize("unit_m", [0.0, -0.001, float("nan")])
+def test_a_depth_unit_that_is_none_is_refused(unit_m: float) -> None:
+    with pytest.raises(ValueError, match="both must be positive"):
+        ReadOptions(depth_unit_m=unit_m)
+
+
+def test_files_that_systems_add_are_no_files() -> None:
+    added = ("a/._rgb.png", "__MACOSX/a/rgb.png", "@eaDir/rgb.png", "a/Thumbs.db", ".DS_Store")
+    # Only whole names count, and only dots with an underscore.
+    assert list(named(*added, "a/Thumbs.db.png", "a/.rgb.png", "a/rgb.png")) == [
+        "a/Thumbs.db.png",
+        "a/.rgb.png",
+        "a/rgb.png",
+    ]
+
+
+def test_each_file_is_taken_once() -> None:
+    folder = named("capture.json", "color.png", "masks/0.png", "b/capture.json", "b/masks/1.png")
+    taken = folder.take("capture.json", "", "masks")
+    assert taken == {
+        "": {"": ["color.png"], "masks": ["0.png"]},
+        "b": {"": [], "masks": ["1.png"]},
+    }
+    assert list(folder) == []
+    assert folder.take("capture.json", "") == {}
+    assert folder.kinds() == "no file"
+
+
+def test_what_is_left_is_described_by_its_five_most_frequent_types() -> None:
+    names = [f"{k}.{kind}" for kind in ("a", "b", "c", "D", "e", "f") for k in range(2)]
+    text = named(*names, "x.f", "README").kinds()
+    assert text.startswith("3 .f, 2 .a, 2 .b, 2 .c, 2 .d")
+    assert named("README", "b/LICENCE").kinds() == "2 other"
+
+
+def test_captures_of_one_name_stay_apart_and_load_under_theirs() -> None:
+    loaded: list[str] = []
+
+    def load(name: str) -> Capture:
+        loaded.append(name)
+        raise CaptureError("is empty", source=name)
+
+    entries = [(text, number, load, Path(text), None) for number, text in enumerate("aA?a")]
+    source = CaptureSource.listed(Path("house"), "native", entries)
+    names = [ref.name for ref in source]
+    assert names == ["a", "A-2", "_", "a-3"]
+    assert (source.total, [ref.frame for ref in source]) == (4, [0, 1, 2, 3])
+    for ref in source:
+        with pytest.raises(CaptureError):
+            ref.load()
+    assert loaded == names
+
+
+def test_an_error_waits_until_its_capture_is_loaded() -> None:
+    error = CaptureError("cannot be read", source="a")
+    entry = ("a", -1, lambda name: fail(error, name), Path("a"), None)
+    (ref,) = CaptureSource.listed(Path("house"), "pair", [entry])
+    with pytest.raises(CaptureError, match="cannot be read"):
+        ref.load()
+
+
+@given(st.text() | st.text("ab. ्é/\\", max_size=6) | st.text("é黄", min_size=60, max_size=300))
+def test_every_text_makes_a_file_name(text: str) -> None:
+    name = safe_name(text)
+    assert 0 < len(name.encode()) <= 200
+    assert not set(name) & {*'<>:"/\\|?* ', "\0"}
+    assert name.strip(".") == name
+    assert safe_name(name) == name
+
+
+def test_long_names_are_cut_between_letters() -> None:
+    # Three bytes a letter: of 183 bytes 61 letters stay, a dash and sixteen digits follow.
+    name = safe_name("黄" * 100)
+    assert name[:62] == "黄" * 61 + "-"
+    assert len(name) == 62 + 16
+    assert safe_name("x" * 200) == "x" * 200
+
+
+def test_a_number_is_given_that_nothing_has() -> None:
+    taken = {"row", "row-2"}
+    assert unique_name("Row", taken) == "Row-3"
+    assert unique_name("row-3", taken) == "row-3-2"
+
+
+def test_the_bundled_captures_lie_in_the_package() -> None:
+    folders = sorted(example_captures().iterdir())
+    assert [(folder / "capture.json").is_file() for folder in folders] == [True] * len(folders)

@@ -57,7 +57,7 @@ def test_each_file_is_taken_once() -> None:
 def test_what_is_left_is_described_by_its_five_most_frequent_types() -> None:
     names = [f"{k}.{kind}" for kind in ("a", "b", "c", "D", "e", "f") for k in range(2)]
     text = named(*names, "x.f", "README").kinds()
-    assert text.startswith("3 .f, 2 .a, 2 .b, 2 .c, 2 .d")
+    assert text == "3 .f, 2 .a, 2 .b, 2 .c, 2 .d"
     assert named("README", "b/LICENCE").kinds() == "2 other"
 
 

@@ -115,3 +115,77 @@ def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
         before = connection.execute(count).scalar_one()
         store.save_stop(make_stop(1))
         assert connection.execute(count).scalar_one() == before == 0
+
+
+def test_the_times_of_picking_are_by_fruit(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(1))
+    first, second = (view.key for view in store.detections(WALK))
+    store.pick([first], at_s=1500.0)
+    store.pick([second], at_s=1600.0)
+    store.unpick([first])
+    assert store.picked(WALK) == {second: 1600.0}
+    assert store.picked(key_of("next day")) == {}
+
+
+def test_verdicts_of_a_house_count_in_the_rounds_that_have_any(
+    store: Store, make_stop: MakeStop
+) -> None:
+    other = Round(key_of("other"), "elsewhere", "house 2", 500.0)
+    next_day = Round(key_of("next day"), "next morning", "house 1", 87400.0)
+    store.save_round(other)
+    for step, walk in enumerate((None, next_day, other)):
+        changes = {} if walk is None else {"round": walk}
+        store.save_stop(make_stop(step, fruit=2 + step, **changes))
+    assert store.judged(WALK) == (0, 0)
+    keys = {one: [view.key for view in store.detections(one)] for one in (WALK, other.key)}
+    store.set_verdict(keys[WALK][:1], Verdict.REJECTED)
+    store.set_verdict(keys[other.key], Verdict.REJECTED)
+    # Nobody judged the next day's fruit: whether they are false is not known.
+    assert store.judged(WALK) == store.judged(next_day.key) == (1, 2)
+    assert store.judged(other.key) == (4, 4)
+    later = [view.key for view in store.detections(next_day.key)]
+    store.set_verdict(later[:1], Verdict.ACCEPTED)
+    assert store.judged(WALK) == (1, 5)
+
+
+def test_the_newest_action_of_a_round_leaves_out_what_does_not_matter(
+    store: Store, make_stop: MakeStop
+) -> None:
+    store.save_stop(make_stop(1))
+    key = store.detections(WALK)[0].key
+    assert store.newest_action(WALK) == 0
+    first = store.set_verdict([key], Verdict.ACCEPTED)
+    second = store.pick([key], at_s=1500.0)
+    assert first < second == store.newest_action(WALK)
+    assert store.newest_action(WALK, without=["pick"]) == first
+    assert store.newest_action(WALK, without=["pick", "accept"]) == 0
+    assert store.newest_action(key_of("next day")) == 0
+
+
+def test_who_undoes_sees_what_they_did_themselves(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(1))
+    key = store.detections(WALK)[0].key
+    ana = store.signed("ana")
+    by_nobody = store.set_verdict([key], Verdict.ACCEPTED)
+    by_ana = ana.pick([key], at_s=1500.0)
+    assert [line.number for line in store.own_actions(WALK)] == [by_nobody]
+    assert [line.number for line in ana.own_actions(WALK)] == [by_ana]
+    # Who did nothing yet may undo what a command did.
+    assert [line.number for line in store.signed("bo").own_actions(WALK)] == [by_nobody]
+    ana.undo(number=by_ana)
+    assert [line.number for line in ana.own_actions(WALK)] == [by_nobody]
+    assert store.own_actions(key_of("next day")) == []
+
+
+def test_cameras_and_what_they_were_measured_with_are_by_stop(
+    store: Store, make_stop: MakeStop
+) -> None:
+    pose = tuple(float(x) for x in range(16))
+    first, second = make_stop(1, pose=pose), make_stop(2, artifacts=())
+    for stop in (first, second):
+        store.save_stop(stop)
+    cameras = store.cameras(WALK)
+    assert [list(cameras[stop.key].pose) for stop in (first, second)] == [list(pose), []]
+    assert cameras[first.key].camera == {"fx_px": 600.0}
+    assert list(cameras[first.key].captures) == ["a"]
+    assert store.artifacts(WALK) == {first.key: first.artifacts}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,12 @@ from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_ro
 from cucumbervision_greenhouse.backend.tasks import mergings, progress
 from cucumbervision_greenhouse.backend.words import page_remedy
 from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
+from cucumbervision_greenhouse.rounds.day_comparison import (
+    DayComparison,
+    compare_rounds,
+    fruit_days,
+    same_fruit,
+)
 from cucumbervision_greenhouse.rounds.forecasting import (
     Today,
     forecast_today,
@@ -31,12 +38,18 @@ from cucumbervision_greenhouse.rounds.forecasting import (
 )
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts, row_counts
+from cucumbervision_greenhouse.rounds.merge_and_link import (
+    DAY_S,
+    RowCounts,
+    earlier_rounds,
+    row_counts,
+)
 from cucumbervision_greenhouse.store.records import JointRecord, MethodRecord
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionSummary, RoundSummary
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
 LINES = 20  # fruit on one page of the list
+_DAYS = 400  # rounds whose numbers are kept: a season
 
 
 def news(round_key: str) -> dict[str, Any]:
@@ -88,6 +101,40 @@ def graded_round(round_summary: RoundSummary) -> GradedRound:
     return grade_round(
         content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
     )
+
+
+@st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_OF_ROUND)
+def class_counts_of(round_summary: RoundSummary) -> Counter[str]:
+    """Return how many fruit of each class a round shows, those that were picked since as well."""
+    graded = graded_round(round_summary)
+    return Counter(graded.grades[view.key].label for view in graded.fruit if not view.doubtful)
+
+
+@st.cache_resource(show_spinner="Comparing …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def comparison_of(earlier: RoundSummary, later: RoundSummary) -> DayComparison:
+    """Return what changed between two rounds of a house; computed again only after a change."""
+    between = [
+        x
+        for x in earlier_rounds(store(), later.key)
+        if earlier.walked_s < x.walked_s < later.walked_s
+    ]
+    rounds_in_order = [earlier, *between[::-1], later]
+    contents = [content_of(x) for x in rounds_in_order]
+    return compare_rounds(
+        fruit_of(earlier),
+        fruit_of(later),
+        same_fruit(store(), contents),
+        (contents[0].stops, contents[-1].stops),
+        (later.walked_s - earlier.walked_s) / DAY_S,
+    )
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def fruit_days_of(round_summary: RoundSummary, fruit_key: str) -> list[DetectionSummary]:
+    """Return a fruit of a round, or of one before it, on every day, the earliest first."""
+    views = {view.key for view in content_of(round_summary).views}
+    home = round_summary.key if fruit_key in views else store().detection(fruit_key).view.round_key
+    return fruit_days(store(), home, fruit_key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)

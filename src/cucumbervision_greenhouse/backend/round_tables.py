@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision_greenhouse.backend.words import (
+    day_words,
+    interval_words,
     length_words,
     metres_words,
     row_name,
@@ -20,10 +23,11 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.grades import Grade
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision_greenhouse.backend.settings import Units
+    from cucumbervision_greenhouse.rounds.day_comparison import FruitChange
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFigures, RoundFruit
     from cucumbervision_greenhouse.store.records import DetectionRecord
-    from cucumbervision_greenhouse.store.views import DetectionSummary
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
 _LOW_CONFIDENCE = 0.45  # confidence below which a fruit with one view may be a false detection
@@ -123,6 +127,55 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
 def row_and_side(view: DetectionSummary) -> str:
     """Return the map's name for the row and side of a fruit."""
     return row_name(view.row) + (f", {view.side}" if view.side else "")
+
+
+def last_of_day(rounds: Iterable[RoundSummary]) -> list[tuple[str, RoundSummary]]:
+    """Return the last round of each day with its local date (ISO 8601), the newest day first."""
+    last: dict[str, RoundSummary] = {}
+    for round_summary in sorted(rounds, key=lambda x: -x.walked_s):
+        date = datetime.fromtimestamp(round_summary.walked_s).astimezone().date()
+        last.setdefault(date.isoformat(), round_summary)
+    return list(last.items())
+
+
+def change_words(fruit: FruitChange, units: Units) -> list[str]:
+    """Return what is said of a fruit of two rounds: its place, its two lengths, its growth."""
+    view = fruit.after or fruit.before
+    if view is None:
+        return []
+    lengths = [length_words(x.record, units) for x in (fruit.before, fruit.after) if x is not None]
+    growth_m = fruit.growth_m_per_day
+    return [
+        f"{row_and_side(view)}, {metres_words(view.along_m)}",
+        " → ".join(lengths),
+        "" if growth_m is None else f"{units.text(growth_m)} a day",
+        "picked" if view.picked_s is not None else "",
+    ]
+
+
+def day_lines(view: DetectionSummary, units: Units) -> list[str]:
+    """Return what is said of a fruit on one day: the date, its length and interval."""
+    interval = interval_words(view.record, units)
+    lines = [day_words(view.taken_s), length_words(view.record, units), interval or ""]
+    return [line for line in lines if line]
+
+
+def length_days(views: Iterable[DetectionSummary], units: Units) -> list[dict[str, Any]]:
+    """Return a line for each day of a fruit with a length: time, length and interval."""
+    lines = []
+    for view in views:
+        length = view.record.length
+        if length is not None:
+            moment = datetime.fromtimestamp(view.taken_s).astimezone()
+            lines.append(
+                {
+                    "at": moment.isoformat(timespec="minutes"),
+                    "length": units.value(length.value_m),
+                    "low": units.value(length.low_m),
+                    "high": units.value(length.high_m),
+                }
+            )
+    return lines
 
 
 def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:

@@ -215,6 +215,17 @@ def round_day(at_s: float) -> str:
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
 
 
+def day_words(at_s: float) -> str:
+    """Return a moment as local weekday and date.
+
+    Examples
+    --------
+    >>> day_words(1_700_000_000.0)
+    'Tue 14 Nov'
+    """
+    return time.strftime("%a %-d %b", time.localtime(at_s))
+
+
 def round_name(round_summary: RoundSummary) -> str:
     """Return a round's name in a list: its name, house, day and number of stops."""
     house = f", {round_summary.record.house}" if round_summary.record.house else ""

@@ -17,6 +17,7 @@ from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 from cucumbervision_greenhouse.dashboard.views import (
     about,
     accuracy,
+    days,
     forecast,
     results,
     row_map,
@@ -65,6 +66,7 @@ def _pages() -> list[StreamlitPage]:
         ("Upload", upload.page, ":material/upload:"),
         ("Results", results.page, ":material/straighten:"),
         ("Row map", row_map.page, ":material/map:"),
+        ("Days", days.page, ":material/date_range:"),
         ("Forecast", forecast.page, ":material/calendar_month:"),
         ("Accuracy", accuracy.page, ":material/target:"),
         ("Settings", settings.page, ":material/settings:"),

@@ -32,6 +32,7 @@ _MAP_EDGE_PX = 50
 _STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")
 
 
+_WEEKDAYS = 14  # days that have room for their weekday
 _MANY = 40  # number of fruit from which narrow bars are informative
 
 
@@ -234,6 +235,60 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
         x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
     )
     chart: alt.LayerChart = (bars + whiskers).properties(height=320)
+    return chart
+
+
+def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
+    """Return the fruit of each day, by class; days without a round stay empty.
+
+    Parameters
+    ----------
+    lines : list of dict
+        'day' (ISO 8601), 'class' and 'fruit'.
+    """
+    days = {line["day"] for line in lines}
+    axis = alt.Axis(format="%a %-d %b" if len(days) <= _WEEKDAYS else "%-d %b", labelOverlap=True)
+    chart: alt.Chart = (
+        alt.Chart(_data(lines))
+        .mark_bar()
+        .encode(
+            x=alt.X("day:T", timeUnit="yearmonthdate", title=None, axis=axis),
+            y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(format="d")),
+            color=_color_of_class(line["class"] for line in lines),
+            tooltip=[
+                alt.Tooltip("day:T", title="Day", format="%a %-d %b %Y"),
+                alt.Tooltip("class:N", title="Class"),
+                alt.Tooltip("fruit:Q", title="Fruit"),
+            ],
+        )
+        .properties(height=260)
+    )
+    return chart
+
+
+def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
+    """Return the length of one fruit on its days, with intervals.
+
+    Parameters
+    ----------
+    lines : list of dict
+        'at' (ISO 8601), 'length', 'low' and 'high'; the last two may be None.
+    units : Units
+        Unit of the lengths.
+    """
+    title = f"Length [{units.name}]"
+    axis = alt.Axis(format="%a %-d %b", tickCount="day", labelOverlap=True)
+    base = alt.Chart(_data(lines)).encode(x=alt.X("at:T", title=None, axis=axis))
+    point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
+    points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
+        y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
+        tooltip=[
+            alt.Tooltip("at:T", title="At", format="%a %-d %b %H:%M"),
+            alt.Tooltip("length:Q", title=title),
+        ],
+    )
+    whiskers = base.mark_rule(color="#222").encode(y=alt.Y("low:Q", title=title), y2="high:Q")
+    chart: alt.LayerChart = (whiskers + points).properties(height=220)
     return chart
 
 

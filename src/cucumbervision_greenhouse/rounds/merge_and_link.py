@@ -13,6 +13,7 @@ from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.measurement.matching import ALONG
 from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds.day_linking import link_days
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.from_store import (
     RoundContent,
     by_hand_of,
@@ -352,9 +353,24 @@ def earlier_round(store: Store, round_key: str) -> RoundSummary | None:
 
     Days are those of the captures (`RoundSummary.walked_s`), whenever a round was begun.
     """
-    current, same_house = _neighbours(store, round_key)
-    before = [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < _FARTHEST_S]
+    before = earlier_rounds(store, round_key, within_s=_FARTHEST_S)
     return before[0] if before else None
+
+
+def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> list[RoundSummary]:
+    """Return the rounds of the same house of earlier days, the nearest first.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    round_key : str
+        A round.
+    within_s : float
+        Longest time before that round, seconds.
+    """
+    current, same_house = _neighbours(store, round_key)
+    return [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < within_s]
 
 
 def later_rounds(store: Store, round_key: str) -> list[RoundSummary]:
@@ -366,11 +382,17 @@ def later_rounds(store: Store, round_key: str) -> list[RoundSummary]:
 
 
 def _neighbours(store: Store, round_key: str) -> tuple[RoundSummary, list[RoundSummary]]:
-    """Return a round, and the others of its house that hold fruit, the one walked last first."""
+    """Return a round, and the others of its house that hold fruit, the one walked last first.
+
+    The demonstration is in no house, so that it is never a day of one without a name.
+    """
     rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
     current = next((x for x in rounds if x.key == round_key), None)
     if current is None:
         raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
     house = house_key(current.record.house)
-    different = (x for x in rounds if x.key != round_key and x.fruit)
+    example = is_demonstration(round_key)
+    different = (
+        x for x in rounds if x.key != round_key and x.fruit and is_demonstration(x.key) == example
+    )
     return current, [x for x in different if house_key(x.record.house) == house]

@@ -29,7 +29,7 @@ from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import Verdict
 
 WALK, LONG = key_of("walk"), key_of("long walk")
-PAGES = ("today", "upload", "results", "row_map", "forecast", "accuracy", "settings")
+PAGES = ("today", "upload", "results", "row_map", "days", "forecast", "accuracy", "settings")
 
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")

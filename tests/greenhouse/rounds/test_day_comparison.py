@@ -1,0 +1,243 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision_greenhouse.rounds.day_comparison import (
+    Change,
+    DayComparison,
+    compare_rounds,
+    fruit_days,
+    same_fruit,
+)
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.from_store import read_round
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.merge_and_link import (
+    DAY_S,
+    earlier_round,
+    earlier_rounds,
+)
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    Round,
+    StopRecord,
+    key_of,
+    new_key,
+)
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import DetectionSummary, Verdict
+
+NOON_S = 1_700_000_000.0
+DAYS = [
+    Round(key_of(name), name, "north", NOON_S + number * DAY_S)
+    for number, name in enumerate(("monday", "tuesday", "wednesday"))
+]
+MONDAY, TUESDAY, WEDNESDAY = (record.key for record in DAYS)
+
+
+def save_stop(
+    store: Store,
+    round_key: str,
+    position_m: float | None,
+    lengths: dict[float, Length],
+    row: str = "1",
+    flags: str = "",
+) -> list[str]:
+    """Save a stop with a fruit of each length at each offset along the row; return their keys."""
+    day = [record.key for record in DAYS].index(round_key)
+    fruit = tuple(
+        DetectionRecord(
+            number,
+            score=0.9,
+            length=length,
+            flags=flags,
+            centre_x_m=offset_m,
+            centre_y_m=0.0,
+            centre_z_m=0.7,
+            offset_m=offset_m,
+        )
+        for number, (offset_m, length) in enumerate(lengths.items(), 1)
+    )
+    key = key_of(round_key, row, position_m)
+    store.save_stop(
+        StopRecord(
+            key,
+            round_key,
+            row,
+            "left",
+            position_m,
+            taken_s=NOON_S + day * DAY_S + (position_m or 0.0),
+            captures=(CaptureRecord("a", fruit=fruit),),
+        )
+    )
+    return [view.key for view in store.detections(round_key) if view.stop_key == key]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with open_store(tmp_path / "house.db") as opened:
+        for record in DAYS:
+            opened.save_round(record)
+        yield opened
+
+
+def compare(store: Store, *rounds: str) -> DayComparison:
+    contents = [read_round(store, key) for key in rounds]
+    first, last = contents[0], contents[-1]
+    walked = {x.key: x.walked_s for x in store.rounds()}
+    return compare_rounds(
+        fruit_table(first),
+        fruit_table(last),
+        same_fruit(store, contents),
+        (first.stops, last.stops),
+        (walked[last.key] - walked[first.key]) / DAY_S,
+    )
+
+
+def change_of(comparison: DayComparison, key: str) -> Change:
+    [change] = [
+        fruit.change
+        for fruit in comparison.changes
+        if key in {view.key for view in (fruit.before, fruit.after) if view is not None}
+    ]
+    return change
+
+
+def test_the_demonstration_is_no_earlier_day_of_a_house_without_a_name(tmp_path: Path) -> None:
+    with open_store(tmp_path / "unnamed.db") as store:
+        for key, day in ((MONDAY, 0), (DEMONSTRATION, 1), (TUESDAY, 2)):
+            store.save_round(Round(key, "round", "", NOON_S + day * DAY_S))
+            fruit = (DetectionRecord(1, score=0.9, length=Length(0.1)),)
+            taken_s = NOON_S + day * DAY_S
+            capture = CaptureRecord("a", fruit=fruit)
+            store.save_stop(StopRecord(new_key(), key, taken_s=taken_s, captures=(capture,)))
+        before = earlier_round(store, TUESDAY)
+        assert before is not None
+        assert before.key == MONDAY
+        assert earlier_rounds(store, DEMONSTRATION) == []
+
+
+def test_every_fruit_of_both_days_has_one_change(store: Store) -> None:
+    grew, picked, gone = save_stop(
+        store, MONDAY, 1.0, {-0.2: Length(0.10), 0.0: Length(0.20), 0.2: Length(0.15)}
+    )
+    grown, new = save_stop(store, TUESDAY, 1.0, {-0.2: Length(0.13), 0.1: Length(0.05)})
+    store.link_growth(grew, grown)
+    store.pick([picked])
+    comparison = compare(store, MONDAY, TUESDAY)
+    changes = {key: change_of(comparison, key) for key in (grew, picked, gone, grown, new)}
+    assert changes == {
+        grew: Change.STAYED,
+        grown: Change.STAYED,
+        picked: Change.PICKED,
+        gone: Change.GONE,
+        new: Change.NEW,
+    }
+    counts = comparison.counts()
+    assert (counts.before, counts.after, counts.not_walked) == (3, 2, 0)
+    assert counts.before == counts.picked + counts.gone + counts.stayed
+    assert counts.after == counts.stayed + counts.new
+    assert comparison.days == pytest.approx(1.0, abs=1e-6)
+    assert counts.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
+
+
+def test_a_fruit_ticked_off_but_seen_again_is_still_on_the_plant(store: Store) -> None:
+    [before] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
+    [after] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
+    store.pick([before])
+    store.link_growth(before, after)
+    comparison = compare(store, MONDAY, TUESDAY)
+    assert change_of(comparison, after) is Change.STAYED
+    assert (comparison.counts().picked, comparison.counts().returned) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (Length(0.10), Length(0.12, LengthKind.BOX_CHORD)),
+        (Length(0.10, LengthKind.SURFACE_CHORD), Length(0.12, LengthKind.SURFACE_CHORD)),
+        (Length(0.10, LengthDefinition.CHORD), Length(0.12, LengthDefinition.THREAD)),
+    ],
+)
+def test_lengths_that_mean_different_things_give_no_growth(
+    store: Store, before: Length, after: Length
+) -> None:
+    [first] = save_stop(store, MONDAY, 1.0, {0.0: before})
+    [last] = save_stop(store, TUESDAY, 1.0, {0.0: after})
+    store.link_growth(first, last)
+    [fruit] = compare(store, MONDAY, TUESDAY).changes
+    assert (fruit.change, fruit.growth_m_per_day) == (Change.STAYED, None)
+
+
+def test_a_lower_bound_gives_no_growth(store: Store) -> None:
+    [first] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)}, flags="end-hidden")
+    [last] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
+    store.link_growth(first, last)
+    assert compare(store, MONDAY, TUESDAY).counts().growth_m_per_day is None
+
+
+def test_where_only_one_round_went_nothing_is_new_or_gone(store: Store) -> None:
+    save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
+    [far] = save_stop(store, MONDAY, 5.0, {0.0: Length(0.10)})
+    [other_row] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)}, row="2")
+    save_stop(store, TUESDAY, 1.0, {0.0: Length(0.10)})
+    [later_row] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.10)}, row="10")
+    comparison = compare(store, MONDAY, TUESDAY)
+    assert {change_of(comparison, key) for key in (far, other_row, later_row)} == {
+        Change.NOT_WALKED
+    }
+    assert list(comparison.by_row()) == ["1", "2", "10"]
+    assert comparison.by_row()["2"].before == 0
+    assert comparison.counts().not_walked == 3
+
+
+def test_a_row_without_positions_counts_as_walked(store: Store) -> None:
+    [gone] = save_stop(store, MONDAY, 30.0, {0.0: Length(0.10)})
+    save_stop(store, TUESDAY, None, {0.0: Length(0.10)})
+    assert change_of(compare(store, MONDAY, TUESDAY), gone) is Change.GONE
+
+
+def test_fruit_marked_as_no_fruit_are_left_out(store: Store) -> None:
+    [pipe] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
+    save_stop(store, TUESDAY, 1.0, {0.0: Length(0.10)})
+    store.set_verdict([pipe], Verdict.REJECTED)
+    counts = compare(store, MONDAY, TUESDAY).counts()
+    assert (counts.before, counts.after) == (0, 1)
+
+
+def test_a_link_likelier_than_not_counts_and_is_called_unsure(store: Store) -> None:
+    first = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10), 0.3: Length(0.10)})
+    last = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.13), 0.3: Length(0.12)})
+    scores = (0.6, 0.9)
+    links = [
+        LinkRecord(LinkKind.GROWTH, before, after, score)
+        for before, after, score in zip(first, last, scores, strict=True)
+    ]
+    store.save_growth(MONDAY, TUESDAY, links)
+    counts = compare(store, MONDAY, TUESDAY).counts()
+    assert (counts.stayed, counts.unsure, counts.new, counts.gone) == (2, 1, 0, 0)
+
+
+def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
+    [monday] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
+    [tuesday] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
+    [wednesday] = save_stop(store, WEDNESDAY, 1.0, {0.0: Length(0.16)})
+    store.link_growth(monday, tuesday)
+    store.link_growth(tuesday, wednesday)
+    [fruit] = compare(store, MONDAY, TUESDAY, WEDNESDAY).changes
+    assert fruit.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
+    days: list[list[DetectionSummary]] = [
+        fruit_days(store, round_key, key)
+        for round_key, key in ((MONDAY, monday), (TUESDAY, tuesday), (WEDNESDAY, wednesday))
+    ]
+    keys = [[view.key for view in views] for views in days]
+    assert keys == [[monday, tuesday, wednesday]] * 3
+    store.unlink_growth(monday, tuesday)
+    assert [view.key for view in fruit_days(store, WEDNESDAY, wednesday)] == [tuesday, wednesday]
+    assert change_of(compare(store, MONDAY, TUESDAY, WEDNESDAY), monday) is Change.GONE

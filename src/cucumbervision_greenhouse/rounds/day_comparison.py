@@ -290,20 +290,20 @@ def fruit_days(store: Store, round_key: str, key: str) -> list[DetectionSummary]
     round_key, key : str
         A round that has it, and any of its views there.
     """
-    seen = {round_key: _fruit_of(store, round_key, {key})}
+    fruit_of_day = {round_key: _fruit_of(store, round_key, {key})}
     queue = [round_key]
     for current in queue:
-        view, keys = seen[current]
+        view, keys = fruit_of_day[current]
         if view is None:
             continue
         for link in store.links(current, LinkKind.GROWTH):
             for end, far_end in ((link.first, link.second), (link.second, link.first)):
                 if end in keys:
                     day = store.detection(far_end).view.round_key
-                    if day not in seen:
-                        seen[day] = _fruit_of(store, day, {far_end})
+                    if day not in fruit_of_day:
+                        fruit_of_day[day] = _fruit_of(store, day, {far_end})
                         queue.append(day)
-    views = [view for view, _ in seen.values() if view is not None]
+    views = [view for view, _ in fruit_of_day.values() if view is not None]
     return sorted(views, key=lambda view: view.taken_s)
 
 

@@ -1,14 +1,79 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 import pytest
 from tests.greenhouse.rounds.conftest import MORNING
 
-from cucumbervision.errors import RoundError
-from cucumbervision_greenhouse.rounds.from_store import find_round
-from cucumbervision_greenhouse.store.records import (
-    Round,
+from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision_greenhouse.rounds.from_store import (
+    StoredRow,
+    by_hand_of,
+    counted_fruit,
+    find_round,
+    joint_groups,
+    read_round,
+    stored_merging,
 )
-from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+from cucumbervision_greenhouse.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    Round,
+    StopRecord,
+    key_of,
+    new_key,
+)
+from cucumbervision_greenhouse.store.views import Verdict
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.store.repository import Store
+
+CENTRELINE = LengthDefinition.CENTRELINE
+# Half of 640 pixels over a focal length of 400, and half of 480 over 400.
+CAMERA = {"width": 640, "height": 480, "fx": 400.0, "fy": 400.0}
+
+
+def fruit(number: int, length_m: float | None = 0.2, **changes: Any) -> DetectionRecord:
+    """A fruit 10 cm to the right of the camera for each number, 5 cm below it, 60 cm away."""
+    length = None
+    if length_m is not None:
+        length = Length(length_m, CENTRELINE, 0.95 * length_m, 1.05 * length_m, CENTRELINE)
+    record = DetectionRecord(
+        number,
+        method="M6",
+        length=length,
+        centre_x_m=0.1 * number,
+        centre_y_m=0.05,
+        centre_z_m=0.6,
+        diameter_max_m=0.04,
+        view_score=0.5,
+    )
+    return replace(record, **changes)
+
+
+def stop(step: int, *detections: DetectionRecord, **changes: Any) -> StopRecord:
+    record = StopRecord(
+        key_of(MORNING.key, step),
+        MORNING.key,
+        row="3",
+        side="left",
+        position_m=0.5 * step,
+        position_sd_m=0.02,
+        step=step,
+        taken_s=MORNING.started_s + step,
+        captures=(CaptureRecord("a", camera=CAMERA, fruit=detections),),
+    )
+    return replace(record, **changes)
+
+
+def rows(store: Store, *stops: StopRecord) -> dict[str, StoredRow]:
+    for one in stops:
+        store.save_stop(one)
+    return {row.name: row for row in read_round(store, MORNING.key).rows}
 
 
 def test_rounds_are_found_by_name(store: Store) -> None:
@@ -24,3 +89,151 @@ def test_a_number_is_never_the_start_of_a_rounds_key(store: Store) -> None:
     assert find_round(store, "2aa").key == key
     with pytest.raises(RoundError, match="no round is called '2'"):
         find_round(store, "2")
+
+
+def test_two_rounds_of_one_name_are_told_apart_by_key(store: Store) -> None:
+    store.save_round(Round(key_of("again"), "morning", started_s=MORNING.started_s + 60))
+    with pytest.raises(RoundError, match="several rounds are called 'morning'"):
+        find_round(store, "morning")
+    assert find_round(store, key_of("again").upper()).key == find_round(store).key
+    assert find_round(store).key == key_of("again")
+
+
+def test_a_round_that_is_nowhere_is_named(store: Store) -> None:
+    with pytest.raises(StoreError, match="is not in the store"):
+        read_round(store, new_key())
+
+
+def test_a_round_without_stops_has_no_rows(store: Store) -> None:
+    content = read_round(store, MORNING.key)
+    assert (content.rows, content.views, joint_groups(content)) == ((), (), {})
+
+
+def test_a_row_has_its_stops_and_views_as_arrays(store: Store) -> None:
+    row = rows(store, stop(1, fruit(1), fruit(2, 0.3)), stop(2, fruit(1)))["3"]
+    np.testing.assert_allclose(row.stops.at_m, [[0.5, 0, 0], [1.0, 0, 0]])
+    np.testing.assert_allclose(row.stops.sd_m, [[0.02, 0.03, 0.03]] * 2)
+    np.testing.assert_allclose(row.stops.reach, [[0.8, 0.6]] * 2)
+    assert row.views.stop.tolist() == [0, 0, 1]
+    np.testing.assert_allclose(
+        row.views.offset_m, [[0.1, -0.05, 0.6], [0.2, -0.05, 0.6], [0.1, -0.05, 0.6]]
+    )
+    np.testing.assert_allclose(row.views.length_m, [0.2, 0.3, 0.2])
+    # 1.645 standard deviations are 5 %, to the logarithm's first order.
+    np.testing.assert_allclose(row.views.length_sd, 0.05 / 1.645, rtol=0.01)
+    assert len(set(row.views.capture.tolist())) == 2
+    assert (row.sides, row.unplaced, row.accepted.tolist()) == (("left",), 0, [False] * 3)
+
+
+def test_the_other_aisle_looks_back_at_the_row(store: Store) -> None:
+    other_side = stop(2, fruit(1), side="right")
+    row = rows(store, stop(1, fruit(1)), other_side)["3"]
+    assert (row.sides, row.stops.side.tolist()) == (("left", "right"), [0, 1])
+    np.testing.assert_allclose(row.views.offset_m, [[0.1, -0.05, 0.6], [-0.1, -0.05, -0.6]])
+
+
+def test_what_cannot_be_placed_is_counted_apart(store: Store) -> None:
+    no_middle = fruit(2, centre_x_m=None, centre_y_m=None, centre_z_m=None)
+    nowhere = stop(2, fruit(1), position_m=None)
+    row = rows(store, stop(1, fruit(1), no_middle), nowhere)["3"]
+    assert (len(row.stops), row.views.stop.tolist(), row.unplaced) == (1, [0], 2)
+    unknown = rows(store, stop(3, row=None, position_m=None))[""]
+    assert (len(unknown.stops), len(unknown.views.stop), unknown.unplaced) == (0, 0, 0)
+
+
+def test_lengths_without_interval_or_of_another_kind_count_for_little(store: Store) -> None:
+    exact = Length(0.2, CENTRELINE, 0.1999, 0.2001, CENTRELINE)
+    arc = Length(0.2, LengthKind.SURFACE_ARC, 0.199, 0.201, CENTRELINE)
+    record = stop(
+        1,
+        fruit(1, None),
+        fruit(2, length=Length(0.2, CENTRELINE)),
+        fruit(3, length=exact),
+        fruit(4, length=arc),
+    )
+    views = rows(store, record)["3"].views
+    assert np.isnan(views.length_m).tolist() == [True, False, False, False]
+    assert views.length_sd.tolist() == [0.08, 0.08, 0.01, 0.08]
+
+
+def test_a_camera_that_is_not_stored_is_a_d435(store: Store) -> None:
+    bare = stop(1, captures=(CaptureRecord("a"),))
+    flat = stop(2, captures=(CaptureRecord("a", camera={**CAMERA, "fx": 0.0}),))
+    # A D435's colour camera sees 69 by 42 degrees.
+    half = np.tan(np.deg2rad([69.0, 42.0]) / 2)
+    np.testing.assert_allclose(rows(store, bare, flat)["3"].stops.reach, [half] * 2, atol=2e-3)
+
+
+def test_what_people_say_of_fruit_is_in_the_row(store: Store) -> None:
+    rows(store, stop(1, fruit(1), fruit(2), fruit(3)))
+    keys = [view.key for view in store.detections(MORNING.key)]
+    store.set_verdict(keys[:1], Verdict.ACCEPTED)
+    store.set_verdict(keys[1:2], Verdict.REJECTED)
+    content = read_round(store, MORNING.key)
+    (row,) = content.rows
+    assert row.fruit_keys == (keys[0], keys[2])
+    assert row.accepted.tolist() == [True, False]
+    assert [view.key for view in counted_fruit(content.views)] == [keys[0], keys[2]]
+
+
+def test_three_sides_of_one_row_are_refused(store: Store) -> None:
+    with pytest.raises(RoundError, match="row '3' has 3 sides: back, left, right"):
+        rows(store, stop(1), stop(2, side="right"), stop(3, side="back"))
+
+
+def test_pairs_by_hand_are_of_this_row_and_of_people(store: Store) -> None:
+    row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
+    first, second, third = row.fruit_keys
+    links = [
+        LinkRecord(LinkKind.SAME, first, third, by_hand=True),
+        LinkRecord(LinkKind.SAME, second, third, 0.9),
+        LinkRecord(LinkKind.APART, second, third, by_hand=True),
+        LinkRecord(LinkKind.SAME, first, new_key(), by_hand=True),
+    ]
+    by_hand = by_hand_of(row, links)
+    assert (by_hand.same.tolist(), by_hand.apart.tolist()) == ([[0, 2]], [[1, 2]])
+    nothing = by_hand_of(row, links[1:2])
+    assert nothing.same.shape == nothing.apart.shape == (0, 2)
+
+
+def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
+    row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
+    first, second, third = row.fruit_keys
+    place = {key_of(MORNING.key, 2): Position(0.97, 0.005)}
+    store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, second, third, 0.9)], place)
+    content = read_round(store, MORNING.key)
+    merged = stored_merging(content, content.rows[0])
+    assert merged.cluster[1] == merged.cluster[2] != merged.cluster[0]
+    assert [sorted(pair) for pair in merged.pairs.tolist()] == [[1, 2]]
+    np.testing.assert_allclose(merged.stops.at_m[:, 0], [0.5, 0.97])
+    assert first in row.fruit_keys
+
+
+def test_only_whole_tubes_of_one_aisle_are_measured_jointly(store: Store) -> None:
+    rows(
+        store,
+        stop(1, fruit(1, view_score=0.4), fruit(2), fruit(3)),
+        stop(2, fruit(1, view_score=0.6), fruit(2, method="M5")),
+        stop(3, fruit(1, view_score=0.5), side="right"),
+    )
+    a1, a2, a3, b1, b2, c1 = (view.key for view in store.detections(MORNING.key))
+    pairs = [(a1, b1), (b1, c1), (a1, c1), (a2, b2)]
+    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in pairs]
+    store.save_merging(MORNING.key, links)
+    content = read_round(store, MORNING.key)
+    ((key, views),) = joint_groups(content).items()
+    # The best view first; the one from the other aisle is left out, and so is what M5 measured.
+    assert [view.key for view in views] == [b1, a1]
+    assert a3 not in {view.key for view in views}
+    # Another length is another measurement.
+    store.correct(a1, fruit(1, 0.21, view_score=0.4))
+    assert list(joint_groups(read_round(store, MORNING.key))) != [key]
+
+
+def test_of_many_views_the_five_best_are_measured_jointly(store: Store) -> None:
+    rows(store, *(stop(k, fruit(1, view_score=0.1 * k)) for k in range(1, 8)))
+    keys = [view.key for view in store.detections(MORNING.key)]
+    pairs = [(a, b) for k, a in enumerate(keys) for b in keys[k + 1 :]]
+    store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, a, b, 0.9) for a, b in pairs])
+    (views,) = joint_groups(read_round(store, MORNING.key)).values()
+    assert [view.key for view in views] == keys[:1:-1]

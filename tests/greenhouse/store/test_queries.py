@@ -170,6 +170,7 @@ def test_who_undoes_sees_what_they_did_themselves(store: Store, make_stop: MakeS
     by_ana = ana.pick([key], at_s=1500.0)
     assert [line.number for line in store.own_actions(WALK)] == [by_nobody]
     assert [line.number for line in ana.own_actions(WALK)] == [by_ana]
+    assert [line.number for line in store.signed("ana", "tablet").own_actions(WALK)] == [by_nobody]
     # Who did nothing yet may undo what a command did.
     assert [line.number for line in store.signed("bo").own_actions(WALK)] == [by_nobody]
     ana.undo(number=by_ana)
@@ -182,10 +183,12 @@ def test_cameras_and_what_they_were_measured_with_are_by_stop(
 ) -> None:
     pose = tuple(float(x) for x in range(16))
     first, second = make_stop(1, pose=pose), make_stop(2, artifacts=())
-    for stop in (first, second):
+    next_day = Round(key_of("next day"), "next morning", "house 1", 87400.0)
+    for stop in (first, second, make_stop(1, round=next_day)):
         store.save_stop(stop)
     cameras = store.cameras(WALK)
     assert [list(cameras[stop.key].pose) for stop in (first, second)] == [list(pose), []]
     assert cameras[first.key].camera == {"fx_px": 600.0}
     assert list(cameras[first.key].captures) == ["a"]
+    assert set(cameras) == {first.key, second.key}
     assert store.artifacts(WALK) == {first.key: first.artifacts}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from datetime import date
 from itertools import chain, count
 from typing import TYPE_CHECKING, TypeVar
 
@@ -224,6 +225,19 @@ def day_words(at_s: float) -> str:
     'Tue 14 Nov'
     """
     return time.strftime("%a %-d %b", time.localtime(at_s))
+
+
+def date_words(at_s: float, now_s: float) -> str:
+    """Return the day of a moment: 'today', 'tomorrow', or the weekday and date.
+
+    Examples
+    --------
+    >>> noon_s = 1_700_000_000.0
+    >>> [date_words(noon_s + 86400 * day, noon_s) for day in (-1, 0, 1, 2)]
+    ['Mon 13 Nov', 'today', 'tomorrow', 'Thu 16 Nov']
+    """
+    day, today = (date.fromtimestamp(moment_s) for moment_s in (at_s, now_s))
+    return {0: "today", 1: "tomorrow"}.get((day - today).days, day_words(at_s))
 
 
 def round_name(round_summary: RoundSummary) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
+from cucumbervision_greenhouse.backend.words import date_words
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -59,17 +62,6 @@ _BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has space for i
 
 def _color_of_class(names: Iterable[str]) -> alt.Color:
     return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
-
-
-def day_name(day: int) -> str:
-    """Return the name of a day by its distance from today.
-
-    Examples
-    --------
-    >>> day_name(0), day_name(1), day_name(2)
-    ('today', 'tomorrow', 'in 2 days')
-    """
-    return ("today", "tomorrow")[day] if day < 2 else f"in {day} days"
 
 
 def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
@@ -196,7 +188,7 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     share = 0.8 / max(len(drawn), 1)  # of a day, which is 1 wide
     lines = [
         {
-            "day": day_name(day),
+            "day": forecast_day(prediction, day),
             "class": class_name(prediction.classes[k]),
             "from": day - 0.4 + n * share,
             "to": day - 0.4 + (n + 0.85) * share,
@@ -212,9 +204,12 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     names = [class_name(prediction.classes[k]) for k in drawn]
     days = prediction.days.tolist()
     label_expression = (
-        " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
+        " : ".join(f"datum.value == {day} ? '{forecast_day(prediction, day)}'" for day in days)
+        + " : ''"
     )
-    axis = alt.Axis(values=days, labelExpr=label_expression, labelAngle=0, grid=False)
+    axis = alt.Axis(
+        values=days, labelExpr=label_expression, labelAngle=0, labelOverlap=True, grid=False
+    )
     ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
     base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
@@ -290,6 +285,21 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     whiskers = base.mark_rule(color="#222").encode(y=alt.Y("low:Q", title=title), y2="high:Q")
     chart: alt.LayerChart = (whiskers + points).properties(height=220)
     return chart
+
+
+def forecast_day(prediction: Forecast, day: int) -> str:
+    """Return the name of a day of a forecast, counted from its day 0."""
+    return date_words((prediction.today + day) * DAY_S, time.time())
+
+
+def first_days(prediction: Forecast) -> dict[str, int]:
+    """Return the first day on which a fruit is expected in each class that is picked."""
+    first = {}
+    for k, name in enumerate(prediction.classes):
+        (days,) = np.nonzero(prediction.house.expected[:, k] >= 1)
+        if name in prediction.pick and len(days):
+            first[name] = int(prediction.days[days[0]])
+    return first
 
 
 def expected_classes(prediction: Forecast) -> list[int]:

@@ -695,3 +695,12 @@ def test_every_page_opens_on_500_stops(
                 for mark in layer["shapes"]
             ]
             assert len(set(marks)) == len(marks) == 2500
+
+
+def test_the_forecast_names_days_by_their_dates(house: Path) -> None:
+    test = app("forecast")
+    days = list(test.table[0].value.iloc[:, 0])
+    in_two_days = time.localtime(time.time() + 2 * 86400)
+    assert days[:3] == ["today", "tomorrow", time.strftime("%a %-d %b", in_two_days)]
+    # Some of the eight bundled fruit are class I as they were measured.
+    assert "First class I today" in said(test)

@@ -13,11 +13,17 @@ from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.words import (
     counted,
     hours_span_words,
+    plain,
     round_day,
     span_words,
 )
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.charts import day_name, expected_classes, forecast_chart
+from cucumbervision_greenhouse.dashboard.charts import (
+    expected_classes,
+    first_days,
+    forecast_chart,
+    forecast_day,
+)
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of, age_words
 
 if TYPE_CHECKING:
@@ -58,12 +64,18 @@ def _age(round_summary: RoundSummary) -> None:
 
 
 def _days(prediction: Forecast) -> None:
+    first = [
+        f"{class_name(name)} {forecast_day(prediction, day)}"
+        for name, day in first_days(prediction).items()
+    ]
+    if first:
+        st.markdown(plain(f"First {', '.join(first)}."))
     st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
     st.altair_chart(forecast_chart(prediction))
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():
-        line = {"Day": day_name(day)}
+        line = {"Day": forecast_day(prediction, day)}
         for k in expected_classes(prediction):
             suffix = "" if prediction.complete[day, k] else " or more"
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
@@ -98,7 +110,7 @@ def _work(prediction: Forecast) -> None:
     )
     lines = [
         {
-            "Day": day_name(day.day),
+            "Day": forecast_day(prediction, day.day),
             "Fruit": span_words(day.fruit),
             "Work": hours_span_words(day.hours),
             **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},

@@ -237,3 +237,6 @@ def test_of_many_views_the_five_best_are_measured_jointly(store: Store) -> None:
     store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, a, b, 0.9) for a, b in pairs])
     (views,) = joint_groups(read_round(store, MORNING.key)).values()
     assert [view.key for view in views] == keys[:1:-1]
+    store.set_verdict(keys[-1:], Verdict.REJECTED)
+    (views,) = joint_groups(read_round(store, MORNING.key)).values()
+    assert [view.key for view in views] == keys[5:0:-1]

@@ -1,0 +1,158 @@
+"""A network of one layer learns which half of a picture is bright, and is exported."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+if importlib.util.find_spec("ultralytics") is None:
+    pytest.skip("needs the extra 'train'", allow_module_level=True)
+
+from cucumbervision.perception.registry import file_sha256
+from cucumbervision.perception.runtime import open_network
+from cucumbervision_lab.training.classifier import (
+    CHANNELS,
+    ClassifierOptions,
+    export_classifier,
+    export_network,
+    first_layers,
+    fit_classifier,
+    predict,
+    write_classifier_card,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+pytestmark = pytest.mark.train
+
+SIDE_PX = 16
+
+
+def pictures(count: int, seed: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Noise whose right half is brighter where the target is 1, and the left where it is 0."""
+    rng = np.random.default_rng(seed)
+    target = rng.integers(0, 2, count).astype(np.float32)
+    made = rng.integers(0, 100, (count, SIDE_PX, SIDE_PX, 3)).astype(np.uint8)
+    for picture, is_right in zip(made, target, strict=True):
+        half = np.s_[:, SIDE_PX // 2 :] if is_right else np.s_[:, : SIDE_PX // 2]
+        picture[half] += 100
+    return made, target
+
+
+def make() -> Any:
+    import torch
+
+    flat = torch.nn.Flatten()
+    line = torch.nn.Linear(3 * SIDE_PX * SIDE_PX, 1)
+    return torch.nn.Sequential(flat, line, torch.nn.Flatten(0))
+
+
+def test_it_learns_what_the_targets_say() -> None:
+    told: list[tuple[int, float]] = []
+    options = ClassifierOptions(
+        epochs=8, batch=16, threads=1, progress=lambda *numbers: told.append(numbers)
+    )
+    network = fit_classifier(make, *pictures(200, 1), lambda batch: batch, options)
+    fresh, target = pictures(100, 2)
+    logits = predict(network, fresh)
+    assert logits.shape == (100,)
+    assert ((logits > 0) == (target > 0.5)).all()
+    assert [number for number, _ in told] == list(range(1, 9))
+    assert told[-1][1] < 0.2 * told[0][1]
+
+
+def test_the_same_seed_learns_the_same_and_another_something_else() -> None:
+    data = pictures(40, 3)
+
+    def learn(seed: int) -> NDArray[np.float64]:
+        options = ClassifierOptions(epochs=1, batch=16, threads=1, seed=seed)
+        return predict(fit_classifier(make, *data, lambda batch: batch, options), data[0])
+
+    np.testing.assert_array_equal(learn(4), learn(4))
+    assert np.abs(learn(4) - learn(5)).max() > 1e-3
+
+
+def test_every_picture_is_augmented_in_the_range_from_0_to_1() -> None:
+    seen: list[tuple[int, float, float]] = []
+
+    def augment(batch: Any) -> Any:
+        seen.append((len(batch), float(batch.min()), float(batch.max())))
+        return batch
+
+    white = np.full((33, SIDE_PX, SIDE_PX, 3), 255, np.uint8)
+    white[:, 0] = 0
+    options = ClassifierOptions(epochs=1, batch=16, threads=1)
+    fit_classifier(make, white, np.ones(33, np.float32), augment, options)
+    # The 33rd alone is no batch.
+    assert seen == [(16, 0.0, 1.0), (16, 0.0, 1.0)]
+
+
+def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) -> None:
+    data, target = pictures(60, 5)
+    options = ClassifierOptions(epochs=2, batch=16, threads=1)
+    network = fit_classifier(make, data, target, lambda batch: batch, options)
+    path = tmp_path / "new" / "halves.onnx"
+    export_classifier(network, path, (SIDE_PX, SIDE_PX), "crops")
+    opened = open_network(path, "onnxruntime", full_precision=True)
+    assert opened.metadata["task"] == "crops"
+    for count in (1, 7):
+        planes = data[:count].transpose(0, 3, 1, 2).astype(np.float32) / 255
+        (logits,) = opened.run({"pictures": planes}).values()
+        # Weights in half precision keep three digits.
+        np.testing.assert_allclose(logits, predict(network, data[:count]), atol=0.02)
+
+
+def test_a_network_of_two_inputs_is_exported_under_their_names(tmp_path: Path) -> None:
+    import torch
+
+    class Sum(torch.nn.Module):  # type: ignore[misc]
+        def forward(self, first: Any, second: Any) -> Any:
+            return first + 2 * second
+
+    inputs = {"first": torch.zeros(2, 3), "second": torch.zeros(2, 3)}
+    export_network(Sum().eval(), tmp_path / "sum.onnx", inputs, "total", "look")
+    opened = open_network(tmp_path / "sum.onnx", "onnxruntime", full_precision=True)
+    ones = np.ones((5, 3), np.float32)
+    np.testing.assert_array_equal(opened.run({"first": ones, "second": ones})["total"], 3 * ones)
+
+
+def test_the_first_layers_make_a_sixteenth_of_the_size() -> None:
+    import torch
+
+    layers = torch.nn.Sequential(*first_layers("yolo26n.yaml")).eval()
+    with torch.no_grad():
+        assert layers(torch.zeros(1, 3, 64, 96)).shape == (1, CHANNELS, 4, 6)
+
+
+@dataclass(frozen=True)
+class Told:
+    network: Path
+    task: str = "ends"
+    limits: tuple[str, ...] = ("Learnt from halves.",)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        return {"accuracy": 0.75}
+
+
+def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
+    network = tmp_path / "ends.onnx"
+    network.write_bytes(b"a network")
+    card = write_classifier_card(
+        Told(network), "my-ends", "weights/yolo26n.pt", epochs=3, seed=9, credits=["Photos: A"]
+    )
+    assert (card.sha256, card.size_bytes) == (file_sha256(network), 9)
+    assert card.began_with == "yolo26n.pt"
+    assert card.command.endswith("train ends SETS --init yolo26n.pt --out DIR --epochs 3 --seed 9")
+    page = (tmp_path / "my-ends.md").read_text()
+    for words in ("Learnt from halves.", "Photos: A", "0.75", card.sha256):
+        assert words in page
+    saved = json.loads((tmp_path / "my-ends.json").read_text())
+    assert (saved["task"], saved["metrics"]) == ("ends", {"accuracy": 0.75})

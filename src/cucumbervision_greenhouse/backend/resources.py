@@ -8,7 +8,7 @@ from pathlib import Path
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
-from cucumbervision.agronomy.profiles import CropProfile, load_profile
+from cucumbervision.agronomy.profiles import CropProfile, load_profile, profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
@@ -24,6 +24,7 @@ from cucumbervision_greenhouse.backend.settings import (
     write_settings,
 )
 from cucumbervision_greenhouse.backend.uploads import Uploads
+from cucumbervision_greenhouse.backend.words import told_apart
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import RoundSummary
@@ -105,12 +106,25 @@ def change_settings(**changes: object) -> None:
         write_settings(chosen, settings_file(where()))
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=60)
 def _profile(name: str) -> tuple[str, CropProfile]:
     try:
         return name, load_profile(name)
     except CucumberVisionError:
         return "long-cucumber", load_profile("long-cucumber")
+
+
+def crop_titles() -> dict[str, str]:
+    """Return the titles of all readable crop profiles by their names, told apart."""
+    readable = {entry.name: entry.profile for entry in profiles()}
+    return told_apart(
+        {name: profile.title for name, profile in readable.items() if profile is not None}
+    )
+
+
+def forget_profiles() -> None:
+    """Read crop profiles again, since a file was changed."""
+    _profile.clear()
 
 
 def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:

@@ -79,7 +79,8 @@ def _version(round_summary: RoundSummary) -> tuple[object, ...]:
 
 def _measured_version(round_summary: RoundSummary) -> tuple[object, ...]:
     counts = round_summary.stops, round_summary.fruit, round_summary.last_s
-    return (round_summary.key, *counts, mergings()[round_summary.key], profile_of(round_summary)[0])
+    crop = profile_of(round_summary)[1].model_dump_json()
+    return (round_summary.key, *counts, mergings()[round_summary.key], crop)
 
 
 _OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}

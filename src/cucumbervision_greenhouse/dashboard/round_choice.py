@@ -74,13 +74,21 @@ def _begin() -> None:
         st.selectbox("House", house_choices, key="known_house")
     if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
         st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
+    titles = resources.crop_titles()
+    usual = resources.settings().profile
+    crop = st.selectbox(
+        "Crop",
+        list(titles),
+        index=list(titles).index(usual) if usual in titles else 0,
+        format_func=titles.__getitem__,
+    )
 
     def begin() -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
         if houses and (chosen := st.session_state["known_house"]) != _NEW_HOUSE:
             house = chosen
-        record = Round(name=name, house=house, profile=resources.settings().profile)
+        record = Round(name=name, house=house, profile=crop)
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:
@@ -100,6 +108,7 @@ def _change(round_summary: RoundSummary | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
     if round_summary is not None:
+        st.caption(plain(f"Crop: {resources.profile_of(round_summary)[1].title}"))
         name = st.text_input(
             "Name of this round", round_summary.record.name, key=f"name_{round_summary.key}"
         )

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import streamlit as st
 
-from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
-from cucumbervision_greenhouse.backend.words import plain, told_apart
+from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.dashboard.views import crop_form
 
 _FINDERS = {
     "auto": "A capture's own masks, else networks",
@@ -42,15 +42,6 @@ def page() -> None:
 def _crop() -> None:
     st.subheader("Crop and units")
     saved = resources.settings()
-    entries = {entry.name: entry for entry in profiles()}
-    good = [name for name, entry in entries.items() if entry.profile is not None]
-    titles = told_apart({n: p.title if (p := entries[n].profile) else n for n in good})
-    name = st.selectbox(
-        "Crop profile of new rounds",
-        good,
-        index=good.index(saved.profile) if saved.profile in good else 0,
-        format_func=titles.__getitem__,
-    )
     unit = st.segmented_control(
         "Lengths in",
         ["cm", "in"],
@@ -58,24 +49,8 @@ def _crop() -> None:
         default=saved.unit,
         required=True,
     )
-    resources.change_settings(profile=name, unit=unit)
-    profile = entries[name].profile
-    units = resources.settings().units
-    if profile is not None:
-        lines = [
-            {
-                "Class": c.name,
-                "From": units.text(c.min_cm / 100),
-                "Below": units.text(c.max_cm / 100),
-            }
-            for c in profile.classes
-        ]
-        page_elements.table(lines)
-        for rule in profile.rules.values():
-            st.caption(plain(rule))
-    for entry in entries.values():
-        if entry.fault:
-            st.warning(plain(entry.fault), icon=":material/error:")
+    resources.change_settings(unit=unit)
+    crop_form.draw()
 
 
 def _measuring() -> None:

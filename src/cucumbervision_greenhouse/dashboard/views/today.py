@@ -125,10 +125,11 @@ def _ready(round_summary: RoundSummary, today: Today) -> None:
         lines.append({"Row": row or "not named", **counts, "All": sum(counts_of_row.values())})
     if len(lines) > 1:
         page_elements.table(lines)
-    words = f"{counted(ready, 'fruit is', 'fruit are')} left in the list below."
+    crop = resources.profile_of(round_summary)[1].title
+    words = f"Classes of {crop}. {counted(ready, 'fruit is', 'fruit are')} left in the list below."
     if undecided:
         words += f" {undecided} more may be ready: their class is undecided."
-    st.caption(words)
+    st.caption(plain(words))
 
 
 _SAID = {

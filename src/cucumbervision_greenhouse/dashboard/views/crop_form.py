@@ -1,0 +1,192 @@
+"""The crop on 'Settings': browse crops, choose that of new rounds, edit the limits of classes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.classes import class_name
+from cucumbervision.agronomy.profiles import profiles
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.crop_limits import (
+    CropLimits,
+    class_counts,
+    save_own_profile,
+)
+from cucumbervision_greenhouse.backend.words import plain, round_name, sentence
+from cucumbervision_greenhouse.dashboard import page_elements
+from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
+
+if TYPE_CHECKING:
+    from cucumbervision.agronomy.profiles import CropProfile
+
+
+def draw() -> None:
+    """Draw the choice of a crop, its limits, and the form that changes them."""
+    saved = resources.settings().profile
+    entries = {entry.name: entry for entry in profiles()}
+    readable = {
+        name: profile for name, entry in entries.items() if (profile := entry.profile) is not None
+    }
+    titles = resources.crop_titles()
+    name = st.selectbox(
+        "Crop",
+        list(readable),
+        index=list(readable).index(saved) if saved in readable else 0,
+        format_func=titles.__getitem__,
+    )
+    if name == saved:
+        st.caption("New rounds have this crop. Rounds that were begun keep theirs.")
+    else:
+        page_elements.button(
+            st, "Use for new rounds", "check", lambda: resources.change_settings(profile=name)
+        )
+    profile = readable[name]
+    _limits(profile)
+    with st.expander("Change the limits", icon=":material/edit:"):
+        _form(name, profile, own=not entries[name].shipped)
+    for entry in entries.values():
+        if entry.fault:
+            st.warning(plain(entry.fault), icon=":material/error:")
+
+
+def _limits(profile: CropProfile) -> None:
+    units = resources.settings().units
+    lines = [
+        {
+            "Class": c.name,
+            "From": units.text(c.min_cm / 100),
+            "Below": units.text(c.max_cm / 100),
+        }
+        for c in profile.classes
+    ]
+    page_elements.table(lines)
+    for rule in profile.rules.values():
+        st.caption(plain(rule))
+
+
+def _form(name: str, profile: CropProfile, *, own: bool) -> None:
+    """Draw the limits as fields, what they would change, and the button that saves them."""
+    before = CropLimits.of(profile)
+    after = _fields(name, profile, before)
+    title = st.text_input(
+        "Name of your crop",
+        profile.title if own else f"{profile.title}, own limits",
+        key=f"limits_title_{name}",
+    )
+    try:
+        changed = after.applied_to(profile, title.strip())
+    except CucumberVisionError as error:
+        st.error(sentence(error), icon=":material/error:")
+        return
+    _preview(profile, changed)
+
+    def save() -> None:
+        try:
+            path = save_own_profile(changed)
+        except CucumberVisionError as error:
+            st.session_state["limits_fault"] = str(error)
+            return
+        resources.forget_profiles()
+        resources.change_settings(profile=path.stem)
+        st.toast(plain(f"Saved: new rounds have the crop '{changed.title}'."))
+
+    page_elements.button(
+        st, "Save and use for new rounds", "save", save, type="primary", disabled=not title.strip()
+    )
+    if fault := st.session_state.pop("limits_fault", None):
+        st.error(sentence(fault), icon=":material/error:")
+    st.caption(
+        "Saved as a crop of your own; the one that the program brings stays as it is. Rounds that "
+        "have a crop of this name are graded by the new limits."
+    )
+
+
+def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
+    units = resources.settings().units
+    classes = sorted(profile.classes, key=lambda c: c.min_cm)
+    labels = [f"{_upper(class_name(c.name))} from [{units.name}]" for c in classes]
+    labels.append(f"{_upper(class_name(classes[-1].name))} below [{units.name}]")
+    step = 0.5 if units.name == "cm" else 0.25
+    edges_m = []
+    places = st.columns(len(labels))
+    for number, edge_m in enumerate(limits.edges_m):
+        value = places[number].number_input(
+            plain(labels[number]),
+            0.1,
+            200.0,
+            units.value(edge_m),
+            step,
+            format=f"%.{units.digits}f",
+            key=f"limits_{name}_{number}_{units.name}",
+        )
+        edges_m.append(units.metres(float(value or 0.0)))
+    arcs = []
+    for number, arc in enumerate(limits.arc_mm_per_10cm):
+        value = st.number_input(
+            plain(f"{_upper(profile.shape[number].name)} up to [mm of arc for 10 cm]"),
+            0.5,
+            100.0,
+            arc,
+            0.5,
+            key=f"limits_{name}_arc_{number}",
+        )
+        arcs.append(float(value))
+    thin, light = st.columns(2)
+    diameter_mm = thin.number_input(
+        "Thinnest [mm]; 0: no limit",
+        0.0,
+        200.0,
+        limits.minimum_diameter_mm or 0.0,
+        1.0,
+        key=f"limits_{name}_thin",
+    )
+    weight_g = light.number_input(
+        "Lightest [g]; 0: no limit",
+        0.0,
+        5000.0,
+        limits.minimum_g or 0.0,
+        10.0,
+        key=f"limits_{name}_light",
+    )
+    decide = st.toggle(
+        "Thickness and weight decide on the class", limits.decide, key=f"limits_{name}_decide"
+    )
+    names = [c.name for c in profile.classes]
+    pick = st.pills(
+        "Ready to be picked",
+        names,
+        format_func=lambda name: plain(class_name(name)),
+        selection_mode="multi",
+        default=limits.pick,
+        key=f"limits_{name}_pick",
+    )
+    return CropLimits(
+        edges_m=tuple(edges_m),
+        pick=tuple(pick),
+        arc_mm_per_10cm=tuple(arcs),
+        minimum_diameter_mm=diameter_mm or None,
+        minimum_g=weight_g or None,
+        decide=decide,
+    )
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _preview(profile: CropProfile, changed: CropProfile) -> None:
+    """Show what the limits would change among the fruit of the newest round."""
+    newest = next((x for x in resources.rounds() if x.fruit), None)
+    if newest is None:
+        return
+    fruit = on_the_plant(round_caches.graded_round(newest).fruit)
+    before, after = class_counts(fruit, profile), class_counts(fruit, changed)
+    lines = [
+        {"Class": label, "Now": before[label], "With these limits": after[label]}
+        for label in sorted({*before, *after})
+    ]
+    st.caption(plain(f"Fruit on the plant: {round_name(newest)}"))
+    page_elements.table(lines)

@@ -703,7 +703,7 @@ def test_the_forecast_names_days_by_their_dates(house: Path) -> None:
     in_two_days = time.localtime(time.time() + 2 * 86400)
     assert days[:3] == ["today", "tomorrow", time.strftime("%a %-d %b", in_two_days)]
     # Some of the eight bundled fruit are class I as they were measured.
-    assert "First class I today" in said(test)
+    assert "class I today" in said(test)
 
 
 def test_looking_at_another_crop_changes_nothing(house: Path) -> None:

@@ -131,6 +131,7 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
             100.0,
             arc,
             0.5,
+            format="%.1f",
             key=f"limits_{name}_arc_{number}",
         )
         arcs.append(float(value))
@@ -141,6 +142,7 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
         200.0,
         limits.minimum_diameter_mm or 0.0,
         1.0,
+        format="%.0f",
         key=f"limits_{name}_thin",
     )
     weight_g = light.number_input(
@@ -149,6 +151,7 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
         5000.0,
         limits.minimum_g or 0.0,
         10.0,
+        format="%.0f",
         key=f"limits_{name}_light",
     )
     decide = st.toggle(

@@ -69,7 +69,7 @@ def _days(prediction: Forecast) -> None:
         for name, day in first_days(prediction).items()
     ]
     if first:
-        st.markdown(plain(f"First {', '.join(first)}."))
+        st.markdown(f"**First fruit ready**: {plain(', '.join(first))}")
     st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
     st.altair_chart(forecast_chart(prediction))
     house = prediction.house

@@ -7,9 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cucumbervision.cli.console import summary_table
-from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
-
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -45,21 +42,3 @@ def test_what_cannot_start_is_exit_code_2(run: Run, tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "there are no pictures" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_the_summary_counts_pictures_without_fruit() -> None:
-    scores = {"a": (0.9, 0.7), "b": (), "c": ()}
-    pictures = [
-        DetectedPicture(name, 64, 64, [{"score": score} for score in found])
-        for name, found in scores.items()
-    ]
-    table = summary_table(DetectResult(pictures, models=[{"name": "x", "runtime": "y"}]))
-    cells = dict(zip(*(list(column.cells) for column in table.columns), strict=True))
-    assert cells == {
-        "pictures": "3, 2 without fruit",
-        "fruit": "2",
-        "mean score": "0.80",
-        "networks": "x on y",
-    }
-    empty = summary_table(DetectResult())
-    assert list(empty.columns[1].cells)[2] == ""

@@ -35,12 +35,10 @@ def print_stream(
     Failures and a summary go to the standard error. The stream ends with its source, after
     `most_frames` frames, on Ctrl-C, and when its output is closed.
     """
-    from rich.console import Console
-    from rich.markup import escape
-
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.pipeline.measurer import Failure, exit_code
 
-    errors = Console(stderr=True, highlight=False)
+    errors = plain_console(stderr=True)
     failures: list[Failure] = []
     count = dropped = 0
     began_s, busy_s = time.perf_counter(), time.process_time()
@@ -48,7 +46,7 @@ def print_stream(
         for frame in frames:
             if isinstance(frame, Failure):
                 failures.append(frame)
-                errors.print(f"[red]failed[/red] {escape(frame.message)}", soft_wrap=True)
+                errors.print(f"failed {frame.message}", soft_wrap=True)
                 continue
             if not count:
                 # The networks are loaded and warm by now.
@@ -65,7 +63,7 @@ def print_stream(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except CameraError as error:
         failures.append(Failure.of(error, error.source))
-        errors.print(f"[red]ended[/red] {escape(str(error))}", soft_wrap=True)
+        errors.print(f"ended {error}", soft_wrap=True)
     if not quiet and count > 1:
         elapsed_s = time.perf_counter() - began_s
         each_ms = 1e3 * (time.process_time() - busy_s) / (count - 1)
@@ -89,7 +87,8 @@ def clock(every_s: float) -> Iterator[None]:
     due_s = time.monotonic()
     while True:
         time.sleep(max(due_s - time.monotonic(), 0.0))
-        due_s = max(due_s, time.monotonic() - every_s) + every_s
+        now_s = time.monotonic()
+        due_s = due_s + every_s if due_s + every_s > now_s else now_s + every_s
         yield None
 
 
@@ -97,18 +96,16 @@ def print_recording(
     recorded: Iterator[Recorded | CucumberVisionError], *, quiet: bool = False
 ) -> int:
     """Print a line for each written capture, and return the exit code."""
-    from rich.console import Console
-    from rich.markup import escape
-
+    from cucumbervision.cli.console import plain_console
     from cucumbervision.pipeline.measurer import Failure, exit_code
 
-    errors, lines = Console(stderr=True, highlight=False), Console(quiet=quiet, highlight=False)
+    errors, lines = plain_console(stderr=True), plain_console(quiet=quiet)
     failures: list[Failure] = []
     count = 0
 
     def failed(error: CucumberVisionError) -> None:
         failures.append(Failure.of(error, error.source))
-        errors.print(f"[red]failed[/red] {escape(str(error))}", soft_wrap=True)
+        errors.print(f"failed {error}", soft_wrap=True)
 
     try:
         for recording in recorded:
@@ -119,8 +116,7 @@ def print_recording(
             quality = recording.quality
             distance = "" if quality.distance_m is None else f", {100 * quality.distance_m:.0f} cm"
             fill = f"depth {100 * quality.fill:.0f} %{distance}"
-            line = f"{recording.path.parent}  {fill}  {quality.advice}"
-            lines.print(escape(line), soft_wrap=True)
+            lines.print(f"{recording.path.parent}  {fill}  {quality.advice}", soft_wrap=True)
     except KeyboardInterrupt:
         pass
     except CameraError as error:

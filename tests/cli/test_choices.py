@@ -1,0 +1,106 @@
+"""Options that commands share, as a user gives them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.cli.choices import loop_options, measure_options, takes
+from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
+from cucumbervision.pipeline.options import MeasureOptions
+
+
+class Asked:
+    """A command that keeps what it is called with."""
+
+    def __init__(self, *without: str) -> None:
+        self.app = typer.Typer()
+        self.name = ""
+        self.burst = 0
+        self.options = MeasureOptions()
+
+        @self.app.command()
+        @takes("options", measure_options, without)
+        def command(
+            name: str,
+            burst: Annotated[int, typer.Option(help="Our own.")] = 0,
+            *,
+            options: MeasureOptions,
+        ) -> None:
+            self.name, self.burst, self.options = name, burst, options
+
+    def __call__(self, *words: str) -> MeasureOptions:
+        done = CliRunner().invoke(self.app, words)
+        assert done.exit_code == 0, done.output
+        return self.options
+
+
+def test_nothing_given_is_what_python_measures_with() -> None:
+    profile = load_profile("long-cucumber")
+    assert Asked()("a") == MeasureOptions().for_crop(profile)
+
+
+def test_each_option_reaches_what_it_names(tmp_path: Path) -> None:
+    options = Asked()(
+        *("a", "--methods", "m3,m1", "--selector", "paper", "--length", "thread"),
+        *("--depth-unit", "0.0001", "--depth-along", "ray", "--aligned-to", "color"),
+        *("--instances", "dataset", "--classes", "unripe,ripe", "--segmenter", "none"),
+        *("--confidence", "0.4", "--input-size", "640,896", "--fast", "--camera-up", "left"),
+        *("--intrinsics", str(tmp_path / "camera.json"), "--runtime", "onnxruntime"),
+    )
+    reading = options.reading
+    assert set(options.methods) == {MethodName.M1, MethodName.M3}
+    assert (options.selector, options.length) == (Selector.PAPER, LengthDefinition.THREAD)
+    assert (reading.depth_unit_m, reading.depth_along, reading.aligned_to) == (1e-4, "ray", "color")
+    assert reading.intrinsics == tmp_path / "camera.json"
+    assert (options.instances, options.segmenter) == ("dataset", "none")
+    assert set(options.classes) == {"unripe", "ripe"}
+    assert (options.confidence, tuple(options.input_sizes)) == (0.4, (640, 896))
+    assert (options.full_precision, options.camera_up) == (False, "left")
+    assert options.runtime == "onnxruntime"
+
+
+def test_a_profile_sets_the_lengths_that_can_be() -> None:
+    long, mini = (Asked()("a", "--profile", name) for name in ("long-cucumber", "mini-cucumber"))
+    assert mini.accepted_m == MeasureOptions().for_crop(load_profile("mini-cucumber")).accepted_m
+    assert mini.accepted_m != long.accepted_m
+
+
+def test_an_option_of_the_command_itself_is_shared_with_the_measuring() -> None:
+    asked = Asked()
+    options = asked("row 3", "--burst", "7")
+    assert (asked.name, asked.burst, options.reading.burst) == ("row 3", 7, 7)
+
+
+def test_options_that_a_command_leaves_out_are_none_of_its_own() -> None:
+    asked = Asked("depth", "fast")
+    refused = CliRunner().invoke(asked.app, ["a", "--fast"])
+    assert refused.exit_code == 2
+    assert "No such option: --fast" in refused.output
+    assert asked("a").full_precision
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (("--confidence", "1.5"), "less than or equal to 1"),
+        (("--burst", "x"), "--burst"),
+        (("--depth-along", "up"), "'up'"),
+        (("--length", "width"), "'width'"),
+    ],
+)
+def test_a_value_that_is_none_is_named(words: tuple[str, str], fault: str) -> None:
+    refused = CliRunner().invoke(Asked().app, ["a", *words])
+    assert refused.exit_code == 2
+    assert fault in refused.output
+
+
+def test_the_number_of_processes_chooses_the_engine() -> None:
+    alone, many = loop_options(workers=1), loop_options(workers=3)
+    assert type(alone.engine) is not type(many.engine)
+    assert loop_options().engine == alone.engine

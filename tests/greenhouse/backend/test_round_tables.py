@@ -25,9 +25,9 @@ from cucumbervision_greenhouse.agronomy.picking import (
     plan_work,
     work_of,
 )
+from cucumbervision_greenhouse.backend.hand_lengths import measured_round
 from cucumbervision_greenhouse.backend.round_tables import grade_round, length_lines, map_lines
 from cucumbervision_greenhouse.backend.settings import Units
-from cucumbervision_greenhouse.dashboard.views.accuracy import measured_round
 from cucumbervision_greenhouse.exports.build import round_tables
 from cucumbervision_greenhouse.rounds.forecasting import forecast_today
 from cucumbervision_greenhouse.rounds.from_store import find_round, read_round

@@ -15,11 +15,14 @@ pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
 
+from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.hand_lengths import hand_file, write_hand_lengths
 from cucumbervision_greenhouse.capture_page.state import walk
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, move_stop, settle
@@ -744,3 +747,21 @@ def test_own_limits_are_previewed_saved_and_graded_by(
         store.save_round(record)
         saved = next(x for x in store.rounds() if x.key == record.key)
     assert resources.profile_of(saved)[1].classes[-1].min_cm == 11.0
+
+
+def test_a_calibration_is_made_used_and_put_back_on_the_page(house: Path) -> None:
+    with open_store(house) as store:
+        fruit = store.detections(WALK)
+    lengths = {view.key: (1.1 * (view.record.length_m or 0.0), None) for view in fruit}
+    write_hand_lengths(hand_file(str(house), WALK), fruit, lengths, LengthDefinition.CENTRELINE)
+    test = app("accuracy", round=WALK)
+    assert "too short on average" in said(test)
+    tap(test, "Calibrate with these lengths")
+    assert not test.exception
+    assert "Lengths change by +10.0 %" in said(test)
+    tap(test, "Use it now")
+    chosen = resources.settings().calibration
+    assert read_site_calibration(Path(chosen)).name == "my house"
+    assert "In use: my house" in said(test)
+    tap(app("settings"), "Use none")
+    assert resources.settings().calibration == ""

@@ -13,7 +13,7 @@ from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
 from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.views import crop_form
+from cucumbervision_greenhouse.dashboard.views import calibrations, crop_form
 
 _FINDERS = {
     "auto": "A capture's own masks, else networks",
@@ -33,7 +33,9 @@ def page() -> None:
         _camera()
     with measuring:
         _measuring()
+        _calibration()
     with st.expander("Details: networks and method", icon=":material/list:"):
+        _other_calibration()
         _how()
         _models()
     st.caption(f"Store: {plain(resources.store().name)}")
@@ -75,28 +77,40 @@ def _measuring() -> None:
     exact = st.toggle("Same lengths on every computer (slower)", saved.full_precision)
     burst = st.number_input("Frames per photo", 1, 15, saved.burst)
     limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, saved.upload_limit_mb, 100)
-    calibration = st.text_input(
-        "Calibration file of this site",
-        saved.calibration,
-        placeholder="none",
-        help="As `cucumbervision calibrate` writes it. Used from the next capture on.",
-    ).strip()
-    if calibration:
-        try:
-            site = read_site_calibration(Path(calibration))
-        except CucumberVisionError as error:
-            st.error(plain(error), icon=":material/error:")
-            calibration = saved.calibration
-        else:
-            st.success(f"Calibration {plain(site.tag)}", icon=":material/verified:")
     resources.change_settings(
         length=length,
         fruit_from=finder,
         full_precision=exact,
-        calibration=calibration,
         upload_limit_mb=limit_mb,
         burst=burst,
     )
+
+
+def _calibration() -> None:
+    st.subheader("Calibration")
+    calibrations.draw_choice()
+    page_elements.link("accuracy", "Calibrate on 'Accuracy'")
+
+
+def _other_calibration() -> None:
+    """Draw a field for a calibration file from elsewhere."""
+    saved = resources.settings().calibration
+    calibration = st.text_input(
+        "Calibration file",
+        saved,
+        placeholder="none",
+        help="As `cucumbervision calibrate` writes it.",
+    ).strip()
+    if calibration == saved:
+        return
+    try:
+        if calibration:
+            read_site_calibration(Path(calibration))
+    except CucumberVisionError as error:
+        st.error(plain(error), icon=":material/error:")
+    else:
+        resources.change_settings(calibration=calibration)
+        st.rerun()
 
 
 _EXPOSURES = {None: "Camera default", "automatic": "Automatic", "fixed": "Manual"}

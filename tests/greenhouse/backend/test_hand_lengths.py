@@ -10,7 +10,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.source import example_captures
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_greenhouse.dashboard.views.accuracy import (
+from cucumbervision_greenhouse.backend.hand_lengths import (
     hand_file,
     hand_lengths,
     measured_round,

@@ -1,0 +1,188 @@
+"""Calibrations made on the pages: where they are kept, and what each does in a grower's words."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+from cucumbervision.accuracy.measured import REPORTED
+from cucumbervision.accuracy.own_truth import comparable
+from cucumbervision.calibration.calibration_file import (
+    read_site_calibration,
+    write_site_calibration,
+)
+from cucumbervision.calibration.corrections import Form
+from cucumbervision.calibration.site_calibration import calibrate_camera
+from cucumbervision.errors import CalibrationError, CucumberVisionError
+from cucumbervision.measurement.result import MethodName, calibration_key
+from cucumbervision.names import checked_name
+from cucumbervision_greenhouse.backend.words import counted, round_day
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from cucumbervision.accuracy.own_truth import OwnTruth
+    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import LengthDefinition
+    from cucumbervision_greenhouse.backend.settings import Units
+    from cucumbervision_greenhouse.store.repository import Store
+
+_SUFFIX = ".calibration.json"
+_NO_FILE_NAME = re.compile(r"[^\w-]+")
+
+
+@dataclass(frozen=True)
+class SavedCalibration:
+    """A calibration file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    site : SiteCalibration, optional
+        Its content; None if it cannot be read.
+    fault : str
+        Why not.
+    """
+
+    path: Path
+    site: SiteCalibration | None
+    fault: str = ""
+
+    @property
+    def title(self) -> str:
+        """Name and day of the calibration, or the file's name."""
+        if self.site is None:
+            return self.path.name
+        return f"{self.site.name}, {round_day(_created_s(self.site))}"
+
+
+def _created_s(site: SiteCalibration) -> float:
+    try:
+        return datetime.fromisoformat(site.created).timestamp()
+    except ValueError:
+        return 0.0
+
+
+def save_calibration(folder: Path, site: SiteCalibration) -> Path:
+    """Write a calibration into the folder of a store, under its name and the time; return the file.
+
+    Raises
+    ------
+    CalibrationError
+        If the file cannot be written.
+    NameRefusedError
+        If its name cannot be read.
+    """
+    stem = _NO_FILE_NAME.sub("-", checked_name(site.name, "calibration's name")).strip("-_")
+    moment = time.strftime("%Y-%m-%d-%H%M%S")
+    path = folder / f"{moment}-{stem or 'site'}{_SUFFIX}"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_site_calibration(path, site)
+    return path
+
+
+def saved_calibrations(folder: Path, chosen: str = "") -> list[SavedCalibration]:
+    """Return the calibrations of a folder, the newest first, and the chosen one wherever it is."""
+    paths = {path.resolve(): path for path in folder.glob(f"*{_SUFFIX}")}
+    if chosen:
+        paths.setdefault(Path(chosen).resolve(), Path(chosen))
+    saved = [_saved(path) for path in paths.values()]
+    return sorted(saved, key=lambda x: -_created_s(x.site) if x.site is not None else 0.0)
+
+
+def _saved(path: Path) -> SavedCalibration:
+    try:
+        return SavedCalibration(path, read_site_calibration(path))
+    except CucumberVisionError as error:
+        return SavedCalibration(path, None, str(error))
+
+
+def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) -> str:
+    """Return what a calibration does, for fruit with a fitted tube.
+
+    Parameters
+    ----------
+    site : SiteCalibration
+        The calibration.
+    length : LengthDefinition
+        Definition of the reported length.
+    units : Units
+        Unit of lengths.
+    """
+    words = []
+    if site.depth_scale is not None:
+        percent = 100 * (site.depth_scale.value - 1)
+        direction = "long" if percent > 0 else "short"
+        pictures = counted(site.depth_scale.captures, "picture", "pictures")
+        words.append(
+            f"The camera reads {abs(percent):.1f} % too {direction}; that is taken out "
+            f"({pictures} of a printed grid)."
+        )
+    entry = site.entry(calibration_key(MethodName.M6, length), length)
+    if entry is not None:
+        change = {
+            Form.NONE: "Lengths stay as they are",
+            Form.SCALE: f"Lengths change by {100 * (entry.scale - 1):+.1f} %",
+            Form.SCALE_OFFSET: f"Lengths change by {100 * (entry.scale - 1):+.1f} % "
+            f"{'+' if entry.offset_m >= 0 else '−'} {units.text(abs(entry.offset_m))}",
+        }[entry.form]
+        words.append(
+            f"{change}: error {entry.error_before_percent:.1f} % before and "
+            f"{entry.error_after_percent:.1f} % after ({counted(entry.fruit, 'fruit', 'fruit')} "
+            "measured by hand, each left out in turn)."
+        )
+    return " ".join(words) or f"Corrects other lengths than the {length}."
+
+
+def bias_words(own_truth: OwnTruth, units: Units) -> str:
+    """Return how far the reported lengths are from those by hand, in a sentence.
+
+    Only lengths of the definition that was measured by hand count.
+    """
+    pairs = [
+        (length, reading.lengths_m.get(REPORTED))
+        for length, reading in own_truth.pairs
+        if comparable(REPORTED, length.kind, reading.kind)
+    ]
+    errors_m = [measured_m - length.length_m for length, measured_m in pairs if measured_m]
+    if not errors_m:
+        return "None of these fruit has a length of the kind that was measured by hand."
+    mean_m, off_m = fmean(errors_m), fmean(map(abs, errors_m))
+    fruit = counted(len(errors_m), "fruit", "fruit")
+    direction = "long" if mean_m > 0 else "short"
+    return (
+        f"{fruit}: measured {units.text(abs(mean_m))} too {direction} on average; "
+        f"a single fruit is {units.text(off_m)} off."
+    )
+
+
+def calibrate_by_grid(store: Store, round_key: str, spacing_m: float, name: str) -> SiteCalibration:
+    """Calibrate a camera from a round's pictures of a printed grid.
+
+    Raises
+    ------
+    CalibrationError
+        If the round was measured with a calibration, shows no grid, or has several cameras.
+    """
+    return calibrate_camera(_grid_captures(store, round_key), spacing_m, name)
+
+
+def _grid_captures(store: Store, round_key: str) -> Iterator[Capture]:
+    for summary in store.stops(round_key):
+        stop = store.stop(summary.key)
+        if any(artifact.kind == "calibration" for artifact in stop.artifacts):
+            raise CalibrationError(
+                "these pictures were measured with a calibration, which changed their depth",
+                source="this round",
+                remedy="choose no calibration, begin a round and take pictures of the grid again",
+            )
+        for record in stop.captures:
+            yield stored_capture(store.images, record, stop)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cucumbervision.geometry.camera import (
     Distortion,
     align_depth_to_color,
+    color_sources,
     distort,
     scale_error,
     scale_error_tilted,
@@ -189,3 +190,18 @@ def test_each_term_of_the_lens_by_hand(
 ) -> None:
     seen = distort(np.array(0.3), np.array(0.2), model, coefficients)
     assert tuple(float(s) for s in seen) == pytest.approx(expected, abs=1e-12)
+
+
+def test_each_colour_pixel_names_the_depth_pixel_that_it_reads() -> None:
+    # Camera pixels of 0.1 rad; the colour camera is 5 cm to the left: 1 m away half a pixel.
+    k = [[10, 0, 2], [0, 10, 1], [0, 0, 1]]
+    depth = np.zeros((3, 5), np.float32)
+    depth[1, 1], depth[1, 2] = 1.0, 0.5
+    sources = color_sources(depth, k, k, (5, 3), np.eye(3), [0.05, 0, 0])
+    # The farther one covers columns 1 and 2, the nearer one, moved by a whole pixel, 3 and 4.
+    assert (sources[1] == [-1, 6, 6, 7, 7]).all()
+    # The nearer one of two that cover the same columns stays, whichever comes first.
+    depth[1, 1], depth[1, 2] = 0.5, 1.0
+    sources = color_sources(depth, k, k, (5, 3), np.eye(3), [0.05, 0, 0])
+    assert (sources[1] == [-1, -1, 6, 6, -1]).all()
+    assert (color_sources(0 * depth, k, k, (5, 3), np.eye(3), [0, 0, 0]) == -1).all()

@@ -206,9 +206,53 @@ def align_depth_to_color(
     >>> np.argwhere(moved > 0).tolist()
     [[1, 2]]
     """
+    sources = color_sources(
+        depth_m,
+        depth_matrix,
+        color_matrix,
+        color_size,
+        rotation,
+        translation_m,
+        depth_lens=depth_lens,
+        color_lens=color_lens,
+    )
+    return np.where(sources >= 0, depth_m.ravel()[sources], np.float32(0))
+
+
+def color_sources(
+    depth_m: NDArray[np.float32],
+    depth_matrix: ArrayLike,
+    color_matrix: ArrayLike,
+    color_size: tuple[int, int],
+    rotation: ArrayLike,
+    translation_m: ArrayLike,
+    *,
+    depth_lens: Lens = _NO_LENS,
+    color_lens: Lens = _NO_LENS,
+) -> NDArray[np.int64]:
+    """Return the depth pixel that each colour pixel takes its reading from.
+
+    Parameters
+    ----------
+    depth_m, depth_matrix, color_matrix, color_size, rotation, translation_m, depth_lens, color_lens
+        As for `align_depth_to_color`.
+
+    Returns
+    -------
+    ndarray of int64, shape (color height, color width)
+        Index into `depth_m.ravel()`; -1 where no depth pixel falls.
+
+    Raises
+    ------
+    ValueError
+        As `align_depth_to_color`.
+    """
     width, height = color_size
-    v, u = np.nonzero(depth_m > 0)
-    z = depth_m[v, u]
+    readings = np.flatnonzero(depth_m > 0)
+    # From far to near: of several readings of a colour pixel, the last is the nearest.
+    readings = readings[np.argsort(-depth_m.ravel()[readings], kind="stable")]
+    v, u = np.divmod(readings, depth_m.shape[1])
+    z = depth_m.ravel()[readings]
     kd, kc = np.asarray(depth_matrix, float), np.asarray(color_matrix, float)
 
     def corner(off_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -228,11 +272,13 @@ def align_depth_to_color(
     footprint = [max(float((b - a).max(initial=0)), 0) + 1 for a, b in ((x0, x1), (y0, y1))]
     if math.prod(footprint) > _LARGEST_FOOTPRINT:
         raise ValueError("a depth pixel covers thousands of colour pixels")
-    aligned = np.full(height * width, np.inf, np.float32)
+    rank, order = np.full(height * width, -1), np.arange(len(readings))
     for dy in range(int((y1 - y0).max(initial=-1)) + 1):
         for dx in range(int((x1 - x0).max(initial=-1)) + 1):
             x, y = x0 + dx, y0 + dy
             part = (x <= x1) & (y <= y1) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-            np.minimum.at(aligned, y[part] * width + x[part], z[part])
-    aligned[np.isinf(aligned)] = 0.0
-    return aligned.reshape(height, width)
+            nearest = np.full(height * width, -1)
+            nearest[y[part] * width + x[part]] = order[part]
+            np.maximum(rank, nearest, out=rank)
+    sources = np.append(readings, -1)[rank]
+    return sources.reshape(height, width)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.geometry.camera import distort
+from cucumbervision.geometry.camera import color_sources
 from cucumbervision_lab.synthesis.raycast import ray_grid
 from cucumbervision_lab.synthesis.scene import Kind, render
 
@@ -363,7 +363,15 @@ def sense(
     waves *= np.float32(camera.disparity_rms_px * np.sqrt(camera.fixed_share))
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
-    sources = color_sources(base, seen_by, camera)
+    sources = color_sources(
+        base,
+        seen_by.matrix,
+        camera.color.matrix,
+        camera.color.size,
+        camera.rotation,
+        camera.translation_m,
+        color_lens=(camera.color.distortion, camera.color.coefficients),
+    )
     hit = sources >= 0
     burst = []
     for _ in range(frames):
@@ -449,75 +457,3 @@ def _visible_part(camera: D4xx) -> Intrinsics:
         cx_px=depth.cx_px - first_column,
         cy_px=depth.cy_px - top,
     )
-
-
-def color_sources(
-    depth_m: NDArray[np.float32], seen_by: Intrinsics, camera: D4xx
-) -> NDArray[np.int32]:
-    """Return the depth pixel that each colour pixel takes its reading from.
-
-    Follows the rule of `align_depth_to_color`, but returns indices that can be reused for a burst.
-
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (h, w)
-        Depth in metres; 0 for no reading.
-    seen_by : Intrinsics
-        Intrinsics of `depth_m`, the whole depth picture or a part of it.
-    camera : D4xx
-        Camera parameters.
-
-    Returns
-    -------
-    ndarray of int32, shape (color height, color width)
-        Flat index into `depth_m` of the nearest reading; -1 for none.
-    """
-    width, height = camera.color.size
-    flat = np.flatnonzero(depth_m > 0)
-    z = depth_m.ravel()[flat]
-    # Sort from far to near, so that near readings overwrite far ones; 0.1 mm is finer than a unit.
-    order = np.argsort(np.minimum(z * 1e4, 65535).astype(np.uint16), kind="stable")[::-1]
-    flat, z = flat[order].astype(np.int32), z[order]
-    v, u = np.divmod(flat, np.int32(seen_by.width))
-    x0, y0 = _corner(u, v, -0.5, z, seen_by, camera)
-    x1, y1 = _corner(u, v, 0.5, z, seen_by, camera)
-    best = np.full(height * width, -1, np.int32)
-    nearest = np.full(height * width, np.inf, np.float32)
-    for dy in range(int((y1 - y0).max(initial=-1)) + 1):
-        for dx in range(int((x1 - x0).max(initial=-1)) + 1):
-            x, y = x0 + dx, y0 + dy
-            part = (x <= x1) & (y <= y1) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-            pixels = y[part] * width + x[part]
-            mine = np.full(height * width, -1, np.int32)
-            mine[pixels] = flat[part]
-            reach = np.where(mine >= 0, depth_m.ravel()[mine], np.float32(np.inf))
-            closer = reach < nearest
-            np.copyto(best, mine, where=closer)
-            np.copyto(nearest, reach, where=closer)
-    return best.reshape(height, width)
-
-
-def _corner(
-    u: NDArray[np.int32],
-    v: NDArray[np.int32],
-    by: float,
-    z: NDArray[np.float32],
-    seen_by: Intrinsics,
-    camera: D4xx,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    color = camera.color
-    x, y = seen_by.rays(
-        (u + np.float32(by)).astype(np.float32), (v + np.float32(by)).astype(np.float32)
-    )
-    turn = np.asarray(camera.rotation, np.float32)
-    move = np.asarray(camera.translation_m, np.float32)
-    if (turn == np.eye(3)).all():
-        points = [x * z + move[0], y * z + move[1], z + move[2]]
-    else:
-        points = [(r[0] * x + r[1] * y + r[2]) * z + m for r, m in zip(turn, move, strict=True)]
-    px, py = distort(
-        points[0] / points[2], points[1] / points[2], color.distortion, color.coefficients
-    )
-    px = px * np.float32(color.fx_px) + np.float32(color.cx_px + 0.5)
-    py = py * np.float32(color.fy_px) + np.float32(color.cy_px + 0.5)
-    return px.astype(np.int32), py.astype(np.int32)

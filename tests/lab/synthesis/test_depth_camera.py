@@ -7,9 +7,8 @@ import pytest
 from tests.scenarios.sensor_statistics import noise_split
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
+from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, sense
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -84,29 +83,6 @@ def test_the_shadow_stands_to_the_left_and_is_as_wide_as_both_parallaxes() -> No
     # less by the border's own gap.
     assert left == pytest.approx(0.065 * 462 * (1 / 0.45 - 1 / 0.9), abs=6)
     assert right < 8
-
-
-def test_sources_are_those_of_the_sdk_rule() -> None:
-    tube = arc_tube(0.2, 0.02, 0.3).moved(rotation(-80, 20, 0), (0, 0, 0.45))
-    camera = replace(
-        CAMERA,
-        color=replace(
-            COLOR, distortion=Distortion.BROWN_CONRADY, coefficients=(0.1, -0.05, 1e-3, 0, 0)
-        ),
-        rotation=tuple(map(tuple, rotation(0.3, -0.2, 0.4).tolist())),
-    )
-    seen = render(Scene((tube,), planes=(Plane.facing(0.8),)), camera.depth)
-    depth = seen.depth_m.astype(np.float32)
-    depth[::7, ::5] = 0.0
-    sources = color_sources(depth, camera.depth, camera)
-    mine = np.where(sources >= 0, depth.ravel()[sources], np.float32(0))
-    sdk = align_depth_to_color(
-        depth, camera.depth.matrix, camera.color.matrix, camera.color.size, camera.rotation,
-        camera.translation_m,
-        color_lens=(camera.color.distortion, camera.color.coefficients),
-    )  # fmt: skip
-    # Single precision moves a footprint's border now and then, and 0.1 mm decides who is nearer.
-    assert (np.abs(mine - sdk) < 2e-4).mean() > 0.998
 
 
 def test_glare_takes_its_share_of_the_fruit() -> None:

@@ -264,6 +264,7 @@ _ACTIONS = {
     "delete-stop": "the stop was deleted",
     "take-back-stop": "the last stop was taken back",
     "rename-round": "the round's new name",
+    "move-round": "the round's new house",
     "delete-round": "the round was deleted",
 }
 

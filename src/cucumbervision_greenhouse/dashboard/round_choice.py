@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
@@ -9,7 +10,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
 from cucumbervision_greenhouse.backend import resources, tasks
-from cucumbervision_greenhouse.backend.words import plain, round_name, sentence
+from cucumbervision_greenhouse.backend.words import counted, plain, round_name, sentence
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
 from cucumbervision_greenhouse.store.records import Round
@@ -119,6 +120,7 @@ def _change(round_summary: RoundSummary | None) -> None:
             args=(_rename, round_summary.key),
             disabled=not name.strip(),
         )
+        _house(round_summary)
         st.button(
             "Delete this round",
             icon=":material/delete:",
@@ -135,6 +137,29 @@ def _change(round_summary: RoundSummary | None) -> None:
             on_click=_do,
             args=(_bring_back, gone.key),
         )
+
+
+def _house(round_summary: RoundSummary) -> None:
+    """Draw the house of a round: the round moves, or the house gets another name or is merged."""
+    key, house = round_summary.key, round_summary.record.house
+    typed = " ".join(st.text_input("House", house, key=f"house_{key}").split())
+    if typed == house:
+        return
+    of_house = [x.key for x in resources.rounds() if x.record.house == house]
+    known = same_house(typed, [name for name in resources.houses() if name != house])
+    merged = known in resources.houses()
+    words = f"Merge the house with '{known}'" if merged else "Rename the house"
+    number = counted(len(of_house), "round", "rounds")
+    for label, keys in (("Move this round", [key]), (f"{plain(words)} ({number})", of_house)):
+        if house or keys == [key]:  # rounds without a house are not of one house
+            act = partial(_move, keys)
+            st.button(label, width="stretch", on_click=_do, args=(act, typed))
+
+
+def _move(keys: list[str], house: str) -> None:
+    resources.store().move_rounds(keys, house)
+    for key in keys:
+        tasks.merge(key)  # linked to the other rounds of its house now
 
 
 def _do(act: Callable[[str], None], key: str) -> None:

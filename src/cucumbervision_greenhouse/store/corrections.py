@@ -14,7 +14,7 @@ from sqlalchemy import and_, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.names import checked_name
+from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.cells import round_id_of, row_id_of
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
 from cucumbervision_greenhouse.store.hashes import change, seal_stops, with_hash
@@ -213,6 +213,32 @@ class Corrections(Database):
         with self.writing() as connection:
             line = line_of(connection, RoundLine, key)
             return _edit(connection, RoundLine, line, "rename-round", {"name": name})
+
+    def move_rounds(self, keys: Sequence[str], house: str) -> int:
+        """Move rounds to a house: all of one house to rename it, or to merge it with another.
+
+        The house is the known one where the names differ by no more than case, spaces or the word
+        'house', unless only the spelling changes.
+
+        Returns
+        -------
+        int
+            How many rounds were moved; one action each.
+
+        Raises
+        ------
+        NameRefusedError
+            If that is no name.
+        """
+        house = checked_name(house, "house")
+        with self.writing() as connection:
+            lines = [line_of(connection, RoundLine, key) for key in keys]
+            others = select(RoundLine.house).where(~RoundLine.deleted, RoundLine.key.not_in(keys))
+            house = same_house(house, connection.execute(others.order_by(RoundLine.id)).scalars())
+            moved = [line for line in lines if line.house != house]
+            for line in moved:
+                _edit(connection, RoundLine, line, "move-round", {"house": house})
+        return len(moved)
 
     def delete_round(self, key: str) -> int:
         """Take a round with all its stops out of the list of rounds."""
@@ -502,14 +528,15 @@ def change_line(connection: Connection, details: dict[str, Any], *, restore: boo
         seal_stops(connection, StopLine.key == details["key"])
 
 
-def original_name(connection: Connection, round_key: str) -> str | None:
-    """Return what a round was called before it was renamed; None where it never was."""
-    renamed = (
+def original_names(connection: Connection, round_key: str) -> dict[str, str]:
+    """Return the name and house that a round had at first, of those that were changed."""
+    changes = (
         select(Action.details)
         .join(RoundLine, RoundLine.id == Action.round_id)
-        .where(RoundLine.key == round_key, Action.kind == "rename-round")
-        .order_by(Action.id)
-        .limit(1)
+        .where(RoundLine.key == round_key, Action.kind.in_(("rename-round", "move-round")))
+        .order_by(Action.id.desc())
     )
-    details = connection.execute(renamed).scalar()
-    return None if details is None else str(details["before"]["name"])
+    names: dict[str, str] = {}
+    for details in connection.execute(changes).scalars():
+        names |= details["before"]
+    return names

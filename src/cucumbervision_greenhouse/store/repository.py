@@ -28,7 +28,7 @@ from cucumbervision_greenhouse.store.corrections import (
     lock_rounds,
     log_action,
     mark_added,
-    original_name,
+    original_names,
 )
 from cucumbervision_greenhouse.store.engine import database_url, make_engine, named, prepare
 from cucumbervision_greenhouse.store.hashes import change, content_sha256, seal_stops, with_hash
@@ -170,6 +170,7 @@ class Store(Queries, Corrections):
                 or_(~RoundLine.deleted, RoundLine.key == record.key)
             )
             houses = connection.execute(house_query.order_by(RoundLine.id)).scalars()
+            sent_house = record.house
             record = replace(record, house=same_house(record.house, houses))
             cells = with_hash(RoundLine, {**cells_by_name(record, ROUND_CELLS), "deleted": False})
             if insert_new(connection, RoundLine, cells, "key") is not None:
@@ -177,9 +178,10 @@ class Store(Queries, Corrections):
             columns = columns_of(RoundLine, ROUND_CELLS)
             values = connection.execute(select(*columns).where(RoundLine.key == record.key)).one()
             first = Round(*values)
-            if (name := original_name(connection, record.key)) is not None:
-                first = replace(first, name=name)
-            if first != record:
+            names = original_names(connection, record.key)
+            house = names.get("house", first.house)
+            first = replace(first, name=names.get("name", first.name), house=house)
+            if first != replace(record, house=same_house(sent_house, [house])):
                 raise _conflict("round", record.key)
             return Saved.ALREADY_THERE
 

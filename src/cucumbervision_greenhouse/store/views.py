@@ -232,7 +232,7 @@ class LogEntry:
     kind : str
         'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'add', 'merge', 'unmerge',
         'link-growth', 'unlink-growth', 'place-stop', 'delete-stop', 'take-back-stop',
-        'rename-round', 'delete-round', 'measure-again' or 'undo'.
+        'rename-round', 'move-round', 'delete-round', 'measure-again' or 'undo'.
     round_key : str, optional
         Of its last fruit: of growth between two rounds the later.
     fruit : tuple of str

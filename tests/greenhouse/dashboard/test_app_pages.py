@@ -765,3 +765,24 @@ def test_a_calibration_is_made_used_and_put_back_on_the_page(house: Path) -> Non
     assert "In use: my house" in said(test)
     tap(app("settings"), "Use none")
     assert resources.settings().calibration == ""
+
+
+def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
+    second = Round(new_key(), "second", "North", time.time() - 5 * 86400)
+    with open_store(house) as store:
+        store.save_round(second)
+
+    def houses() -> list[str]:
+        with open_store(house) as store:
+            return sorted(x.record.house for x in store.rounds())
+
+    test = app("today", round=WALK, changing_round=True)
+    field = next(x for x in test.text_input if x.label == "House")
+    field.input("South").run()
+    tap(test, "Rename the house (1 round)")
+    assert houses() == ["North", "South"]
+    test = app("today", round=WALK, changing_round=True)
+    next(x for x in test.text_input if x.label == "House").input("north").run()
+    tap(test, "Merge the house with 'North' (1 round)")
+    assert houses() == ["North", "North"]
+    wait_for_jobs()

@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
+from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
 from cucumbervision_greenhouse.store.records import DetectionRecord, Round, Saved, key_of
@@ -99,6 +100,31 @@ def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops:
     store.undo(number=second)
     store.undo(number=first)
     assert [one.position_m for one in store.stops(WALK)] == [0.4, 0.8]
+
+
+def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -> None:
+    assert len(stops) == 2
+    both = [WALK, NEXT_DAY]
+    assert {one.record.house for one in store.rounds()} == {"house 1"}
+    assert store.move_rounds(both, "North") == 2
+    assert store.move_rounds(both, "North") == 0
+    # The device that began it may still send it as it was.
+    assert store.save_round(Round(WALK, "morning", "1", 1000.0)) is Saved.ALREADY_THERE
+    assert store.save_round(Round(WALK, "morning", "house 1", 1000.0)) is Saved.ALREADY_THERE
+    with pytest.raises(StoreConflictError):
+        store.save_round(Round(WALK, "morning", "house 2", 1000.0))
+    store.save_round(Round(key_of("south"), "south", "House South", 1000.0))
+    # Another spelling of a house means that house; of its own it is a new spelling.
+    assert store.move_rounds([WALK], "south") == 1
+    assert store.move_rounds([NEXT_DAY], "house north") == 1
+    house = {one.key: one.record.house for one in store.rounds()}
+    assert (house[WALK], house[NEXT_DAY]) == ("House South", "house north")
+    store.undo(WALK)
+    store.undo(WALK)
+    assert {one.key: one.record.house for one in store.rounds()}[WALK] == "house 1"
+    with pytest.raises(NameRefusedError):
+        store.move_rounds(both, "a\u202eb")
+    assert check_store(store).sound
 
 
 def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[str]) -> None:

@@ -280,5 +280,5 @@ def color_sources(
             nearest = np.full(height * width, -1)
             nearest[y[part] * width + x[part]] = order[part]
             np.maximum(rank, nearest, out=rank)
-    sources = np.append(readings, -1)[rank]
+    sources: NDArray[np.int64] = np.append(readings, -1)[rank]
     return sources.reshape(height, width)

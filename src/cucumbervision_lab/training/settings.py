@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from cucumbervision_lab.training.checkpoint import require_layers
 from cucumbervision_lab.training.data import TASKS
 from cucumbervision_lab.training.plan import RunState
 
-FIXED_OPTIONS = ("learning_rate", "one_to_many", "by_place", "overrides")
+FIXED_OPTIONS = ("learning_rate", "one_to_many")
 """Options that stay fixed during a run; the others depend on the machine and may change."""
 
 _AUGMENTATION: dict[str, Any] = {
@@ -62,8 +61,8 @@ class TrainOptions:
         CPU, where the first layers take most of the time and change least, and 0 on a GPU.
     seed : int
         Random seed.
-    threads, workers : int
-        Number of torch threads (0 uses all cores), and of processes that load pictures.
+    threads : int
+        Number of torch threads; 0 uses all cores.
     minutes : float, optional
         Time limit; training stops after the epoch that exceeds it and can be resumed.
     validate_every : int
@@ -73,13 +72,8 @@ class TrainOptions:
     one_to_many : float
         Initial share of the one-to-many head in the loss. A pretrained detector needs a smaller
         share than a new network.
-    by_place : bool
-        Order keypoints from the lower-left end of a fruit to the upper-right end; the `ends`
-        network then identifies the stem end. If False, from the blossom end to the stem end.
     check : bool
         Reject data sets with faults or with duplicate pictures across splits.
-    overrides : mapping
-        Further Ultralytics settings; they take precedence.
     """
 
     batch: int = 0
@@ -88,14 +82,11 @@ class TrainOptions:
     freeze: int = 0
     seed: int = 0
     threads: int = 0
-    workers: int = 0
     minutes: float | None = None
     validate_every: int = 4
     learning_rate: float = 0.001
     one_to_many: float = 0.8
-    by_place: bool = True
     check: bool = True
-    overrides: Mapping[str, Any] | None = None
 
     def batch_on(self, device: str) -> int:
         """Return the batch size on a device."""
@@ -175,6 +166,7 @@ def trainer_settings(
         "save_dir": str(out),
         "device": device,
         "batch": batch,
+        "workers": 0,
         "cache": False,
         "freeze": options.frozen_on(device) or None,
         "plots": False,
@@ -198,7 +190,6 @@ def trainer_settings(
         "conf": 0.01,
         **_AUGMENTATION,
         **(_POSE_AUGMENTATION if state.task == "pose" else {}),
-        **(options.overrides or {}),
     }
 
 

@@ -142,7 +142,8 @@ def train(
             state = replace(state, data=str(written))
     else:
         state = _new_state(task, data, out, init, plan, per_epoch, options)
-    options = replace(options, **state.learning)
+    fixed = {name: value for name, value in state.learning.items() if name in FIXED_OPTIONS}
+    options = replace(options, **fixed)
     state.save(out)
     end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
     while not state.is_done and (end is None or time.monotonic() < end):
@@ -232,10 +233,9 @@ def _run_part(
                 options.batch_on(device) < _LEAST_NORM_BATCH and state.init.endswith(".pt")
             ),
             final_sigma=state.task == "pose" and has_keypoint_head(state.init),
-            by_place=state.task == "pose" and options.by_place,
+            by_place=state.task == "pose",
         ),
         threads=options.threads or os.cpu_count() or 1,
-        workers=options.workers,
         bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
     )
     trainer.train()

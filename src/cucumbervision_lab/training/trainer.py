@@ -93,7 +93,6 @@ def make_trainer(
     settings: TrainerSettings,
     *,
     threads: int,
-    workers: int,
     bfloat16: bool,
 ) -> Any:
     """Create the trainer for the rest of the current part of a plan.
@@ -104,12 +103,12 @@ def make_trainer(
         'segment' or 'pose'.
     overrides : dict
         Ultralytics settings.
-        callbacks : TrainerCallbacks
+    callbacks : TrainerCallbacks
         Called after every batch and epoch.
     settings : TrainerSettings
         Position in the plan and options.
-    threads, workers : int
-        Number of torch threads, and of processes that load pictures.
+    threads : int
+        Number of torch threads.
     bfloat16 : bool
         Run the network's layers in bfloat16 on the CPU.
 
@@ -133,8 +132,6 @@ def make_trainer(
     trainer.settings = settings
     if settings.by_place:
         trainer.add_callback("on_train_start", _store_keypoint_order)
-    # Ultralytics disables data loading workers on the CPU.
-    trainer.args.workers = workers
     _add_progress_callbacks(trainer, callbacks, threads)
     trainer.add_callback("on_train_start", _set_ema_decay)
     trainer.add_callback("on_train_epoch_start", _set_loss_shares)
@@ -215,13 +212,12 @@ class _PlannedTraining:
             return self._mixed_loader(dataset_path, batch_size)
 
     def _mixed_loader(self, folders: Any, batch: int) -> Any:
-        from ultralytics.data.build import InfiniteDataLoader, seed_worker
+        from ultralytics.data.build import InfiniteDataLoader
 
         dataset = self.build_dataset(folders, "train", batch)  # type: ignore[attr-defined]
         add_ignored(dataset, self.args.task)
         parts = folders if isinstance(folders, list) else [folders]
         sources = group_by_source(dataset.im_files, [str(part) for part in parts])
-        workers = self.args.workers
         return InfiniteDataLoader(
             dataset=dataset,
             batch_size=batch,
@@ -232,11 +228,9 @@ class _PlannedTraining:
                 epoch=self.settings.epochs,
                 seed=self.settings.seed,
             ),
-            num_workers=workers,
-            prefetch_factor=4 if workers else None,
+            num_workers=0,
             pin_memory=self.device.type == "cuda",
             collate_fn=dataset.collate_fn,
-            worker_init_fn=seed_worker,
         )
 
     def save_model(self) -> bool:

@@ -69,12 +69,6 @@ def test_fruit_with_points_are_neither_turned_nor_upside_down() -> None:
     assert (pose["degrees"], pose["flipud"], pose["fliplr"]) == (0.0, 0.0, 0.5)
 
 
-def test_settings_of_ones_own_come_last() -> None:
-    options = TrainOptions(overrides={"mosaic": 0.0, "lr0": 0.5})
-    settings = trainer_settings(state(), "yolo26n-seg.yaml", OUT, options, "0")
-    assert (settings["mosaic"], settings["lr0"], settings["amp"]) == (0.0, 0.5, True)
-
-
 @pytest.mark.train
 def test_weights_that_are_none_are_named(tmp_path: Path) -> None:
     if importlib.util.find_spec("ultralytics") is None:

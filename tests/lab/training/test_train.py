@@ -51,8 +51,6 @@ def test_a_run_keeps_how_it_learns(seg_run: Path) -> None:
     assert RunState.load(seg_run).learning == {
         "learning_rate": 0.001,
         "one_to_many": 0.8,
-        "by_place": True,
-        "overrides": None,
     }
     used = (seg_run / "args.yaml").read_text().splitlines()
     # The second call came with another learning rate, and with another batch.

@@ -47,7 +47,7 @@ def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_p
     settings = trainer_settings(state, init, tmp_path, QUICK, "cpu")
     assert (settings["model"], settings["pretrained"]) == ("yolo26n-pose.yaml", init)
     course = TrainerSettings(state.plan)
-    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=False)
+    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, bfloat16=False)
     trainer.setup_model()
     ours, theirs = backbone(trainer.model), backbone(load_checkpoint(init)[0].float())
     assert ours.keys() == theirs.keys()
@@ -66,7 +66,7 @@ def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: 
     state = RunState("pose", str(data), "yolo26n-pose.yaml", plan)
     settings = trainer_settings(state, state.init, tmp_path, QUICK, "cpu")
     course = TrainerSettings(plan, by_place=True)
-    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=True)
+    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, bfloat16=True)
     seen = {}
 
     def look(t: object) -> None:

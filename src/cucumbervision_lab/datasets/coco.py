@@ -341,7 +341,6 @@ def write_coco(
     dataset: DataSet,
     folder: Path,
     *,
-    link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
     """Write a data set in COCO format: `images/`, `depth/` and `annotations.json`.
@@ -352,8 +351,6 @@ def write_coco(
         Data set to write. If `folder` is its own folder, only `annotations.json` is rewritten.
     folder : Path
         Output folder; created if missing.
-    link : bool
-        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -369,7 +366,7 @@ def write_coco(
     """
     pictures = dataset.pictures
     if folder.resolve() != dataset.folder.resolve():
-        pictures = _place_all(dataset, folder, link, progress)
+        pictures = _place_all(dataset, folder, progress)
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for number, picture in enumerate(pictures, 1):
@@ -415,17 +412,17 @@ def write_fragment(picture: LabelledPicture, file: Path) -> Path:
 
 
 def _place_all(
-    dataset: DataSet, folder: Path, link: bool, progress: Callable[[int], None] | None
+    dataset: DataSet, folder: Path, progress: Callable[[int], None] | None
 ) -> tuple[LabelledPicture, ...]:
     placed = []
     names = flat_names(p.file for p in dataset.pictures)
     for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
-        place_file(dataset.path(picture), folder / "images" / name, link=link)
+        place_file(dataset.path(picture), folder / "images" / name)
         depth = picture.depth_file
         if depth is not None:
             target = PurePosixPath("depth", PurePosixPath(name).stem + PurePosixPath(depth).suffix)
-            place_file(dataset.folder / depth, folder / target, link=link)
+            place_file(dataset.folder / depth, folder / target)
             depth = str(target)
         placed.append(replace(picture, file=f"images/{name}", depth_file=depth))
     return tuple(placed)

@@ -53,7 +53,6 @@ def merge_datasets(
     datasets: Sequence[DataSet],
     out: Path,
     *,
-    link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> DataSet:
     """Merge data sets and write the result in COCO format.
@@ -67,8 +66,6 @@ def merge_datasets(
         At least one.
     out : Path
         Output folder, different from those of the sets.
-    link : bool
-        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -115,7 +112,7 @@ def merge_datasets(
     merged = replace(
         datasets[0], folder=root, pictures=tuple(pictures), categories=tuple(names), refused=()
     )
-    return write_coco(merged, out, link=link, progress=progress)
+    return write_coco(merged, out, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +227,6 @@ def convert_dataset(
     keep: Mapping[str, str] | None = None,
     source: str = "",
     licence: str = "",
-    link: bool = True,
     splits: Sequence[str] = SPLITS,
     progress: Callable[[int], None] | None = None,
 ) -> str:
@@ -248,7 +244,7 @@ def convert_dataset(
         Class mapping, see `keep_classes`; by default all classes are kept.
     source, licence : str
         Defaults for pictures without source or licence.
-    link, splits, progress
+    splits, progress
         See `write_yolo`.
 
     Returns
@@ -273,10 +269,10 @@ def convert_dataset(
     if keep:
         dataset = keep_classes(dataset, keep)
     if form == "coco":
-        written = write_coco(dataset, out, link=link, progress=progress)
+        written = write_coco(dataset, out, progress=progress)
         labels = sum(len(p.labels) for p in written.pictures)
         return f"{len(written.pictures)} pictures, {labels} labels in {out}"
-    done = write_yolo(dataset, out, _TASKS[form], splits=splits, link=link, progress=progress)
+    done = write_yolo(dataset, out, _TASKS[form], splits=splits, progress=progress)
     parts = ", ".join(f"{count} {split}" for split, count in done.pictures.items())
     return f"{parts}, {done.labels} labels; data file for Ultralytics: {done.data_yaml}"
 
@@ -334,7 +330,6 @@ def dataset_from_store(
     out: Path,
     *,
     licence: str = "",
-    link: bool = True,
 ) -> StoreSet:
     """Export all captures with at least one reviewed detection in COCO format.
 
@@ -347,8 +342,6 @@ def dataset_from_store(
         are no longer used are not deleted.
     licence : str
         Licence of the pictures.
-    link : bool
-        Create hard links to the pictures if the file system supports them, instead of copies.
 
     Raises
     ------
@@ -373,7 +366,7 @@ def dataset_from_store(
             source=str(store.engine.url.database),
             remedy="accept, reject, correct or add fruit in the dashboard first",
         )
-    dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out, link=link)
+    dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out)
     judged = {split: ReviewCounts(**counts[split]) for split in SPLITS if split in counts}
     return StoreSet(dataset, judged, lost)
 

@@ -339,8 +339,8 @@ def flat_names(files: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def place_file(source: Path, target: Path, *, link: bool) -> None:
-    """Create a hard link to a file if requested and supported, or a copy.
+def place_file(source: Path, target: Path) -> None:
+    """Create a hard link to a file, or a copy if the file system supports none.
 
     Raises
     ------
@@ -349,19 +349,14 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
     """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.resolve() == source.resolve():
-            return
-        if link and target.exists() and target.samefile(source):
+        if target.exists() and target.samefile(source):
             return
         target.unlink(missing_ok=True)
-        if link:
-            try:
-                os.link(source, target)
-            except FileNotFoundError:
-                raise
-            except OSError:  # another disk, or a file system without links
-                shutil.copyfile(source, target)
-        else:
+        try:
+            os.link(source, target)
+        except FileNotFoundError:
+            raise
+        except OSError:  # another disk, or a file system without links
             shutil.copyfile(source, target)
     except FileNotFoundError:
         raise DataSetError(

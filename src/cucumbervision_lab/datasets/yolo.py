@@ -368,7 +368,6 @@ def write_yolo(
     task: str = "segment",
     *,
     splits: Sequence[str] = SPLITS,
-    link: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> WrittenYolo:
     """Write a data set in YOLO format: `images/SPLIT`, `labels/SPLIT` and `data.yaml`.
@@ -384,8 +383,6 @@ def write_yolo(
         visibility, 0 for a fruit without keypoints) or 'detect'.
     splits : sequence of str
         Splits to write; omit a split without masks when writing for 'segment'.
-    link : bool
-        Create hard links to the pictures if the file system supports them, instead of copies.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -414,7 +411,7 @@ def write_yolo(
     origins = {}
     for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
-        place_file(dataset.path(picture), out / "images" / picture.split / name, link=link)
+        place_file(dataset.path(picture), out / "images" / picture.split / name)
         rows = [_row(x, picture, task) for x in picture.labels if not x.ignore]
         label_file = out / "labels" / picture.split / f"{Path(name).stem}.txt"
         write_text(label_file, "".join(f"{row}\n" for row in rows))

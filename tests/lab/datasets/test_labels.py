@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import cv2
@@ -58,17 +59,25 @@ def test_flat_names_differ_even_without_ending_and_case(files: list[str]) -> Non
     assert all("/" not in n and Path(n).suffix == Path(f).suffix for f, n in names.items())
 
 
-def test_placing(tmp_path: Path) -> None:
+def test_placing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = tmp_path / "a"
     source.write_bytes(b"1")
     target = tmp_path / "b/c"
-    place_file(source, target, link=True)
-    place_file(source, target, link=True)
+    place_file(source, target)
+    place_file(source, target)
     assert target.samefile(source)
-    place_file(source, target, link=False)
-    assert not target.samefile(source)
-    assert target.read_bytes() == b"1"
+    place_file(source, source)
+    assert source.read_bytes() == b"1"
     with pytest.raises(DataSetError, match="the file is missing"):
-        place_file(tmp_path / "none", tmp_path / "d", link=True)
+        place_file(tmp_path / "none", tmp_path / "d")
     with pytest.raises(DataSetError, match="cannot be written"):
-        place_file(source, source / "below", link=True)
+        place_file(source, source / "below")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EXDEV, "Invalid cross-device link")
+
+    monkeypatch.setattr("os.link", refuse)
+    other = tmp_path / "other"
+    place_file(source, other)
+    assert not other.samefile(source)
+    assert other.read_bytes() == b"1"

@@ -121,12 +121,11 @@ def test_what_cannot_be_written_is_refused(make_set: MakeSet, tmp_path: Path) ->
         write_yolo(dataset, out)
 
 
-@pytest.mark.parametrize("link", [True, False])
-def test_pictures_are_linked_or_copied(make_set: MakeSet, tmp_path: Path, link: bool) -> None:
+def test_pictures_are_linked(make_set: MakeSet, tmp_path: Path) -> None:
     dataset = make_set("train")
-    write_yolo(dataset, tmp_path / "yolo", link=link)
+    write_yolo(dataset, tmp_path / "yolo")
     placed = tmp_path / "yolo/images/train/000000.png"
-    assert placed.samefile(dataset.path(dataset.pictures[0])) is link
+    assert placed.samefile(dataset.path(dataset.pictures[0]))
 
 
 def export(folder: Path, yaml: str, splits: tuple[str, ...]) -> None:
@@ -268,7 +267,7 @@ def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> No
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 def test_a_pipe_among_the_labels_is_not_waited_for(make_set: MakeSet, tmp_path: Path) -> None:
     folder = tmp_path / "set"
-    write_yolo(make_set(), folder, "segment", link=False)
+    write_yolo(make_set(), folder, "segment")
     label = min((folder / "labels").rglob("*.txt"))
     label.unlink()
     os.mkfifo(label)

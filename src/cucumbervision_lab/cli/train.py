@@ -336,8 +336,9 @@ def look(
     from cucumbervision.perception.end_look import EndLooker
     from cucumbervision_lab.benchmark.interval_fit import write_interval_models
     from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.training.classifier import ClassifierOptions
     from cucumbervision_lab.training.end_crops import EndCrops
-    from cucumbervision_lab.training.end_look import LookOptions, train_look
+    from cucumbervision_lab.training.end_look import train_look
     from cucumbervision_lab.training.look_intervals import (
         LEAST_FRUIT,
         fit_look_intervals,
@@ -348,10 +349,11 @@ def look(
     out.mkdir(parents=True, exist_ok=True)
     parts = _collect_ends(sets, out, seed, leaves)
     with ticking("training", epochs) as tick:
-        options = LookOptions(
+        options = ClassifierOptions(
             epochs,
             seed,
             threads,
+            batch=96,
             keep=out / f"{name}-training.pt",
             progress=lambda *_: tick(1),
         )

@@ -39,6 +39,8 @@ class ClassifierOptions:
         Number of torch threads; 0 uses all cores.
     batch : int
         Pictures of a step.
+    keep : Path, optional
+        Checkpoint (.pt) of each epoch, from which an interrupted training goes on.
     progress : callable, optional
         Called after each epoch with the epoch number (from 1) and the mean loss.
     """
@@ -47,6 +49,7 @@ class ClassifierOptions:
     seed: int = 0
     threads: int = 0
     batch: int = 128
+    keep: Path | None = None
     progress: Callable[[int, float], None] | None = None
 
 
@@ -70,6 +73,78 @@ def first_layers(init: Path | str) -> list[Any]:
         As `load_yolo`.
     """
     return list(load_yolo(init).model.model)[:_LAYERS]
+
+
+def fit(
+    make: Callable[[], Any],
+    count: int,
+    loss_of: Callable[[Any, NDArray[np.intp]], Any],
+    options: ClassifierOptions,
+) -> Any:
+    """Train a network.
+
+    Parameters
+    ----------
+    make : callable
+        Builds the network.
+    count : int
+        Number of samples to learn from.
+    loss_of : callable
+        Returns the network's loss on a batch, given as the indices of its samples.
+    options : ClassifierOptions
+        Options.
+
+    Returns
+    -------
+    torch.nn.Module
+        The network, ready to predict.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `train` is not installed.
+    """
+    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
+    import torch
+
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    network = make()
+    batches = count // options.batch + 1
+    optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
+    steps = options.epochs * batches
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
+    parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
+    for epoch in range(_resumed(parts, options.keep), options.epochs):
+        network.train()
+        order = np.random.default_rng([options.seed, epoch]).permutation(count)
+        losses = []
+        for chosen in np.array_split(order, batches):
+            loss = loss_of(network, np.sort(chosen))
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            losses.append(loss.item())
+        if options.keep is not None:
+            state = {name: part.state_dict() for name, part in parts.items()}
+            torch.save({"epoch": epoch + 1, **state}, options.keep)
+        if options.progress is not None:
+            options.progress(epoch + 1, float(np.mean(losses)))
+    return network.eval()
+
+
+def _resumed(parts: dict[str, Any], keep: Path | None) -> int:
+    """Load what an interrupted training kept; return the epoch to go on with."""
+    import torch
+
+    if keep is None or not keep.exists():
+        return 0
+    state = torch.load(keep, weights_only=True)
+    for name, part in parts.items():
+        part.load_state_dict(state[name])
+    return int(state["epoch"])
 
 
 def fit_classifier(
@@ -102,36 +177,17 @@ def fit_classifier(
     Raises
     ------
     MissingExtraError
-        If the extra `train` is not installed.
+        As `fit`.
     """
-    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
-    import torch
-    from torch.nn.functional import binary_cross_entropy_with_logits
 
-    if options.threads:
-        torch.set_num_threads(options.threads)
-    torch.manual_seed(options.seed)
-    network = make()
-    planes, labels = _planes(pictures), torch.from_numpy(target)
-    steps = options.epochs * (len(planes) // options.batch + 1)
-    optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
-    for epoch in range(options.epochs):
-        network.train()
-        losses = []
-        for chosen in torch.split(torch.randperm(len(planes)), options.batch):
-            if len(chosen) < 2:
-                continue
-            logits = network(augment(planes[chosen].float() / 255))
-            loss = binary_cross_entropy_with_logits(logits, labels[chosen])
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            losses.append(loss.item())
-        if options.progress is not None:
-            options.progress(epoch + 1, float(np.mean(losses)))
-    return network.eval()
+    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
+        import torch
+        from torch.nn.functional import binary_cross_entropy_with_logits
+
+        logits = network(augment(scaled_planes(pictures[chosen])))
+        return binary_cross_entropy_with_logits(logits, torch.from_numpy(target[chosen]))
+
+    return fit(make, len(pictures), loss_of, options)
 
 
 def predict(network: Any, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -139,15 +195,18 @@ def predict(network: Any, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
     import torch
 
     with torch.no_grad():
-        parts = torch.split(_planes(pictures), _JUDGED_AT_ONCE)
-        logits = torch.cat([network(part.float() / 255) for part in parts])
-    return np.asarray(logits.numpy(), np.float64)
+        logits = [
+            network(scaled_planes(pictures[start : start + _JUDGED_AT_ONCE])).numpy()
+            for start in range(0, len(pictures), _JUDGED_AT_ONCE)
+        ]
+    return np.concatenate(logits).astype(np.float64)
 
 
-def _planes(pictures: NDArray[np.uint8]) -> Any:
+def scaled_planes(pictures: NDArray[np.uint8]) -> Any:
+    """Return pictures of shape (N, H, W, C) as a float32 tensor, (N, C, H, W) in 0 to 1."""
     import torch
 
-    return torch.from_numpy(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2)))
+    return torch.from_numpy(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))).float() / 255
 
 
 def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: str) -> None:

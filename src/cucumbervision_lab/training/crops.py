@@ -200,7 +200,7 @@ def make_network(init: Path | str) -> Any:
 
 
 def train_crops(
-    crops: Crops, init: Path | str, out: Path, options: ClassifierOptions | None = None
+    crops: Crops, init: Path | str, out: Path, options: ClassifierOptions
 ) -> CropsResult:
     """Train the network and export it to ONNX.
 
@@ -212,7 +212,7 @@ def train_crops(
         Checkpoint (.pt) of YOLO26n-seg to begin with.
     out : Path
         The ONNX file to write.
-    options : ClassifierOptions, optional
+    options : ClassifierOptions
         Options of training.
 
     Raises
@@ -231,7 +231,7 @@ def train_crops(
         crops.pictures[learnt],
         target,
         _augment,
-        options or ClassifierOptions(),
+        options,
     )
     _without_prior(network, float(crops.is_fruit[learnt].mean()))
     export_classifier(network, out, (CROP_PX, CROP_PX), "crops")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,16 +12,18 @@ from numpy.typing import NDArray
 
 from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndLook
 from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
-from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
+    ClassifierOptions,
     export_network,
     first_layers,
+    fit,
+    scaled_planes,
 )
 from cucumbervision_lab.training.end_crops import EndCrops
 
 OUTPUTS = len(STATES) + len(QUANTILES) + 1
-_RATE, _WEIGHT_DECAY = 2e-3, 0.02
+_AT_ONCE = 256  # crops
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
 _NO_DEPTH, _HOLES = 0.35, 0.3  # shares of a batch's crops that lose their depth, or parts of it
@@ -136,35 +137,7 @@ class LookResult:
         }
 
 
-@dataclass(frozen=True)
-class LookOptions:
-    """Options of training.
-
-    Parameters
-    ----------
-    epochs : int
-        Number of passes over the training crops.
-    seed : int
-        Random seed.
-    threads : int
-        Number of torch threads; 0 uses all cores.
-    batch : int
-        Crops of a step.
-    keep : Path, optional
-        Checkpoint (.pt) of each epoch, from which an interrupted training goes on.
-    progress : callable, optional
-        Called after each epoch with the epoch number (from 1) and the mean loss.
-    """
-
-    epochs: int = 12
-    seed: int = 0
-    threads: int = 0
-    batch: int = 96
-    keep: Path | None = None
-    progress: Callable[[int, float], None] | None = None
-
-
-def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
+def fit_look(crops: EndCrops, init: Path | str, options: ClassifierOptions) -> Any:
     """Train the network on the crops that are not held out.
 
     Parameters
@@ -173,7 +146,7 @@ def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
         Of `collect_end_crops`.
     init : Path
         Checkpoint (.pt) to begin with: of YOLO26n, or an earlier one of this network.
-    options : LookOptions
+    options : ClassifierOptions
         Options.
 
     Returns
@@ -181,41 +154,17 @@ def fit_look(crops: EndCrops, init: Path | str, options: LookOptions) -> Any:
     torch.nn.Module
         The network, ready to predict.
     """
-    import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
-    import torch
-
-    if options.threads:
-        torch.set_num_threads(options.threads)
-    torch.manual_seed(options.seed)
-    network = begun_network(init)
     learnt = np.flatnonzero(~crops.held_out)
-    steps = options.epochs * (len(learnt) // options.batch + 1)
-    optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
-    parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
-    first = _resumed(parts, options.keep)
-    target = torch.from_numpy(np.column_stack([crops.state, crops.missing, crops.stem])).float()
-    shapes = torch.from_numpy(crops.shapes)
-    for epoch in range(first, options.epochs):
-        network.train()
-        order = np.random.default_rng([options.seed, epoch]).permutation(learnt)
-        losses = []
-        for chosen in np.array_split(order, len(order) // options.batch + 1):
-            rows = np.sort(chosen)
-            loss = _loss(
-                network(augmented(_scaled(crops.planes[rows])), shapes[rows]), target[rows]
-            )
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            losses.append(loss.item())
-        if options.keep is not None:
-            state = {name: part.state_dict() for name, part in parts.items()}
-            torch.save({"epoch": epoch + 1, **state}, options.keep)
-        if options.progress is not None:
-            options.progress(epoch + 1, float(np.mean(losses)))
-    return network.eval()
+    labels = np.column_stack([crops.state, crops.missing, crops.stem]).astype(np.float32)
+
+    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
+        import torch
+
+        rows = learnt[chosen]
+        planes, shapes = scaled_planes(crops.planes[rows]), torch.from_numpy(crops.shapes[rows])
+        return _loss(network(augmented(planes), shapes), torch.from_numpy(labels[rows]))
+
+    return fit(lambda: begun_network(init), len(learnt), loss_of, options)
 
 
 def begun_network(init: Path | str) -> Any:
@@ -229,24 +178,6 @@ def begun_network(init: Path | str) -> Any:
     network = make_network("yolo26n-seg.yaml")
     network.load_state_dict(state)
     return network
-
-
-def _resumed(parts: dict[str, Any], keep: Path | None) -> int:
-    """Load what an interrupted training kept; return the epoch to go on with."""
-    import torch
-
-    if keep is None or not keep.exists():
-        return 0
-    state = torch.load(keep, weights_only=True)
-    for name, part in parts.items():
-        part.load_state_dict(state[name])
-    return int(state["epoch"])
-
-
-def _scaled(planes: NDArray[np.uint8]) -> Any:
-    import torch
-
-    return torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255
 
 
 def _loss(output: Any, target: Any) -> Any:
@@ -299,22 +230,22 @@ def augmented(crops: Any) -> Any:
     return torch.cat([color, depth, read, mask], 1)
 
 
-def predict_looks(network: Any, crops: EndCrops, batch: int = 256) -> list[EndLook]:
+def predict_looks(network: Any, crops: EndCrops) -> list[EndLook]:
     """Return what the network says of crops, the mean of each and its mirror image."""
     import torch
 
     looks: list[EndLook] = []
     with torch.no_grad():
-        for start in range(0, len(crops.planes), batch):
-            planes = _scaled(crops.planes[start : start + batch])
-            shapes = torch.from_numpy(crops.shapes[start : start + batch])
+        for start in range(0, len(crops.planes), _AT_ONCE):
+            planes = scaled_planes(crops.planes[start : start + _AT_ONCE])
+            shapes = torch.from_numpy(crops.shapes[start : start + _AT_ONCE])
             mean = (network(planes, shapes) + network(planes.flip(2), shapes)) / 2
             looks += [looked_at(row) for row in mean.numpy().astype(np.float64)]
     return looks
 
 
 def train_look(
-    crops: EndCrops, init: Path | str, out: Path, options: LookOptions | None = None
+    crops: EndCrops, init: Path | str, out: Path, options: ClassifierOptions
 ) -> LookResult:
     """Train the network, export it to ONNX, and judge it by the held-out scenes.
 
@@ -326,7 +257,7 @@ def train_look(
         Checkpoint (.pt) of YOLO26n to begin with.
     out : Path
         The ONNX file to write.
-    options : LookOptions, optional
+    options : ClassifierOptions
         Options of training.
 
     Raises
@@ -336,7 +267,7 @@ def train_look(
     ModelError
         If the checkpoint cannot be loaded.
     """
-    network = fit_look(crops, init, options or LookOptions())
+    network = fit_look(crops, init, options)
     export_look(network, out)
     return judge_look(network, crops, out)
 

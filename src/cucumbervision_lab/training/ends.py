@@ -215,7 +215,7 @@ def make_network(init: Path | str) -> Any:
 
 
 def train_ends(
-    strips: Strips, init: Path | str, out: Path, options: ClassifierOptions | None = None
+    strips: Strips, init: Path | str, out: Path, options: ClassifierOptions
 ) -> EndsResult:
     """Train the network and export it to ONNX.
 
@@ -227,7 +227,7 @@ def train_ends(
         Checkpoint (.pt) of YOLO26n-seg to begin with.
     out : Path
         The ONNX file to write.
-    options : ClassifierOptions, optional
+    options : ClassifierOptions
         Options of training.
 
     Raises
@@ -239,7 +239,6 @@ def train_ends(
     """
     learnt = strips.pictures[~strips.held_out]
     target = np.full(len(learnt), 1 - _SMOOTH, np.float32)
-    options = options or ClassifierOptions()
     network = fit_classifier(lambda: make_network(init), learnt, target, _augment, options)
     export_classifier(network, out, STRIP_PX, "ends")
     logits = predict(network, strips.pictures[strips.held_out])

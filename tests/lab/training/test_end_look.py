@@ -12,10 +12,12 @@ pytest.importorskip("ultralytics")
 from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
 from cucumbervision.perception.end_look import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
-from cucumbervision_lab.training.classifier import write_classifier_card  # noqa: E402
+from cucumbervision_lab.training.classifier import (  # noqa: E402
+    ClassifierOptions,
+    write_classifier_card,
+)
 from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.training.end_look import (  # noqa: E402
-    LookOptions,
     _loss,
     area_under_curve,
     augmented,
@@ -63,7 +65,7 @@ def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) ->
         pytest.skip("the source archive holds no checkpoints")
     drawn = crops()
     result = train_look(
-        drawn, CHECKPOINT, tmp_path / "look.onnx", LookOptions(4, threads=1, batch=16)
+        drawn, CHECKPOINT, tmp_path / "look.onnx", ClassifierOptions(4, threads=1, batch=16)
     )
     assert (result.train_count, result.val_count) == (160, 80)
     assert result.covered_auc > 0.95
@@ -95,7 +97,7 @@ def test_the_exported_file_gives_what_the_network_does(tmp_path: Path) -> None:
 
 def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
     drawn, keep = crops(48), tmp_path / "training.pt"
-    options = LookOptions(3, threads=1, batch=16, keep=keep)
+    options = ClassifierOptions(3, threads=1, batch=16, keep=keep)
 
     class InterruptError(Exception):
         pass

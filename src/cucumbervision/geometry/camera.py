@@ -124,28 +124,6 @@ def scale_error(f_right_px: float, f_wrong_px: float) -> float:
     return f_right_px / f_wrong_px - 1.0
 
 
-def scale_error_tilted(f_right_px: float, f_wrong_px: float, tilt_deg: float) -> float:
-    """Return the same error for a fruit tilted towards the camera.
-
-    Depth is unharmed by the focal length, only the part across the view scales by
-    k = f_right / f_wrong: L'/L = sqrt(k² cos² t + sin² t).
-
-    Parameters
-    ----------
-    f_right_px, f_wrong_px : float
-        Focal lengths in pixels.
-    tilt_deg : float
-        Angle between the fruit's axis and the picture plane, degrees.
-
-    Examples
-    --------
-    >>> round(scale_error_tilted(910.0, 640.0, 90.0), 6)
-    0.0
-    """
-    k, t = f_right_px / f_wrong_px, np.deg2rad(tilt_deg)
-    return float(np.sqrt((k * np.cos(t)) ** 2 + np.sin(t) ** 2)) - 1.0
-
-
 _NO_LENS = (Distortion.NONE, (0.0, 0.0, 0.0, 0.0, 0.0))
 
 

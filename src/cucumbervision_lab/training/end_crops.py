@@ -16,7 +16,6 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.instances.end_crops import end_crop
-from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.synthesis.covers import FruitPicture, cover_end
 from cucumbervision_lab.training.measured_ends import (
@@ -126,7 +125,6 @@ def collect_end_crops(
     fruit: Sequence[MeasuredFruit],
     data: DataSet,
     seed: int = 0,
-    progress: Callable[[int], None] | None = None,
 ) -> EndCrops:
     """Cut out both ends of fruit, and of those of training each once more, moved along the axis.
 
@@ -138,8 +136,6 @@ def collect_end_crops(
         Their set.
     seed : int
         Random seed of the moves.
-    progress : callable, optional
-        Called with 1 after each picture.
 
     Raises
     ------
@@ -152,7 +148,7 @@ def collect_end_crops(
     rng, rows = np.random.default_rng(seed), []
     numbered = list(enumerate(fruit))
     of_pictures = [list(group) for _, group in groupby(numbered, lambda entry: entry[1].picture)]
-    for of_picture in ticked(of_pictures, progress):
+    for of_picture in of_pictures:
         picture = pictures[of_picture[0][1].picture]
         color = read_color(data.path(picture))
         capture = capture_of(picture, data, color) or _without_depth(picture, color)

@@ -362,8 +362,6 @@ def is_held_out(scene: str) -> bool:
 def write_measured(
     data: DataSet,
     keep: Path,
-    part: int = 0,
-    parts: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Measure every picture of a drawn set that the file does not hold yet.
@@ -377,8 +375,6 @@ def write_measured(
         A set by `cucumbervision synth` with depth.
     keep : Path
         The file: one line of JSON a picture.
-    part, parts : int
-        Which pictures: those whose number has the remainder `part` when divided by `parts`.
     progress : callable, optional
         Called with 1 after each picture.
     """
@@ -386,7 +382,7 @@ def write_measured(
     if keep.exists():
         text = keep.read_text(encoding="utf-8")
         keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
-    pictures = [picture for picture in data.pictures[part::parts] if picture.file not in done]
+    pictures = [picture for picture in data.pictures if picture.file not in done]
     held = [is_held_out(picture.scene or picture.file) for picture in pictures]
     turn = [
         sum(h == is_held for h in held[:k]) * (1 if is_held else 4)

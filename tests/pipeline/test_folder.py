@@ -68,10 +68,14 @@ def test_a_file_replaces_another_and_leaves_no_other(out: OutputFolder) -> None:
 
 def test_what_fails_half_way_leaves_what_was_there(out: OutputFolder) -> None:
     out.write("table.csv", b"whole")
-    begun = out.replacing("table.csv")
-    begun.__enter__().write_bytes(b"ha")
+
+    def break_off() -> None:
+        with out.replacing("table.csv") as path:
+            path.write_bytes(b"ha")
+            raise RuntimeError
+
     with pytest.raises(RuntimeError):
-        begun.__exit__(RuntimeError, RuntimeError("half way"), None)
+        break_off()
     assert (out.path / "table.csv").read_bytes() == b"whole"
     assert [path.name for path in out.path.iterdir()] == ["table.csv"]
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.capture.conventions import DepthAlong, Stream
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
@@ -39,8 +40,8 @@ def test_nothing_changes_by_itself(stages: Sequence[Stage]) -> None:
         {"selector": Selector.PAPER},
         {"length": LengthDefinition.THREAD},
         {"reading": ReadOptions(depth_unit_m=0.0001)},
-        {"reading": ReadOptions(depth_along="ray")},
-        {"reading": ReadOptions(aligned_to="depth")},
+        {"reading": ReadOptions(depth_along=DepthAlong.RAY)},
+        {"reading": ReadOptions(aligned_to=Stream.DEPTH)},
         {"camera_up": "left"},
         {"classes": ("ripe",)},
     ],

@@ -311,7 +311,7 @@ _worker: list[Worker[Any]] = []  # the worker of this process
 
 def _begin(worker: Worker[Any], threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command stops its workers
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     limit_threads(threads)
     _worker.append(worker)
 
@@ -320,7 +320,7 @@ def _do(item: Item) -> Outcome[Any]:
     return _worker[0](item)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process if the command was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:

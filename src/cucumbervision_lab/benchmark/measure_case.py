@@ -81,7 +81,8 @@ OUTLINE_RMS_PX = 1.5
 
 _FOUND_IOU = 0.5  # minimum box IoU of a detection with the fruit of the case
 
-_READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper")
+READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper")
+"""Names of the lengths of a fruit, as `fruit_lengths` gives them."""
 
 NO_RECORD_BELOW_PX = 30  # minimum number of visible pixels for a record
 
@@ -165,7 +166,7 @@ def _record(
 ) -> LengthRecord:
     truth, capture = taken.truth, taken.capture
     tools = available_baselines() if baselines else {}
-    lengths: dict[str, float | None] = dict.fromkeys((*_READ, *tools))
+    lengths: dict[str, float | None] = dict.fromkeys((*READ, *tools))
     details: dict[str, Any] = {"mask_failure": "not found", "mask_iou": 0.0}
     fill = 0.0
     if instance is not None:

@@ -53,6 +53,8 @@ TRUTH_OF = {
 
 KEYS = tuple(TRUTH_OF)
 
+_LEVEL = 0.90  # nominal coverage
+
 
 def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
     """Return the interval features of a reading; None if it has no interval.
@@ -73,31 +75,29 @@ def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
     return raw_features(reading["length_m"], reading["distance_m"], reading["fill"]) | mask
 
 
-def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> IntervalModels:
+def fit_interval_models(readings: pd.DataFrame) -> IntervalModels:
     """Fit an interval model for each method, with known depth scale.
 
     Parameters
     ----------
     readings : DataFrame
         Readings of calibration fruit from `readings_frame`; must not include test fruit.
-    level : float
-        Nominal coverage.
 
     Raises
     ------
     ValueError
-        If there are too few fruit for the level.
+        If there are too few fruit for a coverage of 90 %.
     """
     models = {}
     by_networks = readings["masks"] == Masks.PERCEIVED
     for part, behind in ((readings[~by_networks], ""), (readings[by_networks], PERCEIVED)):
         for key, truth in TRUTH_OF.items() if len(part) else ():
             rows = part[(part["method"] == key) & part[truth].notna()]
-            models[key + behind] = _fitted_model(key + behind, rows, truth, level)
-    return IntervalModels(level, models, readings["fruit"].nunique())
+            models[key + behind] = _fitted_model(key + behind, rows, truth)
+    return IntervalModels(_LEVEL, models, readings["fruit"].nunique())
 
 
-def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> IntervalModel:
+def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> IntervalModel:
     tube, tube_edges = key.startswith("M6"), TUBE_EDGES
     if key.endswith(PERCEIVED):
         tube_edges = PERCEIVED_TUBE_EDGES
@@ -112,7 +112,7 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str, level: float) -> Int
     }
     # Fruit of one picture are not independent samples.
     fruit = rows["case"].str.partition("#")[0].to_numpy()
-    return fit_interval_model(key, errors, features, fruit, level, edges)
+    return fit_interval_model(key, errors, features, fruit, _LEVEL, edges)
 
 
 def with_intervals(
@@ -189,12 +189,13 @@ def run_cases(
 
 
 def _measure(options: CaseOptions, case: Case) -> list[LengthRecord]:
-    find = _finder().find if Masks.PERCEIVED in options.masks else None
+    find = package_finder().find if Masks.PERCEIVED in options.masks else None
     return measure_case(case, options, None if find is None else lambda c: find(c).instances)
 
 
 @lru_cache
-def _finder() -> Finder:
+def package_finder() -> Finder:
+    """Return what finds fruit with the package's networks, loaded once in each process."""
     return make_finder(MeasureOptions(instances="models"))
 
 

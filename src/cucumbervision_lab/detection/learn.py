@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,13 +22,11 @@ from cucumbervision.perception.depth_vote import (
     depth_shape,
 )
 from cucumbervision.perception.networks import NetworkLoader
-from cucumbervision.pipeline.finders import Finder, make_finder
-from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import stress_cases
 from cucumbervision_lab.benchmark.interval_fit import write_interval_models
 from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
-from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
+from cucumbervision_lab.benchmark.run import fit_interval_models, package_finder, run_cases
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
@@ -136,16 +134,11 @@ def _picture_of(record: LengthRecord) -> str:
     return record.case.partition("#")[0]
 
 
-@lru_cache
-def _finder() -> Finder:
-    return make_finder(MeasureOptions(instances="models"))
-
-
 def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
     capture = capture_of(picture, data, read_color(data.path(picture)))
     if capture is None:
         return []
-    frame, instances = frame_of(picture, data, None), _finder().find(capture).instances
+    frame, instances = frame_of(picture, data, None), package_finder().find(capture).instances
     matches, required = match_fruit(frame, [instance.box for instance in instances])
     perceived = {required[true]: instances[index] for true, index in matches.pairs}
     return length_records(frame, capture, perceived)

@@ -16,11 +16,10 @@ from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.measurement.pose import Part, stem_first
-from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry
-from cucumbervision_lab.benchmark.measure_case import fruit_lengths, interval_details
+from cucumbervision_lab.benchmark.measure_case import READ, fruit_lengths, interval_details
 from cucumbervision_lab.benchmark.records import LengthRecord, Masks
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import (
@@ -253,9 +252,6 @@ def evaluate_real_photos(
     return evaluate_photos(photos, networks, missing, tell)
 
 
-_READ = (*MethodName, "M6 thread", "M6 chord", "selector best", "selector paper")
-
-
 def length_records(
     frame: Frame,
     capture: Capture,
@@ -376,7 +372,7 @@ def _record(
     ends: EndJudge | None = None,
 ) -> LengthRecord:
     fruit = frame.true[number]
-    lengths: dict[str, float | None] = dict.fromkeys(map(str, _READ))
+    lengths: dict[str, float | None] = dict.fromkeys(READ)
     details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
     details["cut_off"] = bool(fruit.cut_off)
     details["selected"] = None

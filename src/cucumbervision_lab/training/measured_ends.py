@@ -92,8 +92,6 @@ class MeasuredFruit:
         Occluded share of the fruit, 0 to 1.
     cut : bool
         Whether the fruit goes on beyond the picture.
-    flags : tuple of str
-        The measurement's.
     features : dict of str to float
         Of the interval model.
     """
@@ -109,7 +107,6 @@ class MeasuredFruit:
     ends: tuple[EndTruth, EndTruth]
     hidden_share: float
     cut: bool
-    flags: tuple[str, ...] = ()
     features: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -319,7 +316,6 @@ def _record(
         measured,
         given=given,
         lengths_m=(tube.centreline_m, tube.thread_m, tube.chord_m),
-        flags=tuple(map(str, fruit.flags)),
         features={name: round(value, 5) for name, value in features.items()},
     )
 

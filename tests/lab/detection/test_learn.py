@@ -46,7 +46,7 @@ class TruthFinder:
 def finder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TruthFinder]:
     finder = TruthFinder(tmp_path_factory.mktemp("drawn") / "set")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learn, "_finder", lambda: finder)
+        patch.setattr(learn, "package_finder", lambda: finder)
         yield finder
 
 

@@ -227,10 +227,6 @@ class FrameRing:
             return [RingFrame(*entry) for entry in sorted(times)]
         return []
 
-    def newest(self) -> RingFrame | None:
-        """Return the newest frame; None without any."""
-        return max(self.frames(), key=lambda frame: frame.at_s, default=None)
-
     def _thin(self, now_s: float) -> None:
         held = sorted(self._held or [])
         free_bytes = self._room_bytes(sum(size for _, size in held))

@@ -59,13 +59,10 @@ class EndTruth:
         where the measured one lies beyond the fruit.
     is_stem : bool, optional
         Whether it is the stem end; None where that is not known.
-    in_sight : bool
-        Whether the true end is visible in the picture.
     """
 
     missing_m: float
     is_stem: bool | None
-    in_sight: bool
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class MeasuredFruit:
 
 
 def end_truths(
-    axis_m: NDArray[np.float64], true_m: NDArray[np.float64], in_sight: tuple[bool, bool]
+    axis_m: NDArray[np.float64], true_m: NDArray[np.float64]
 ) -> tuple[EndTruth, EndTruth]:
     """Return what is true of both ends of a measured axis.
 
@@ -127,8 +124,6 @@ def end_truths(
         The measured axis.
     true_m : ndarray of float64, shape (T, 3)
         The true axis from the blossom end to the stem end.
-    in_sight : tuple of bool
-        Whether the true blossom end and the true stem end can be seen.
 
     Examples
     --------
@@ -136,7 +131,7 @@ def end_truths(
 
     >>> true = np.stack([np.linspace(0, 0.2, 41), np.zeros(41), np.full(41, 0.5)], axis=1)
     >>> axis = np.stack([np.linspace(0.21, 0.03, 9), np.zeros(9), np.full(9, 0.51)], axis=1)
-    >>> [(round(end.missing_m, 3), end.is_stem) for end in end_truths(axis, true, (False, True))]
+    >>> [(round(end.missing_m, 3), end.is_stem) for end in end_truths(axis, true)]
     [(-0.01, True), (0.03, False)]
     """
     run = arc_positions(true_m)
@@ -146,7 +141,7 @@ def end_truths(
     truths = []
     for place, is_stem in zip(places, (stem_first, not stem_first), strict=True):
         missing = length - place if is_stem else place
-        truths.append(EndTruth(round(missing, 5), is_stem, in_sight[int(is_stem)]))
+        truths.append(EndTruth(round(missing, 5), is_stem))
     return truths[0], truths[1]
 
 
@@ -328,11 +323,9 @@ def _measured_fruit(
     diameter_m: float,
     body: _Body,
 ) -> MeasuredFruit:
-    points = label.keypoints
-    sight = (False, False) if points is None else (points[0, 2] == 2, points[-1, 2] == 2)
     even = points_along(axis_m, np.linspace(0, 1, AXIS_POINTS)).round(5)
     length_m = float(arc_positions(axis_m)[-1])
-    ends = end_truths(axis_m, body.axis_m, (bool(sight[0]), bool(sight[1])))
+    ends = end_truths(axis_m, body.axis_m)
     if not body.stem_known:
         ends = replace(ends[0], is_stem=None), replace(ends[1], is_stem=None)
     return MeasuredFruit(

@@ -31,7 +31,7 @@ def fruit(
     number: int, share: float, *, given: bool = False, cut: float = 0.0, closed: float = 0.9
 ) -> MeasuredFruit:
     """A fruit of 20 cm of which a share was measured."""
-    end = EndTruth(0.0, True, True)
+    end = EndTruth(0.0, True)
     return MeasuredFruit(
         f"{number // 3}.jpg",
         f"{number // 3}",

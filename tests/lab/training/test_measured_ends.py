@@ -35,10 +35,9 @@ def test_what_is_missing_is_measured_along_the_true_axis(turned: bool) -> None:
     true = bent()
     axis = true[8:39].copy()  # 8 of 40 steps of 5 mm are missing at the blossom end, 2 at the stem
     axis += (0.0, 0.0, 0.02)  # depth's error is none of an end
-    ends = end_truths(axis[::-1] if turned else axis, true, (False, True))
+    ends = end_truths(axis[::-1] if turned else axis, true)
     ends = ends[::-1] if turned else ends
     assert [end.is_stem for end in ends] == [False, True]
-    assert [end.in_sight for end in ends] == [False, True]
     assert [end.missing_m for end in ends] == pytest.approx([0.04, 0.01], abs=1e-3)
 
 
@@ -46,7 +45,7 @@ def test_an_end_beyond_the_fruit_misses_less_than_nothing() -> None:
     true = bent()
     out = true[-1] - true[-2]
     axis = np.vstack([true, true[-1] + 3 * out])
-    _, stem = end_truths(axis, true, (True, True))
+    _, stem = end_truths(axis, true)
     assert stem.missing_m == pytest.approx(-0.015, abs=1e-3)
 
 

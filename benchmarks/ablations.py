@@ -1,13 +1,16 @@
 """What each rescoring of a detection is worth: recall and precision with it and without it.
 
-    python benchmarks/ablations.py PHOTOS ON_PLANT DRAWN [--split test]
+    python benchmarks/ablations.py PHOTOS ON_PLANT DRAWN OTHER... [--split test] [--confidence 0.2]
 
 PHOTOS holds the audited photos (as `evaluate photos`, at full and at half size), ON_PLANT the D435
-captures of `greenhouse.py`, DRAWN a labelled set with depth (as `evaluate models`). Every line of
-the table leaves one step out. A step also shifts the confidences, so each line gives recall and
-false positives at the threshold in use, and the best F1 score of any threshold, which shows
-whether the step tells fruit from other things better. The passes of the networks over a picture
-are shared by all lines; the processor time of a line counts them in full.
+captures of `greenhouse.py`, DRAWN a labelled set with depth (as `evaluate models`), OTHER captures
+without cucumbers. Every line of the table leaves one step out. A step also shifts the confidences,
+so each line gives recall and false positives at one threshold, by default that in use, and the best
+F1 score of any threshold. A step may also bring the tests to one scale: then the best thresholds
+without it differ between tests. The passes of the networks over a picture are shared by all lines;
+the processor time of a line counts them in full.
+
+Below the table: the lengths of the drawn fruit that joining pieces changes, joined and not.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -31,9 +35,11 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision_lab.detection.outcomes import match_detections
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_lab.detection.outcomes import match_detections, match_fruit
 from cucumbervision_lab.detection.photos import audited_photos, half_size
 from cucumbervision_lab.detection.picture_result import Networks, merge_detections, open_networks
 from cucumbervision_lab.detection.pictures import (
@@ -45,15 +51,18 @@ from cucumbervision_lab.detection.pictures import (
     frame_of,
     read_held_out,
 )
-from cucumbervision_lab.detection.run import chosen_networks
+from cucumbervision_lab.detection.run import chosen_networks, length_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from cucumbervision_lab.benchmark.records import LengthRecord
+
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
 MERGING = "cucumbervision.perception.networks"
+NO_PIECES = (MERGING, "join_pieces_by_depth", lambda fruit, _, __: tuple(fruit))
 THRESHOLDS = (0.05, 0.1, 0.15, DEFAULT_CONFIDENCE, 0.25, 0.3, 0.4, 0.5, 0.6)
 
 
@@ -131,7 +140,6 @@ def ablations() -> list[Ablation]:
     straight = (YoloDetector, "_detect_mirrored", pass_straight)
     no_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
     no_pose = (MERGING, "with_pose_votes", lambda detections, _, __: tuple(detections))
-    no_pieces = (MERGING, "join_pieces_by_depth", lambda found, _, __: tuple(found))
     return [
         Ablation("as shipped"),
         Ablation("without the mirror image", (straight,)),
@@ -140,12 +148,14 @@ def ablations() -> list[Ablation]:
         Ablation("without the pose vote", (no_pose,)),
         Ablation("without the depth vote", depth_votes=False),
         Ablation("without pose and depth votes", (no_pose,), depth_votes=False),
-        Ablation("without joined pieces", (no_pieces,)),
-        Ablation("without all of these", (no_look, no_pose, no_pieces), True, depth_votes=False),
+        Ablation("without joined pieces", (NO_PIECES,)),
+        Ablation("without all of these", (no_look, no_pose, NO_PIECES), True, depth_votes=False),
     ]
 
 
-def scenes(photos: Path, on_plant: Path, drawn: Path, split: str) -> Iterator[Scene]:
+def scenes(
+    photos: Path, on_plant: Path, drawn: Path, other: Sequence[Path], split: str
+) -> Iterator[Scene]:
     """Yield the pictures of all tests."""
     for photo in audited_photos(photos, split)[0]:
         color = read_color(photo.path)
@@ -172,6 +182,28 @@ def scenes(photos: Path, on_plant: Path, drawn: Path, split: str) -> Iterator[Sc
         depth_m = None if capture_ is None else capture_.depth_m
         focal_px = None if capture_ is None else capture_.intrinsics.fx_px
         yield Scene("drawn", frame_of(picture, held_out, depth_m), color, depth_m, focal_px)
+    for folder in other:
+        intrinsics = folder / "intrinsics.json"
+        reading = ReadOptions(intrinsics=intrinsics if intrinsics.exists() else None)
+        for capture in read_captures([folder], reading):
+            if isinstance(capture, Failure):
+                raise SystemExit(capture.message)
+            height, width = capture.color.shape[:2]
+            truth, focal_px = (
+                Frame(capture.name, capture.name, width, height),
+                capture.intrinsics.fx_px,
+            )
+            yield Scene("other things", truth, capture.color, capture.depth_m, focal_px)
+
+
+@contextmanager
+def replacing(functions: Iterable[tuple[Any, str, Any]]) -> Iterator[None]:
+    """Replace functions of modules and classes."""
+    with ExitStack() as stack:
+        for owner, name, function in functions:
+            owner = resolve_name(owner) if isinstance(owner, str) else owner
+            stack.enter_context(patch.object(owner, name, function))
+        yield
 
 
 def score_scene(
@@ -180,12 +212,7 @@ def score_scene(
     """Add one picture to a score."""
     score.fruit += sum(fruit.required for fruit in scene.truth.true)
     focal_px = scene.focal_px if ablation.depth_votes else None
-    with ExitStack() as stack:
-        for owner, name, function in ablation.replaced:
-            target = f"{owner}.{name}" if isinstance(owner, str) else None
-            stack.enter_context(
-                patch(target, function) if target else patch.object(owner, name, function)
-            )
+    with replacing(ablation.replaced):
         computed_s, used_s, start = passes.computed_s, passes.used_s, time.process_time()
         segmented = networks.segment.detect(scene.color) if networks.segment else None
         posed = networks.pose.detect(scene.color) if networks.pose else None
@@ -206,16 +233,57 @@ def score_scene(
             score.false[k] += len(matches.false)
 
 
-def score_table(scores: dict[tuple[str, str], Score], tests: list[str]) -> Table:
+def piece_lengths(drawn: Path, passes: SharedPasses) -> list[str]:
+    """Return how well the drawn fruit are measured that joining pieces changes, joined and not."""
+    held_out, finder = read_held_out(drawn, "all"), make_finder(MeasureOptions(instances="models"))
+    pairs: list[tuple[LengthRecord, ...]] = []
+    for picture in track(held_out.pictures, "lengths"):
+        passes.clear()
+        capture = capture_of(picture, held_out, read_color(held_out.path(picture)))
+        if capture is None:
+            continue
+        frame, by_line = frame_of(picture, held_out, capture.depth_m), []
+        for replaced in ((), (NO_PIECES,)):
+            with replacing(replaced):
+                by_line.append(finder.find(capture).instances)
+        joined, single = ([fruit.box.tolist() for fruit in fruits] for fruits in by_line)
+        if joined == single:
+            continue
+        records = []
+        for instances in by_line:
+            matches, required = match_fruit(frame, [instance.box for instance in instances])
+            perceived = {required[true]: instances[index] for true, index in matches.pairs}
+            records.append(length_records(frame, capture, perceived)[1::2])
+        pairs += zip(*records, strict=True)
+    changed = [pair for pair in pairs if pair[0].lengths_m != pair[1].lengths_m]
+    lines = [f"joining pieces changes {len(changed)} drawn fruit"]
+    for title, sides in zip(("joined", "not joined"), zip(*changed, strict=True), strict=False):
+        measured = [
+            (100 * (length / side.centreline_m - 1), side.details["flags"])
+            for side in sides
+            if (length := side.lengths_m["M6"]) and side.centreline_m
+        ]
+        off = np.array([error for error, _ in measured])
+        silent = sum(abs(error) > 5 and not flags for error, flags in measured)
+        lines.append(
+            f"{title}: {len(off)} measured, median error {np.median(np.abs(off)):.1f} %, mean "
+            f"{off.mean():+.1f} %, off by more than 5 % without a flag: {silent}"
+        )
+    return lines
+
+
+def score_table(scores: dict[tuple[str, str], Score], tests: list[str], confidence: float) -> Table:
     """Return one line an ablation: recall and false positives by test, best F1, time."""
     table = Table("step", *tests, "processor time", title="found / fruit, false positives; best F1")
-    in_use = THRESHOLDS.index(DEFAULT_CONFIDENCE)
+    in_use = THRESHOLDS.index(confidence)
     names = list(dict.fromkeys(name for name, _ in scores))
     whole_s = sum(scores[names[0], test].seconds for test in tests)
     for name in names:
         row = [scores[name, test] for test in tests]
         cells = [
             f"{score.hits[in_use]} / {score.fruit}, {score.false[in_use]}; {score.best_f1():.3f}"
+            if score.fruit
+            else f"{score.false[in_use]}"
             for score in row
         ]
         share = 100 * sum(score.seconds for score in row) / whole_s
@@ -229,7 +297,9 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("on_plant", type=Path)
     parser.add_argument("drawn", type=Path)
+    parser.add_argument("other", type=Path, nargs="+")
     parser.add_argument("--split", default="test", help="of the photos")
+    parser.add_argument("--confidence", type=float, default=DEFAULT_CONFIDENCE, choices=THRESHOLDS)
     paths = parser.parse_args()
     lines = ablations()
     chosen = chosen_networks(None, None)
@@ -241,15 +311,17 @@ def main() -> None:
     scores: dict[tuple[str, str], Score] = {}
     passes = SharedPasses()
     with patch.object(YoloDetector, "_detect_at", passes):
-        pictures = scenes(paths.photos, paths.on_plant, paths.drawn, paths.split)
+        pictures = scenes(paths.photos, paths.on_plant, paths.drawn, paths.other, paths.split)
         for scene in track(pictures, "pictures", total=None):
             passes.clear()
             for line in lines:
                 score = scores.setdefault((line.name, scene.test), Score())
                 networks = single if line.single_size else shipped
                 score_scene(scene, line, networks, passes, score)
+        lengths = piece_lengths(paths.drawn, passes)
     kinds = list(dict.fromkeys(test for _, test in scores))
-    Console(width=150, highlight=False).print(score_table(scores, kinds))
+    console = Console(width=150, highlight=False)
+    console.print(score_table(scores, kinds, paths.confidence), *lengths, sep="\n")
 
 
 if __name__ == "__main__":

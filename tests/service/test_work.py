@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 
 from cucumbervision.capture.frames import Capture
+from cucumbervision.errors import UploadError
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.service.client import packed
 from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import LeftError, Work
+from cucumbervision.service.work import BusyError, LeftError, Work
 
 
 def test_nothing_is_begun_for_a_client_that_has_left(measurer: Measurer, bench: Capture) -> None:
@@ -40,3 +41,35 @@ def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
     for thread in threads:
         thread.join(30)
     assert most == [1]
+
+
+def test_as_many_may_wait_as_the_settings_say(measurer: Measurer) -> None:
+    work = Work(measurer, ServiceSettings(waiting=1))
+    busy = pytest.raises(BusyError, match="too many requests are waiting; send it again later")
+    with work.place(), work.place(), busy, work.place():
+        raise AssertionError
+    # Whoever leaves, also by an error, makes room.
+    with pytest.raises(ZeroDivisionError), work.place():
+        _ = 1 / 0
+    with work.place(), work.place():
+        pass
+
+
+def test_what_was_sent_is_answered_under_its_own_name(measurer: Measurer, bench: Capture) -> None:
+    name, data = packed(bench)
+    sent = {name: data, "../x\0.png": b"MZ", "n.txt": b"our walk"}
+    files = [(title, io.BytesIO(content)) for title, content in sent.items()]
+    reply = Work(measurer, ServiceSettings()).measure(files)
+    (capture,) = reply.captures
+    assert (capture.name, capture.simulated, len(capture.fruit)) == ("simulated-bench", True, 3)
+    assert (capture.width, capture.height) == bench.intrinsics.size
+    assert [fault.name for fault in reply.failures] == ["x.png"]
+    assert reply.ignored == ["n.txt"]
+    assert "/tmp" not in reply.model_dump_json()
+
+
+def test_more_pictures_than_are_taken_at_once_are_refused(measurer: Measurer) -> None:
+    settings = ServiceSettings(limits=replace(ServiceSettings().limits, files=2))
+    files = [(f"{k}.png", io.BytesIO(b"x")) for k in range(3)]
+    with pytest.raises(UploadError, match="3 files were sent, at most 2 are taken at once"):
+        Work(measurer, settings).detect(files)

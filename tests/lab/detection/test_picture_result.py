@@ -13,11 +13,13 @@ from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors, NetworkLoader
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.picture_result import (
+    Networks,
     detect_picture,
+    found_by_fruit,
     merge_detections,
     open_networks,
 )
-from cucumbervision_lab.detection.pictures import Frame
+from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.detection.run import (
     chosen_networks,
 )
@@ -27,6 +29,7 @@ class Replay:
     """A detector that has looked already, at one size."""
 
     looks = 1
+    task = "segment"
 
     def __init__(self, *found: Instance) -> None:
         self._found = found
@@ -83,3 +86,22 @@ def test_what_is_judged_is_what_ships() -> None:
         for one, other in zip(kept, found, strict=True):
             assert one.box == pytest.approx(other.box, abs=0.1)
             assert one.confidence == pytest.approx(other.confidence, abs=0.01)
+
+
+def test_of_low_confidence_is_ranked_and_not_reported() -> None:
+    sure, unsure = np.zeros((40, 120), bool), np.zeros((40, 120), bool)
+    sure[10:20, 10:50] = unsure[25:35, 60:110] = True
+    found = Replay(
+        Instance(box_of_mask(sure), 0.9, detector_mask=sure),
+        Instance(box_of_mask(unsure), 0.05, detector_mask=unsure),
+    )
+    labels = tuple(TrueFruit(box_of_mask(mask)) for mask in (unsure, sure))
+    networks = Networks(cast(YoloDetector, found), None, None, 0.3)
+    frame = Frame("a.png", "a", 120, 40, labels)
+    result = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)
+    assert [one.score for one in result.frame.segmented] == [0.9, 0.05]
+    assert [one.score for one in result.frame.kept] == [0.9]
+    assert list(result.seconds) == ["segment"]
+    # By the index of the label that it was found for.
+    assert found_by_fruit(result, 0.3) == {1: result.kept[0]}
+    assert found_by_fruit(result, 0.95) == {}

@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion
-from cucumbervision_lab.synthesis.bodies import rotation
+from cucumbervision_lab.synthesis.bodies import Tube, rotation
 from cucumbervision_lab.synthesis.raycast import (
     Leaf,
     Plane,
@@ -13,7 +14,10 @@ from cucumbervision_lab.synthesis.raycast import (
     cast_leaf,
     cast_plane,
     cast_stem,
+    cast_tube,
+    leaf_rim,
     ray_grid,
+    scaled_camera,
 )
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -78,3 +82,87 @@ def test_points_of_a_plane_lie_in_it() -> None:
 def test_a_leaf_behind_the_camera_is_refused() -> None:
     with pytest.raises(ValueError, match="behind the camera"):
         cast_leaf(Leaf(np.array([0.0, 0.0, 0.02]), rotation(tilt_deg=90), 0.05, 0.05), CAMERA)
+
+
+def capsule(step_m: float) -> Tube:
+    """A straight tube of 12 cm and 2 cm radius across the view, 40 cm away, in balls of a step."""
+    x = np.arange(-0.06, 0.06 + step_m / 2, step_m)
+    centres = np.stack([x, 0.01 + 0 * x, 0.4 + 0 * x], axis=1)
+    return Tube(centres, np.full(len(x), 0.02), np.array([0.0, -1, 0]))
+
+
+def depth_of_capsule() -> NDArray[np.float64]:
+    """The first point of the cylinder (y - 1 cm)² + (z - 40 cm)² = (2 cm)², and of its ends."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    x, y = CAMERA.rays(u, v)
+    best = np.full(x.shape, np.inf)
+    # z² (y² + 1) - 2 z (0.01 y + 0.4) + 0.01² + 0.4² - 0.02² = 0
+    a, b, c = y * y + 1, 0.01 * y + 0.4, 0.01**2 + 0.4**2 - 0.02**2
+    with np.errstate(invalid="ignore"):
+        z = (b - np.sqrt(b * b - a * c)) / a
+        side = np.abs(z * x) <= 0.06
+        best[side] = z[side]
+        for end in (-0.06, 0.06):
+            a = x * x + y * y + 1
+            b = end * x + 0.01 * y + 0.4
+            z = (b - np.sqrt(b * b - a * (c + end * end))) / a
+            best = np.fmin(best, np.where(np.isnan(z), np.inf, z))
+    return best
+
+
+# With 200 balls and more, a coarse pass comes before the exact one.
+@pytest.mark.parametrize("step_m", [0.0005, 0.0001])
+def test_a_tube_of_many_balls_is_a_capsule(step_m: float) -> None:
+    hit = cast_tube(capsule(step_m), CAMERA)
+    assert hit is not None
+    exact = depth_of_capsule()[hit.window]
+    both = hit.mask & np.isfinite(exact)
+    assert (hit.mask != np.isfinite(exact)).mean() < 0.005
+    # Between two balls the surface lies lower by step² / (8 r), which a grazing ray sees as far
+    # behind as a ball of radius r bends away by that: half a step.
+    gap_m = np.abs(hit.depth_m[both] - exact[both])
+    assert np.median(gap_m) < step_m**2 / (8 * 0.02)
+    assert gap_m.max() < step_m / 2
+    outside = depth_of_capsule()
+    outside[hit.window] = np.inf
+    assert not np.isfinite(outside).any()
+
+
+def test_the_part_that_is_hit_tells_where_along_the_tube() -> None:
+    tube = capsule(0.0001)
+    hit = cast_tube(tube, CAMERA)
+    assert hit is not None
+    grid = ray_grid(CAMERA)
+    x = (grid.x[hit.window] * hit.depth_m)[hit.mask]
+    along = tube.centres_m[hit.part[hit.mask], 0]
+    inside = np.abs(x) < 0.06
+    assert np.abs(along[inside] - x[inside]).max() < 2e-4
+    assert set(hit.part[~hit.mask].tolist()) == {0}
+
+
+def test_what_lies_beside_the_picture_is_no_hit() -> None:
+    far_right = capsule(0.001).moved(np.eye(3), (1.0, 0.0, 0.0))
+    assert cast_tube(far_right, CAMERA) is None
+    assert cast_stem(Stem(np.array([[1.0, 0, 0.4], [1.0, 0.1, 0.4]]), 0.005), CAMERA) is None
+    leaf = Leaf(np.array([1.0, 0.0, 0.4]), np.eye(3), 0.05, 0.04)
+    assert cast_leaf(leaf, CAMERA) is None
+    # A plane behind the camera is hit by no ray.
+    assert not cast_plane(Plane(np.array([0, 0, -0.5]), np.array([0, 0, 1.0])), CAMERA).mask.any()
+
+
+def test_half_the_picture_sees_the_same() -> None:
+    half = scaled_camera(CAMERA, 0.5)
+    # Between four pixels of the whole picture lies one of the half: the rays are the same.
+    x, y = CAMERA.rays(np.array([100.5]), np.array([40.5]))
+    half_x, half_y = half.rays(np.array([50.0]), np.array([20.0]))
+    np.testing.assert_allclose([half_x, half_y], [x, y])
+    assert half.size == (320, 240)
+
+
+def test_a_serrated_leaf_has_a_notch_at_its_stalk() -> None:
+    angle = np.linspace(-np.pi, np.pi, 2001)
+    rim = leaf_rim(angle, 0.0, 0.05)
+    assert rim[[0, -1]] == pytest.approx(1 - 0.35 + 0.05, abs=0.11)
+    others = np.abs(angle) < 1.5
+    assert (np.abs(rim[others] - 1) <= 0.05 + 1e-6).all()
+    assert np.ptp(rim[others]) > 0.09

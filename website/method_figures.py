@@ -27,10 +27,9 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.geometry.axis import align_near
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.m1 import WINDOW_PX, reference_depth, sample_grid, window_depths
-from cucumbervision.measurement.m2_m3 import GATE_M
 from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
 from cucumbervision.measurement.m6 import TubeView, view_tube
-from cucumbervision.measurement.methods import Region, run_methods
+from cucumbervision.measurement.methods import GATE_M, Region, run_methods
 from cucumbervision.measurement.result import Measurement, MethodName
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision_lab.synthesis.bodies import Tube

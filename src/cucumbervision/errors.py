@@ -109,6 +109,10 @@ class ModelHashError(ModelError):
     """A model file's SHA-256 is not the registry's."""
 
 
+class PluginError(CucumberVisionError):
+    """A plug-in of another package cannot be loaded, raises, or returns what is no result."""
+
+
 class CameraError(CucumberVisionError):
     """No camera, a camera in use, or a stream that stopped."""
 

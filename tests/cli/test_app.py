@@ -50,7 +50,7 @@ def test_some_input_unread_is_exit_code_1(run: Run, tmp_path: Path) -> None:
     ("arguments", "text"),
     [
         (("--instances", "nowhere.onnx"), "nowhere.onnx: no such file"),
-        (("--methods", "m7"), "'M7' is not a valid value; give M1 or"),
+        (("--methods", "m7"), "'m7' is not a valid value; give M1 or"),
         (("--confidence", "1.5"), "less than or equal to 1"),
         (("--selector", "worst"), "Invalid value"),
     ],

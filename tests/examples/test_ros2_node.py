@@ -189,7 +189,7 @@ def reply(node: ModuleType) -> dict[str, Any]:
     """The service's reply to a bundled capture, as the node asks for it."""
     capture = next(iter(open_source(example_captures() / "simulated-row-a"))).load()
     fruit = [Instance.of_mask(mask) for mask in capture.masks]
-    work = Work(Measurer(detector=lambda _: fruit), ServiceSettings())
+    work = Work(Measurer(plug_ins=PlugIns(detector=lambda _: fruit)), ServiceSettings())
     sent: list[bytes] = []
 
     def answer(request: Any, timeout: float) -> Any:

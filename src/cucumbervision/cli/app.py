@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import sys
 import traceback
-from importlib.metadata import entry_points
 from io import TextIOWrapper
 from typing import Annotated
 
@@ -18,6 +17,7 @@ from cucumbervision._version import __version__
 from cucumbervision.cli import crop, live, measure, models, own_truth, servers
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
+from cucumbervision.plugins import installed
 
 _COMMANDS = "cucumbervision.commands"
 """Entry points of further commands: each is called with the program and its groups."""
@@ -45,7 +45,7 @@ _GROUPS = {
 }
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)
-for _further in entry_points(group=_COMMANDS):
+for _further in installed(_COMMANDS):
     _further.load()(app, _GROUPS)
 
 

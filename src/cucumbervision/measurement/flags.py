@@ -42,6 +42,7 @@ class Flag(StrEnum):
     DEPTH_UNALIGNED = "depth-unaligned"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
+    PLUGIN_FAILED = "plugin-failed"
     DOUBTFUL = "doubtful"
 
 
@@ -220,6 +221,9 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remark="depth is coarser than colour",
         data_fault="depth has fewer pixels than colour and was enlarged",
         remedy="record depth aligned to colour at its size",
+    ),
+    Flag.PLUGIN_FAILED: FlagMeaning(
+        "a method or trait of another package failed: `failures.csv` says which, and why",
     ),
     Flag.DOUBTFUL: FlagMeaning(
         "added by hand, but does not look like a fruit: not on the pick list until accepted",

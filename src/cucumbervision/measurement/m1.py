@@ -9,6 +9,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import valid_median
 from cucumbervision.measurement.cloud import box_pixels
+from cucumbervision.measurement.methods import Region, TableMethod
 from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
@@ -172,3 +173,20 @@ def window_depths(
     flat = (len(readings), window_px * window_px)
     medians = valid_median(readings.reshape(flat), counts.reshape(flat), axis=1)
     return medians.astype(np.float64).reshape(u_px.shape)
+
+
+def _measure(region: Region) -> Measurement:
+    return measure_m1(region.depth_m, region.box, region.intrinsics)
+
+
+METHOD = TableMethod(
+    name="M1",
+    title="scan line",
+    kind=LengthKind.BOX_CHORD,
+    measure=_measure,
+    needs=("box",),
+    rank=50,
+    rank_compact=70,
+    is_paper=True,
+    color="#56B4E9",
+)

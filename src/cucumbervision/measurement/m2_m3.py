@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
+from cucumbervision.measurement.methods import GATE_M, Region, TableMethod, or_else
 from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-GATE_M = 0.035
 
 
 def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
@@ -93,7 +92,7 @@ def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -
     -------
     Measurement
         Kind 'surface-chord'; reason 'too-few-points' below 50 valid pixels, where
-        `measurement.methods` falls back on M2.
+        the table's method falls back on M2.
 
     Notes
     -----
@@ -112,3 +111,40 @@ def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -
     if len(mask_points_m) < _MIN_POINTS:
         return Measurement(MethodName.M3, reason=Reason.TOO_FEW_POINTS)
     return _principal_chord(cloud or align_near(mask_points_m, GATE_M), MethodName.M3)
+
+
+def _measure_m2(region: Region) -> Measurement:
+    return measure_m2(region.box_points_m)
+
+
+def m3_or_m2(region: Region) -> Measurement:
+    """Measure a fruit by M3, or by M2 in its name below 50 valid pixels."""
+    if region.mask_points_m is None:
+        return Measurement(MethodName.M3, reason=Reason.NO_MASK)
+    result = measure_m3(region.mask_points_m, region.mask_near)
+    return result if result.is_direct else or_else(result, MethodName.M2, _measure_m2(region))
+
+
+METHOD_M2 = TableMethod(
+    name="M2",
+    title="box PCA",
+    kind=LengthKind.SURFACE_CHORD,
+    measure=_measure_m2,
+    needs=("box",),
+    rank=60,
+    is_paper=True,
+    color="#CC79A7",
+)
+
+METHOD_M3 = TableMethod(
+    name="M3",
+    title="mask PCA",
+    kind=LengthKind.SURFACE_CHORD,
+    measure=m3_or_m2,
+    needs=("mask",),
+    rank=40,
+    least_points=0,
+    is_paper=True,
+    stands_in=True,
+    color="#E69F00",
+)

@@ -8,6 +8,8 @@ import numpy as np
 
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m1 import window_depths
+from cucumbervision.measurement.m2_m3 import m3_or_m2
+from cucumbervision.measurement.methods import Region, TableMethod, or_else
 from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ def measure_m4(
     -------
     Measurement
         Kind 'keypoint-polyline'; reason 'no-keypoints', or 'endpoint-missing' when KP0 or KP4 is
-        left out, where `measurement.methods` falls back on M3.
+        left out, where the table's method falls back on M3.
 
     Notes
     -----
@@ -81,3 +83,23 @@ def measure_m4(
     return Measurement(
         MethodName.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path
     )
+
+
+def _measure(region: Region) -> Measurement:
+    result = measure_m4(region.depth_m, region.mask, region.keypoints, region.intrinsics)
+    if result.reason is Reason.ENDPOINT_MISSING:
+        return or_else(result, MethodName.M3, m3_or_m2(region))
+    return result
+
+
+METHOD = TableMethod(
+    name="M4",
+    title="keypoints",
+    kind=LengthKind.KEYPOINT_POLYLINE,
+    measure=_measure,
+    needs=("keypoints",),
+    rank=30,
+    least_points=100,
+    is_paper=True,
+    color="#F0E442",
+)

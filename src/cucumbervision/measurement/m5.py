@@ -8,7 +8,7 @@ import numpy as np
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near, bin_centroids
 from cucumbervision.geometry.curve import natural_spline
-from cucumbervision.measurement.m2_m3 import GATE_M
+from cucumbervision.measurement.methods import GATE_M, Region, TableMethod
 from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
@@ -69,3 +69,22 @@ def measure_m5(mask_points_m: NDArray[Any], aligned: AlignedCloud | None = None)
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(MethodName.M5, reason=Reason.OUT_OF_RANGE)
     return Measurement(MethodName.M5, length, LengthKind.SURFACE_ARC, path_m=path)
+
+
+def _measure(region: Region) -> Measurement:
+    if region.mask_points_m is None:
+        return Measurement(MethodName.M5, reason=Reason.NO_MASK)
+    return measure_m5(region.mask_points_m, region.mask_near)
+
+
+METHOD = TableMethod(
+    name="M5",
+    title="medial arc spline",
+    kind=LengthKind.SURFACE_ARC,
+    measure=_measure,
+    needs=("mask",),
+    rank=20,
+    least_points=MIN_POINTS,
+    is_paper=True,
+    color="#0072B2",
+)

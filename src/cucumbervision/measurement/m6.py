@@ -29,6 +29,7 @@ from cucumbervision.measurement.hidden_end import (
     beyond_ends,
     with_hidden_end,
 )
+from cucumbervision.measurement.methods import Region, TableMethod
 from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
 
@@ -527,3 +528,21 @@ def _end_on(axis_m: NDArray[np.float64]) -> bool:
         if float(step @ view) > np.sin(np.deg2rad(_END_ON_DEG)) * float(np.linalg.norm(step)):
             return True
     return False
+
+
+def _measure(region: Region) -> Measurement:
+    if region.mask is None:
+        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
+    return measure_m6(region.depth_m, region.mask, region.intrinsics)
+
+
+METHOD = TableMethod(
+    name="M6",
+    title="swept tube",
+    kind=LengthKind.CENTRELINE,
+    measure=_measure,
+    needs=("mask",),
+    rank=10,
+    least_points=100,
+    color="#FFFFFF",
+)

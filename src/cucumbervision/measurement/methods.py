@@ -1,4 +1,4 @@
-"""Run the methods on one fruit, each with its own fallback."""
+"""The table of methods, and how they are run on one fruit."""
 
 from __future__ import annotations
 
@@ -6,25 +6,27 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from cucumbervision.errors import PluginError
 from cucumbervision.geometry.axis import AlignedCloud, align_near
 from cucumbervision.measurement.cloud import box_points, masked_points
-from cucumbervision.measurement.m1 import measure_m1
-from cucumbervision.measurement.m2_m3 import GATE_M, measure_m2, measure_m3
-from cucumbervision.measurement.m4 import measure_m4
-from cucumbervision.measurement.m5 import measure_m5
-from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.result import Measurement, MethodName, Reason
+from cucumbervision.measurement.result import LengthDefinition, LengthKind, Measurement, Reason
+from cucumbervision.plugins import Plugin, own, plugins
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.protocols import Method
 
-AVAILABLE = tuple(MethodName)
+GATE_M = 0.035
+
+AVAILABLE = tuple(own("methods"))
+"""Names of the package's own methods, in the order of the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +72,117 @@ class Region:
         return box_points(self.depth_m, self.box, self.intrinsics)
 
 
+@dataclass(frozen=True)
+class TableMethod:
+    """A method, and what the table of methods says of it; a `protocols.Method`.
+
+    Parameters
+    ----------
+    name : str
+        Its name; `name.lower()` followed by '_cm' is its column.
+    title : str
+        What it is, in a few words.
+    kind : LengthKind
+        What its length is the length of.
+    measure : callable
+        Takes a `Region`, and returns a `Measurement` of this name.
+    needs : tuple of str
+        What it needs beside depth: 'box', 'mask', 'keypoints'.
+    rank : int, optional
+        Its place in the order of preference, the least first; it is never chosen without one.
+    rank_compact : int, optional
+        The same for a box that is less than 1.8 times as long as wide; `rank` if not given.
+    least_points : int, optional
+        It is chosen for a mask with at least so many valid depth readings; also without a mask if
+        not given.
+    is_paper : bool
+        Whether it is one of the CucumberVision paper's, which `Selector.PAPER` chooses among.
+    stands_in : bool
+        Whether another method that it fell back on may be chosen in its place.
+    color : str
+        Of its line in pictures, '#RRGGBB'. The package's own have Okabe and Ito's palette, which
+        colour-blind people can tell apart.
+
+    Examples
+    --------
+    >>> method = TableMethod.of("M5")
+    >>> method.title, str(method.kind), method.needs, method.rank
+    ('medial arc spline', 'surface-arc', ('mask',), 20)
+    """
+
+    name: str
+    title: str
+    kind: LengthKind
+    measure: Callable[[Region], Measurement]
+    needs: tuple[str, ...] = ()
+    rank: int | None = None
+    rank_compact: int | None = None
+    least_points: int | None = None
+    is_paper: bool = False
+    stands_in: bool = False
+    color: str = "#999999"
+
+    @classmethod
+    def of(cls, method: str | Method) -> TableMethod:
+        """Return a method by its name, or any `protocols.Method` as one.
+
+        Raises
+        ------
+        KeyError
+            If no method has the name.
+        PluginError
+            If it cannot be loaded, or is no method.
+        """
+        plugin = plugin_of(method)
+        loaded = plugin.load() if isinstance(method, str) else method
+        if isinstance(loaded, cls):
+            return loaded
+        try:
+            return cls(str(loaded.name), str(loaded.title), LengthKind(loaded.kind), loaded.measure)
+        except (AttributeError, ValueError) as error:
+            raise plugin.error(f"is no method ({error})") from None
+
+    def rank_for(self, mask_points: int | None, *, is_elongated: bool) -> int | None:
+        """Return its rank for a mask with so many readings, or a box; None if it is not chosen."""
+        least = self.least_points
+        if least is not None and (mask_points is None or mask_points < least):
+            return None
+        return self.rank if is_elongated or self.rank_compact is None else self.rank_compact
+
+
+def plugin_of(method: str | Method) -> Plugin:
+    """Return the line of the table of plug-ins that a method is.
+
+    Raises
+    ------
+    KeyError
+        If no method has the name.
+    """
+    if not isinstance(method, str):
+        return Plugin.of("methods", method.measure, str(method.name))
+    if method not in plugins("methods"):
+        raise KeyError(f"no such method: {method}")
+    return plugins("methods")[method]
+
+
+def method_color(name: str) -> str:
+    """Return the colour of a method's line, '#RRGGBB'; grey for one that is not installed here.
+
+    Examples
+    --------
+    >>> method_color("M6"), method_color("no longer installed")
+    ('#FFFFFF', '#999999')
+    """
+    try:
+        return TableMethod.of(name).color
+    except (KeyError, PluginError):
+        return TableMethod.color
+
+
 @OneThread()
 def run_methods(
-    region: Region, methods: Iterable[MethodName] = AVAILABLE
-) -> dict[MethodName, Measurement]:
+    region: Region, methods: Iterable[str | Method] = AVAILABLE
+) -> dict[str, Measurement]:
     """Measure one fruit by each of the methods.
 
     M3 falls back on M2 below 50 valid pixels, M4 on M3 where an endpoint is missing; such a
@@ -83,18 +192,20 @@ def run_methods(
     ----------
     region : Region
         The fruit.
-    methods : iterable of MethodName
-        Methods to run; each is computed once, in the order M1 to M6.
+    methods : iterable of str or Method
+        Methods to run: names of the table, or methods of your own. Each is computed once, those of
+        the table in its order.
 
     Returns
     -------
-    dict of MethodName to Measurement
-        One for each method asked.
+    dict of str to Measurement
+        One for each method asked, by its name. That of another package's method which raised, or
+        returned what is no length, has the reason 'plugin-failed' and the `error`.
 
     Raises
     ------
     KeyError
-        For a method that is not in `AVAILABLE`.
+        For a name that is not in the table.
 
     Examples
     --------
@@ -114,48 +225,55 @@ def run_methods(
     M5 ok () None
     M6 ok () None
     """
-    chosen = set(methods)
-    unknown = chosen - set(AVAILABLE)
-    if unknown:
-        raise KeyError(f"no such method: {', '.join(sorted(unknown))}")
-    return {method: _RUN[method](region) for method in AVAILABLE if method in chosen}
+    chosen = {str(m) if isinstance(m, str) else str(m.name): m for m in methods}
+    order = {name: number for number, name in enumerate(plugins("methods"))}
+    names = sorted(chosen, key=lambda name: order.get(name, len(order)))
+    return {name: _measured(region, chosen[name]) for name in names}
 
 
-def _m1(region: Region) -> Measurement:
-    return measure_m1(region.depth_m, region.box, region.intrinsics)
+def _measured(region: Region, method: str | Method) -> Measurement:
+    plugin = plugin_of(method)
+    try:
+        table_method = TableMethod.of(method)
+        measurement = plugin.call(table_method.measure, region)
+        return measurement if plugin.is_own else _checked(plugin, measurement)
+    except PluginError as error:
+        return Measurement(plugin.name, reason=Reason.PLUGIN_FAILED, error=error)
 
 
-def _m2(region: Region) -> Measurement:
-    return measure_m2(region.box_points_m)
+def _checked(plugin: Plugin, measurement: Measurement) -> Measurement:
+    """Return another package's measurement under the name of its line.
+
+    Raises
+    ------
+    PluginError
+        If it is none, or holds numbers that are no length or line.
+    """
+    if not isinstance(measurement, Measurement):
+        raise plugin.error(f"returned {type(measurement).__name__} in place of a Measurement")
+    length_m, path = measurement.length_m, measurement.path_m
+    is_number = isinstance(length_m, float | int | np.number) and not isinstance(length_m, bool)
+    if length_m is not None and not (is_number and 0 < length_m < np.inf):
+        raise plugin.error(f"returned a length of {length_m!r} m")
+    kinds = (*LengthKind, *LengthDefinition)
+    if length_m is not None and measurement.kind not in kinds:
+        raise plugin.error(f"returned a length of kind {measurement.kind!r}")
+    if path is not None and not is_path(path):
+        raise plugin.error("returned a line that is not (K, 3) finite coordinates in metres")
+    if length_m is not None:
+        measurement = replace(measurement, length_m=float(length_m))
+    return replace(measurement, method=plugin.name)
 
 
-def _m3(region: Region) -> Measurement:
-    if region.mask_points_m is None:
-        return Measurement(MethodName.M3, reason=Reason.NO_MASK)
-    result = measure_m3(region.mask_points_m, region.mask_near)
-    return _or_else(result, MethodName.M2, _m2(region)) if not result.is_direct else result
+def is_path(path: Any) -> bool:
+    """Return whether something is a line in space: finite numbers of shape (K, 3), K > 1."""
+    array = np.asarray(path)
+    is_line = array.ndim == 2 and array.shape[1] == 3 and len(array) > 1
+    return is_line and array.dtype.kind in "fiu" and bool(np.isfinite(array).all())
 
 
-def _m4(region: Region) -> Measurement:
-    result = measure_m4(region.depth_m, region.mask, region.keypoints, region.intrinsics)
-    if result.reason is Reason.ENDPOINT_MISSING:
-        return _or_else(result, MethodName.M3, _m3(region))
-    return result
-
-
-def _m5(region: Region) -> Measurement:
-    if region.mask_points_m is None:
-        return Measurement(MethodName.M5, reason=Reason.NO_MASK)
-    return measure_m5(region.mask_points_m, region.mask_near)
-
-
-def _m6(region: Region) -> Measurement:
-    if region.mask is None:
-        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
-    return measure_m6(region.depth_m, region.mask, region.intrinsics)
-
-
-def _or_else(failed: Measurement, method: MethodName, substitute: Measurement) -> Measurement:
+def or_else(failed: Measurement, method: str, substitute: Measurement) -> Measurement:
+    """Return what stands in for a measurement that failed, in its name, or why nothing does."""
     path = (f"{failed.method}:{failed.reason}", *substitute.fallback)
     if substitute.length_m is None:
         return replace(failed, fallback=(*path, f"{method}:{substitute.reason}"))
@@ -165,6 +283,3 @@ def _or_else(failed: Measurement, method: MethodName, substitute: Measurement) -
         fallback=path,
         measured_by=substitute.measured_by or method,
     )
-
-
-_RUN = dict(zip(AVAILABLE, (_m1, _m2, _m3, _m4, _m5, _m6), strict=True))

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.errors import PluginError
     from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.instances.instance import Instance, MaskSource
     from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.pose import FruitPose
+    from cucumbervision.measurement.trait_values import TraitValue
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
 
 
@@ -74,6 +76,7 @@ class Reason(StrEnum):
     NOT_A_TUBE = "not-a-tube"
     ALONG_THE_VIEW = "along-the-view"
     OUT_OF_RANGE = "out-of-range"
+    PLUGIN_FAILED = "plugin-failed"
 
 
 class Selector(StrEnum):
@@ -236,8 +239,8 @@ class Measurement:
 
     Parameters
     ----------
-    method : MethodName
-        The requested method.
+    method : str
+        Name of the requested method.
     length_m : float, optional
         Length in metres; None if the method failed.
     kind : LengthKind, optional
@@ -249,20 +252,23 @@ class Measurement:
     path_m : ndarray of float64, shape (K, 3), optional
         The measured line, camera coordinates in metres; in the result of a fruit it begins at the
         stem end.
-    measured_by : MethodName, optional
+    measured_by : str, optional
         The method that was used instead, after a fallback.
     fit : TubeFit, optional
         The fitted tube, if any.
+    error : PluginError, optional
+        Why a method of another package failed.
     """
 
-    method: MethodName
+    method: str
     length_m: float | None = None
     kind: LengthKind | None = None
     reason: Reason = Reason.OK
     fallback: tuple[str, ...] = ()
     path_m: NDArray[np.float64] | None = field(default=None, repr=False)
-    measured_by: MethodName | None = None
+    measured_by: str | None = None
     fit: TubeFit | None = field(default=None, repr=False)
+    error: PluginError | None = None
 
     @property
     def is_direct(self) -> bool:
@@ -270,7 +276,7 @@ class Measurement:
         return self.length_m is not None and self.measured_by is None
 
     @property
-    def source(self) -> MethodName:
+    def source(self) -> str:
         """The method that measured the length."""
         return self.measured_by or self.method
 
@@ -288,7 +294,7 @@ class FruitMeasurement:
     ----------
     instance : Instance
         The detection in the picture.
-    measurements : mapping of MethodName to Measurement
+    measurements : mapping of str to Measurement
         Measurements of all methods that were run.
     selected : Measurement, optional
         The chosen measurement; None if nothing could be measured.
@@ -318,10 +324,12 @@ class FruitMeasurement:
     lengths : mapping of str to Length
         Length and interval of every method, uncorrected, by `calibration_key`: 'M1' to 'M6',
         'M6 thread' and 'M6 chord'.
+    trait_values : mapping of str to TraitValue
+        Values of the traits by name, or why they are withheld.
     """
 
     instance: Instance
-    measurements: Mapping[MethodName, Measurement]
+    measurements: Mapping[str, Measurement]
     selected: Measurement | None
     reason: Choice
     fallback: tuple[str, ...] = ()
@@ -335,6 +343,7 @@ class FruitMeasurement:
     fill: float | None = None
     pose: FruitPose | None = None
     lengths: Mapping[str, Length] = field(default_factory=dict)
+    trait_values: Mapping[str, TraitValue] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         words = f"not measured: {self.reason}"
@@ -343,7 +352,20 @@ class FruitMeasurement:
         return f"<FruitMeasurement: {words}>"
 
     @property
-    def method(self) -> MethodName | None:
+    def errors(self) -> tuple[PluginError, ...]:
+        """Why methods and traits of other packages failed."""
+        answers: list[Measurement | TraitValue] = [*self.measurements.values()]
+        answers += self.trait_values.values()
+        return tuple(answer.error for answer in answers if answer.error is not None)
+
+    @property
+    def withheld(self) -> str:
+        """The traits without a value, and why."""
+        values = self.trait_values.items()
+        return " ".join(f"{name}:{value.reason}" for name, value in values if value.reason)
+
+    @property
+    def method(self) -> str | None:
         """The method of the chosen length."""
         return None if self.selected is None else self.selected.source
 
@@ -368,7 +390,7 @@ class FruitMeasurement:
         return replace(self, flags=(*self.flags, *new))
 
 
-def calibration_key(method: MethodName, kind: LengthDefinition | LengthKind) -> str:
+def calibration_key(method: str, kind: LengthDefinition | LengthKind) -> str:
     """Return the key of a method's length in calibrations and interval models.
 
     Examples
@@ -380,7 +402,7 @@ def calibration_key(method: MethodName, kind: LengthDefinition | LengthKind) -> 
     >>> calibration_key(MethodName.M6, LengthDefinition.CENTRELINE)
     'M6'
     """
-    is_further = method is MethodName.M6 and kind in (
+    is_further = method == MethodName.M6 and kind in (
         LengthDefinition.THREAD,
         LengthDefinition.CHORD,
     )

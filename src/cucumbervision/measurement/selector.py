@@ -17,7 +17,7 @@ from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
-from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
+from cucumbervision.measurement.methods import AVAILABLE, Region, TableMethod, run_methods
 from cucumbervision.measurement.pose import (
     CUT_BEYOND_M,
     fruit_pose,
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.pose import EndJudge
+    from cucumbervision.protocols import Method
 
 # Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.
 _IN_SIGHT = 0.40
@@ -149,21 +150,23 @@ _EDGE_PX = 1.0
 
 
 def choose(
-    measurements: Mapping[MethodName, Measurement],
+    measurements: Mapping[str, Measurement],
     mask_points: int | None,
     box: NDArray[np.float64],
     selector: Selector = Selector.BEST,
+    methods: Iterable[Method] = (),
 ) -> tuple[Measurement | None, Choice, tuple[str, ...]]:
     """Choose among measurements by the paper's decision tree.
 
-    A mask with at least 100 valid points (counted before the gate): M5, then M4 if it measured
-    by itself, then M3. A mask with fewer: M3. No mask, or all of these failed: M1 then M2 for a
-    box at least 1.8 times as long as wide (lying or hanging), M2 then M1 otherwise. `BEST` puts
-    M6 first if it was run and succeeded; `PAPER` never takes it.
+    The order is that of the ranks in the table of methods. A mask with at least 100 valid points
+    (counted before the gate): M5, then M4 if it measured by itself, then M3. A mask with fewer: M3.
+    No mask, or all of these failed: M1 then M2 for a box at least 1.8 times as long as wide (lying
+    or hanging), M2 then M1 otherwise. `BEST` puts M6 first if it was run and succeeded; `PAPER`
+    never takes it.
 
     Parameters
     ----------
-    measurements : mapping of MethodName to Measurement
+    measurements : mapping of str to Measurement
         The measurements; methods that were not run are skipped.
     mask_points : int, optional
         Valid depth readings in the mask; None without a mask.
@@ -171,6 +174,8 @@ def choose(
         Edges x1, y1, x2, y2 in pixels.
     selector : Selector
         Rule of the choice.
+    methods : iterable of Method
+        Methods among them that are not in the table.
 
     Returns
     -------
@@ -192,43 +197,51 @@ def choose(
     >>> str(best.method), str(choice), path
     ('M3', 'mask-points-ge-100', ('M5:too-few-bins',))
     """
-    choice, order = _order(mask_points, box)
-    tried: list[str] = []
-    for method in order:
-        if method is MethodName.M6 and selector is Selector.PAPER:
-            continue
-        result = measurements.get(method)
-        # M4 after a fallback is the same as M3, which follows in the order.
-        if result is None or (method is MethodName.M4 and result.measured_by is not None):
-            continue
-        if result.length_m is not None:
-            return result, choice, (*tried, *result.fallback)
-        tried.extend(result.fallback or [f"{method}:{result.reason}"])
-    return None, choice, tuple(tried)
-
-
-def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, list[MethodName]]:
     width, height = float(box[2] - box[0]), float(box[3] - box[1])
     elongated = max(width, height) >= _ELONGATED * min(width, height)
-    by_box = [MethodName.M1, MethodName.M2] if elongated else [MethodName.M2, MethodName.M1]
+    tried: list[str] = []
+    for method in _order(measurements, methods, mask_points, is_elongated=elongated):
+        if selector is Selector.PAPER and not method.is_paper:
+            continue
+        result = measurements[method.name]
+        if result.measured_by is not None and not method.stands_in:
+            continue
+        if result.length_m is not None:
+            return result, _choice(mask_points, is_elongated=elongated), (*tried, *result.fallback)
+        tried.extend(result.fallback or [f"{method.name}:{result.reason}"])
+    return None, _choice(mask_points, is_elongated=elongated), tuple(tried)
+
+
+def _choice(mask_points: int | None, *, is_elongated: bool) -> Choice:
     if mask_points is None:
-        return (Choice.ELONGATED_BOX if elongated else Choice.COMPACT_BOX), by_box
-    if mask_points >= SPLINE_POINTS:
-        return Choice.DENSE_MASK, [
-            MethodName.M6,
-            MethodName.M5,
-            MethodName.M4,
-            MethodName.M3,
-            *by_box,
-        ]
-    return Choice.SPARSE_MASK, [MethodName.M3, *by_box]
+        return Choice.ELONGATED_BOX if is_elongated else Choice.COMPACT_BOX
+    return Choice.DENSE_MASK if mask_points >= SPLINE_POINTS else Choice.SPARSE_MASK
+
+
+def _order(
+    measurements: Mapping[str, Measurement],
+    methods: Iterable[Method],
+    mask_points: int | None,
+    *,
+    is_elongated: bool,
+) -> list[TableMethod]:
+    """Return the methods that may be chosen, by their ranks in the table."""
+    given = {str(method.name): method for method in methods}
+    ranked = []
+    for name, measurement in measurements.items():
+        if measurement.error is None:
+            method = TableMethod.of(given.get(name, name))
+            rank = method.rank_for(mask_points, is_elongated=is_elongated)
+            if rank is not None:
+                ranked.append((rank, name, method))
+    return [method for _, _, method in sorted(ranked, key=lambda line: line[:2])]
 
 
 @OneThread()
 def measure_fruit(
     capture: Capture,
     instance: Instance,
-    methods: Iterable[MethodName] = AVAILABLE,
+    methods: Iterable[str | Method] = AVAILABLE,
     selector: Selector = Selector.BEST,
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
@@ -246,7 +259,7 @@ def measure_fruit(
         The frame.
     instance : Instance
         The detection of the fruit.
-    methods : iterable of MethodName
+    methods : iterable of str or Method
         Methods to run; the selector chooses among these.
     selector : Selector
         How to choose.
@@ -296,10 +309,9 @@ def measure_fruit(
         mask=mask,
         keypoints=instance.keypoints,
     )
-    methods = set(methods)
-    measured = run_methods(region, methods - {tube.method} if tube else methods)
-    if tube is not None and tube.method in methods:
-        measured[tube.method] = tube
+    names = {method if isinstance(method, str) else method.name: method for method in methods}
+    known = {} if tube is None or tube.method not in names else {tube.method: tube}
+    measured = run_methods(region, [names[name] for name in names if name not in known]) | known
     if ends is not None:
         instance = with_tubes_ends(instance, measured.get(MethodName.M6), capture, ends)
     turned = {
@@ -308,11 +320,19 @@ def measure_fruit(
     }
     measurements = {method: measurement for method, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
-    chosen, choice, fallback = choose(measurements, points, instance.box, selector)
+    chosen, choice, fallback = choose(
+        measurements,
+        points,
+        instance.box,
+        selector,
+        [method for method in names.values() if not isinstance(method, str)],
+    )
     sure = instance.end_confidence
     if capture.gravity is not None and chosen is not None and chosen.path_m is not None:
         sure = turned[chosen.method][1]
     flags += _flags(capture, instance, mask, chosen, sure)
+    if any(measurement.error is not None for measurement in measurements.values()):
+        flags.append(Flag.PLUGIN_FAILED)
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING

@@ -22,6 +22,7 @@ from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.protocols import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -206,8 +207,8 @@ def with_pose_votes(
     return tuple(sorted(voted, key=lambda detection: -detection.confidence))
 
 
-class Segmenter(Protocol):
-    """Draws the masks of fruit.
+class NetworkSegmenter(Segmenter, Protocol):
+    """A segmenter of the registry.
 
     A class with these methods becomes available by an entry in `models.toml` whose `segmenter`
     names it. It is called with the entry's files by role, and with `runtime`, `prompt`,
@@ -219,12 +220,6 @@ class Segmenter(Protocol):
     @property
     def runtime(self) -> str:
         """The runtime, as `Network.runtime`."""
-        ...
-
-    def segment(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
-    ) -> tuple[Instance, ...]:
-        """Return the instances with `mask` set, or None and `mask_failure`, in the same order."""
         ...
 
     def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
@@ -239,7 +234,7 @@ def open_segmenter(
     prompt: str = "box+point",
     full_precision: bool = False,
     registry: Registry | None = None,
-) -> Segmenter:
+) -> NetworkSegmenter:
     """Load a segmenter of the registry.
 
     Parameters
@@ -279,7 +274,7 @@ def open_segmenter(
         full_precision=full_precision,
         verified=True,
     )
-    return cast("Segmenter", opened)
+    return cast("NetworkSegmenter", opened)
 
 
 Classifier = TypeVar("Classifier", EndClassifier, CropClassifier)
@@ -338,8 +333,8 @@ class NetworkLoader:
         self._pose_confidence = pose_floor(confidence)
         self._with_ends: YoloDetector | None = None
         self._files: dict[str, dict[str, Path]] = {}
-        self._segmenters: dict[str | None, Segmenter] = {}
-        self._begun: dict[str | None, Future[Segmenter]] = {}
+        self._segmenters: dict[str | None, NetworkSegmenter] = {}
+        self._begun: dict[str | None, Future[NetworkSegmenter]] = {}
         self._looker: EndLooker | None = None
 
     @property
@@ -500,7 +495,7 @@ class NetworkLoader:
             self._begun[name] = executor.submit(self._open_segmenter, name)
             executor.shutdown(wait=False)
 
-    def segmenter(self, name: str | None = None) -> Segmenter:
+    def segmenter(self, name: str | None = None) -> NetworkSegmenter:
         """Return a segmenter of the registry, or the default one, loaded once.
 
         Raises
@@ -518,7 +513,7 @@ class NetworkLoader:
             self._segmenters[name] = segmenter
         return self._segmenters[name]
 
-    def _open_segmenter(self, name: str | None) -> Segmenter:
+    def _open_segmenter(self, name: str | None) -> NetworkSegmenter:
         return open_segmenter(
             name,
             runtime=self._runtime,

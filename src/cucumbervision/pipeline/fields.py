@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
@@ -13,9 +13,13 @@ import numpy as np
 from pydantic import BaseModel, create_model
 from pydantic import Field as Described
 
+from cucumbervision.plugins import own
+
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.plugins import Plugin
+    from cucumbervision.protocols import Trait
 
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
@@ -208,15 +212,72 @@ def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
     return fields
 
 
-FIELDS = tuple(
-    fruit_field for _, fruit_field in read_fields(Path(__file__).with_name("fields.csv"))
-)
-"""The columns of `measurements.csv`, in order."""
+_METHOD, _TRAIT = "{method}_cm", "{trait}"  # names of the lines that stand for all of them
+_TRAIT_DIGITS = 4  # of one without a unit that the tables round
 
 
-def fruit_row(fruit: NumberedFruit) -> dict[str, Cell]:
-    """Return a fruit's row: a cell for every field of `FIELDS`, in the units of the tables."""
-    return {fruit_field.name: fruit_field.of(fruit) for fruit_field in FIELDS}
+_LINES = [line for _, line in read_fields(Path(__file__).with_name("fields.csv"))]
+_LINE_OF_METHODS = next(line for line in _LINES if line.name == _METHOD)
+
+
+def method_field(method: str) -> Field:
+    """Return the column of a method: the line of the table that stands for all, with its name."""
+    line = _LINE_OF_METHODS
+    return replace(
+        line,
+        name=line.name.format(method=method.lower()),
+        says=line.says.format(method=method),
+        path=line.path.format(method=method),
+    )
+
+
+def trait_field(plugin: Plugin, trait: Trait) -> Field:
+    """Return the column of a trait.
+
+    Raises
+    ------
+    PluginError
+        If it does not say its unit and meaning, or a column cannot have its name.
+    """
+    unit, says = getattr(trait, "unit", None), getattr(trait, "says", None)
+    if not isinstance(unit, str) or not isinstance(says, str):
+        raise plugin.error("is no trait: it has no texts `unit` and `says`")
+    if not plugin.name.isidentifier() or (unit and not plugin.name.endswith(f"_{unit}")):
+        raise plugin.error("is called as no column: lower case letters, then _ and the unit")
+    digits = None if unit in _UNITS else _TRAIT_DIGITS
+    path = f"fruit.trait_values.{plugin.name}.value"
+    return Field(plugin.name, unit, "number", says, path, digits)
+
+
+def _fields() -> tuple[Field, ...]:
+    table: list[Field] = []
+    for line in _LINES:
+        if line.name == _METHOD:
+            table += [method_field(name) for name in own("methods")]
+        elif line.name == _TRAIT:
+            table += [trait_field(plugin, plugin.load()) for plugin in own("traits").values()]
+        else:
+            table.append(line)
+    return tuple(table)
+
+
+FIELDS = _fields()
+"""The columns of `measurements.csv`, in order, as the package itself fills them."""
+
+
+def fields_with(
+    methods: Iterable[str], traits: Iterable[tuple[Plugin, Trait]]
+) -> tuple[Field, ...]:
+    """Return the columns of a run: `FIELDS`, then those of other packages' methods and traits."""
+    names = {field.name for field in FIELDS}
+    added = [method_field(name) for name in methods]
+    added += [trait_field(plugin, trait) for plugin, trait in traits]
+    return (*FIELDS, *{field.name: field for field in added if field.name not in names}.values())
+
+
+def fruit_row(fruit: NumberedFruit, fields: Iterable[Field] = FIELDS) -> dict[str, Cell]:
+    """Return a fruit's row: a cell for every field, in the units of the tables."""
+    return {fruit_field.name: fruit_field.of(fruit) for fruit_field in fields}
 
 
 def si_values(fruit: NumberedFruit) -> dict[str, Cell]:
@@ -249,7 +310,8 @@ def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[B
         )
         for row_field in fields
     }
-    return create_model(name, **cells, **extra_fields)
+    # Columns of other packages come with the rows.
+    return create_model(name, __config__={"extra": "allow"}, **cells, **extra_fields)
 
 
 def utc(seconds: float) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.errors import CucumberVisionError, InstancesError, PluginError
 from cucumbervision.instances.instance import (
     Instance,
     MaskSource,
@@ -23,16 +23,19 @@ from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
+from cucumbervision.pipeline.plugged import PlugIns
 from cucumbervision.pipeline.stages import Stage
+from cucumbervision.plugins import Kind, Plugin, plugins
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import Measurement
-    from cucumbervision.perception.networks import NetworkLoader, Segmenter
+    from cucumbervision.perception.networks import NetworkLoader
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
+    from cucumbervision.protocols import Detector, Segmenter
 
 _PERCEIVED = (MaskSource.SAM, MaskSource.SEGMENTER, MaskSource.DETECTOR)  # may hold the flower
 
@@ -59,6 +62,8 @@ class Detections:
         M6 of each instance whose mask was measured to evaluate the mask; empty if none was.
     left_out : mapping of str to int
         Number of excluded detections by class.
+    unmasked : frozenset of int
+        Indices of instances for which a segmenter of another package failed.
     """
 
     instances: tuple[Instance, ...]
@@ -69,6 +74,7 @@ class Detections:
     posed: bool = False
     tubes: tuple[Measurement | None, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
+    unmasked: frozenset[int] = frozenset()
 
     def of_classes(self, classes: Collection[str]) -> Detections:
         """Return the detections of some classes; all if `classes` is empty."""
@@ -90,9 +96,6 @@ def _class_of(instance: Instance) -> str:
 
 Find: TypeAlias = Callable[["Capture"], Detections]
 
-Detector: TypeAlias = Callable[["Capture"], "Sequence[Instance]"]
-"""Anything that finds the fruit of a capture."""
-
 
 @dataclass(frozen=True)
 class Finder:
@@ -104,22 +107,27 @@ class Finder:
         Returns the fruit of a capture.
     networks : NetworkLoader
         Loads the networks, and lists those that are loaded.
+    plugins : tuple of Plugin
+        Detector and segmenter of other packages, if any.
     """
 
     find: Find
     networks: NetworkLoader
+    plugins: tuple[Plugin, ...] = ()
 
     def models_of(self, stages: Collection[Stage]) -> tuple[dict[str, Any], ...]:
-        """Return the networks that took part in some stages."""
+        """Return the networks that took part in some stages, and the plug-ins in their place."""
         tasks = {"pose", "ends"} if Stage.POSED in stages else set()
         tasks |= _FINDING if Stage.DETECTED in stages else set()
         drawn = Stage.DRAWN in stages
         tasks |= {"look"} if drawn or Stage.DETECTED in stages else set()
-        return tuple(
+        networks = [
             network
             for network in self.networks.models
             if network["task"] in tasks or (drawn and network["task"] not in _FINDING | {"look"})
-        )
+        ]
+        kinds = {"detectors", "segmenters"} if drawn else {"detectors"}
+        return (*networks, *(plugin.as_json() for plugin in self.plugins if plugin.kind in kinds))
 
 
 _FINDING = {
@@ -132,7 +140,7 @@ _FINDING = {
 
 
 def make_finder(
-    options: MeasureOptions, registry: Registry | None = None, detector: Detector | None = None
+    options: MeasureOptions, registry: Registry | None = None, plug_ins: PlugIns | None = None
 ) -> Finder:
     """Create the finder that the options select.
 
@@ -142,8 +150,8 @@ def make_finder(
         Options of the run.
     registry : Registry, optional
         Registry of named networks; by default that of the package.
-    detector : callable, optional
-        Finds the fruit in place of `options.instances`.
+    plug_ins : PlugIns, optional
+        Detector and segmenter of the calling program, in place of those of the options.
 
     Returns
     -------
@@ -157,8 +165,14 @@ def make_finder(
         If a network is missing or cannot be loaded.
     InstancesError
         If the file of instances cannot be read.
+    PluginError
+        If a detector or segmenter of another package cannot be loaded.
     """
     from cucumbervision.perception.networks import NetworkLoader
+
+    plug_ins = plug_ins or PlugIns()
+    detector = _plugged("detectors", options.instances, plug_ins.detector)
+    painter = _plugged("segmenters", options.segmenter, plug_ins.segmenter)
 
     networks = NetworkLoader(
         registry,
@@ -169,9 +183,10 @@ def make_finder(
         input_sizes=options.input_sizes,
     )
     name = options.segmenter
-    if name not in (None, "none"):
+    if painter is None and name not in (None, "none"):
         networks.verify(networks.registry.segmenter(name).name)
-    boxes = _box_finder(options, networks) if detector is None else _finder_of(detector)
+    boxes = _box_finder(options, networks) if detector is None else _finder_of(*detector)
+    draws_all = painter is not None or options.segmenter is not None
 
     def find(capture: Capture) -> Detections:
         detections = boxes(capture).of_classes(options.classes)
@@ -182,15 +197,21 @@ def make_finder(
         ):  # the paper's selector measures the masks of SAM
             detections = _with_fitting_masks(capture, detections)
         # Existing masks are used unchanged unless the user chose a segmenter.
-        drawn = [
-            k for k, i in enumerate(detections.instances) if options.segmenter or i.mask is None
-        ]
-        if name == "none" or not drawn:
+        drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
+        if (painter is None and name == "none") or not drawn:
             file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
             return _finished(capture, detections, detections.instances, file_stages)
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
-        segmenter = networks.segmenter(name)
-        answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
+        try:
+            if painter is None:
+                segmenter = networks.segmenter(name)
+                answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
+            else:
+                answers = _segmented(*painter, capture, prompts)
+        except PluginError as error:
+            answers = tuple(prompts)
+            refused = (*detections.refused, error)
+            detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
         masked = dict(zip(drawn, answers, strict=True))
         instances = tuple(
             masked.get(k, instance) for k, instance in enumerate(detections.instances)
@@ -198,7 +219,47 @@ def make_finder(
         file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
         return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN))
 
-    return Finder(find, networks)
+    plugins = tuple(plugin for plugin, _ in filter(None, (detector, painter)))
+    return Finder(find, networks, plugins)
+
+
+def _plugged(kind: Kind, name: str | None, part: Any) -> tuple[Plugin, Any] | None:
+    """Return a detector or segmenter of the program or of another package, with its line."""
+    if part is not None:
+        return Plugin.of(kind, part), part
+    if name in plugins(kind):
+        return plugins(kind)[str(name)], plugins(kind)[str(name)].load()
+    return None
+
+
+def _segmented(
+    plugin: Plugin, segmenter: Any, capture: Capture, prompts: Sequence[Instance]
+) -> tuple[Instance, ...]:
+    """Return the instances with the masks of a segmenter of another package.
+
+    Raises
+    ------
+    PluginError
+        If it fails, or its answer is no mask of the picture for each instance.
+    """
+    answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, prompts)))
+    if len(answers) != len(prompts):
+        raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
+    shape = (capture.height, capture.width)
+    masked = []
+    for prompt, answer in zip(prompts, answers, strict=True):
+        mask = getattr(answer, "mask", None)
+        if mask is not None and np.shape(mask) != shape:
+            raise plugin.error(f"returned a mask of shape {np.shape(mask)} in place of {shape}")
+        masked.append(
+            replace(
+                prompt,
+                mask=None if mask is None else np.asarray(mask, bool),
+                mask_source=None if mask is None else MaskSource.SEGMENTER,
+                mask_failure=str(getattr(answer, "mask_failure", "")),
+            )
+        )
+    return tuple(masked)
 
 
 def _without_box_masks(detections: Detections) -> Detections:
@@ -212,7 +273,7 @@ def _without_box_masks(detections: Detections) -> Detections:
     return replace(detections, instances=instances)
 
 
-def _by_segmenter(segmenter: Segmenter, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
+def _by_segmenter(segmenter: Segmenter, instances: Sequence[Instance]) -> tuple[Instance, ...]:
     """Return segmented instances with the source of the mask: SAM or another segmenter."""
     source = MaskSource.SAM if isinstance(segmenter, Sam) else MaskSource.SEGMENTER
     return tuple(
@@ -294,12 +355,18 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
 _ROUNDING_PX = 0.51  # boxes relative to the corner of the picture extend half a pixel beyond it
 
 
-def _finder_of(detector: Detector) -> Find:
+def _finder_of(plugin: Plugin, detector: Detector) -> Find:
+    """Return the finder that a detector is; an installed one is a stage, which can be resumed."""
+    installed = plugins("detectors").get(plugin.name) == plugin
+    stages = (Stage.DETECTED,) if installed else ()
+
     def find(capture: Capture) -> Detections:
         instances: list[Instance] = []
         clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
-        for number, instance in enumerate(detector(capture), 1):
+        for number, instance in enumerate(plugin.call(lambda: tuple(detector(capture))), 1):
+            if not isinstance(instance, Instance):
+                raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")
             try:
                 inside = in_picture(instance, capture.width, capture.height)
             except InstancesError as error:
@@ -308,7 +375,7 @@ def _finder_of(detector: Detector) -> Find:
             if np.abs(inside.box - instance.box).max() > _ROUNDING_PX:
                 clipped.add(len(instances))
             instances.append(inside)
-        return Detections(tuple(instances), frozenset(clipped), tuple(refused))
+        return Detections(tuple(instances), frozenset(clipped), tuple(refused), stages)
 
     return find
 
@@ -318,9 +385,7 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     if choice == "models":
         return _network_finder(options, networks, pose=options.pose)
     if choice not in ("auto", "dataset") and not path.exists():
-        raise InstancesError(
-            "no such file", source=path, remedy="give auto, models, dataset or a file"
-        )
+        raise InstancesError("no such file", source=path, remedy=f"give {_choices()} or a file")
     if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
         return _network_finder(options, networks, path, options.pose)
     pose = None if options.pose is None else networks.pose(options.pose)
@@ -328,6 +393,10 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
         return _auto_finder(options, networks, pose)
     find = _dataset_or_error if choice == "dataset" else _file_finder(path)
     return _with_pose(find, pose, options.confidence)
+
+
+def _choices() -> str:
+    return ", ".join(("auto", "models", "dataset", *plugins("detectors")))
 
 
 def _auto_finder(
@@ -419,7 +488,8 @@ def instance_notes(
     from cucumbervision.instances.instance_files import read_instances
 
     path = Path(instances)
-    if instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
+    named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
+    if named or path.suffix.lower() == ".onnx":
         return []
     missing, unused = read_instances(path).coverage(captures)
     if missing and len(missing) == len(captures):

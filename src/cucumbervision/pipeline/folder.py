@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.files import sync_folder
-from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Failure
 from cucumbervision.urls import is_remote, with_retries
 
@@ -164,6 +163,10 @@ def place_of(address: str, name: str) -> str:
     ).hexdigest()
 
 
+BESIDE_CELLS = frozenset({"pose", "methods"})
+"""Keys of a fruit of `measurements.json` beside the cells of its row."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class JournalRecord:
     """The journal's record of one measured capture.
@@ -202,7 +205,7 @@ class JournalRecord:
     def rows(self) -> list[dict[str, Cell]]:
         """The rows of the table of fruit."""
         return [
-            {fruit_field.name: fruit[fruit_field.name] for fruit_field in FIELDS}
+            {name: cell for name, cell in fruit.items() if name not in BESIDE_CELLS}
             for fruit in self.capture["fruit"]
         ]
 

@@ -26,10 +26,12 @@ from cucumbervision.measurement.result import (
     FruitMeasurement,
 )
 from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.measurement.trait_values import with_traits
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
-from cucumbervision.pipeline.fields import NumberedFruit, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, NumberedFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
+from cucumbervision.pipeline.plugged import PlugIns, RunPlugins
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.threads import OneThread
 
@@ -41,8 +43,8 @@ if TYPE_CHECKING:
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.perception.registry import Registry
-    from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.finders import Detections, Detector, Finder
+    from cucumbervision.pipeline.fields import Cell, Field
+    from cucumbervision.pipeline.finders import Detections, Finder
     from cucumbervision.pipeline.stages import Stage
 
 _WARM_UP_PX = (640, 480)
@@ -169,7 +171,10 @@ class CaptureResult:
     stages : tuple of Stage
         Processing stages of the fruit.
     models : tuple of dict
-        Name, SHA-256 and runtime of each network that was used.
+        Name, SHA-256 and runtime of each network that was used; kind, name, package and version
+        of each plug-in of another package.
+    fields : tuple of Field
+        Columns of the rows.
     left_out : mapping of str to int
         Number of excluded detections by class.
     """
@@ -181,6 +186,7 @@ class CaptureResult:
     stages: tuple[Stage, ...] = ()
     models: tuple[dict[str, Any], ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
+    fields: tuple[Field, ...] = FIELDS
 
     def __repr__(self) -> str:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
@@ -198,7 +204,7 @@ class CaptureResult:
 
     def rows(self) -> list[dict[str, Cell]]:
         """Return the rows of the table of fruit."""
-        return [fruit_row(numbered) for numbered in self.numbered_fruit]
+        return [fruit_row(numbered, self.fields) for numbered in self.numbered_fruit]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +224,8 @@ class Measurer:
         How to measure.
     registry : Registry, optional
         Registry of named networks; by default that of the package.
-    detector : callable, optional
-        Finds the fruit of a `Capture` in place of `options.instances`: any function that returns
-        its instances. Instances without a mask are segmented.
+    plug_ins : PlugIns, optional
+        Detector, segmenter, methods and traits of the calling program.
 
     Examples
     --------
@@ -237,10 +242,10 @@ class Measurer:
         self,
         options: MeasureOptions | None = None,
         registry: Registry | None = None,
-        detector: Detector | None = None,
+        plug_ins: PlugIns | None = None,
     ) -> None:
         self.options = options or MeasureOptions()
-        self._registry, self._detector = registry, detector
+        self._registry, self.plug_ins = registry, plug_ins or PlugIns()
         self._finder: Finder | None = None
 
     def __repr__(self) -> str:
@@ -267,9 +272,14 @@ class Measurer:
         return read_site_calibration(self.options.calibration)
 
     @cached_property
+    def plugged(self) -> RunPlugins:
+        """Methods and traits that take part, and which of the installed ones cannot."""
+        return RunPlugins(self.options, self.plug_ins)
+
+    @cached_property
     def hashes(self) -> StageHashes:
         """Hashes of everything that rows depend on, by stage."""
-        return StageHashes(self.options, self._registry)
+        return StageHashes(self.options, self._registry, self.plugged)
 
     def load(self) -> Finder:
         """Load networks and calibration, if not loaded; SAM is loaded on first use.
@@ -281,7 +291,7 @@ class Measurer:
         """
         if self._finder is None:
             _ = self.site  # report an unreadable calibration before loading networks
-            self._finder = make_finder(self.options, self._registry, self._detector)
+            self._finder = make_finder(self.options, self._registry, self.plug_ins)
         return self._finder
 
     def warm_up(self) -> None:
@@ -357,7 +367,13 @@ class Measurer:
         fruit = self._judged(capture, measured)
         for number in detections.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
-        refused = [Failure.of(error, capture.source, capture.name) for error in detections.refused]
+        for number in detections.unmasked:
+            fruit[number] = fruit[number].flagged(Flag.PLUGIN_FAILED)
+        errors = {str(error): error for measurement in fruit for error in measurement.errors}
+        refused = [
+            Failure.of(error, capture.source, capture.name)
+            for error in (*detections.refused, *errors.values())
+        ]
         models = () if self._finder is None else self._finder.models_of(detections.stages)
         doubts = [Flag(doubt) for doubt in capture.doubts]
         doubted = tuple(measured.flagged(*doubts) for measured in with_unit_doubts(fruit))
@@ -367,8 +383,9 @@ class Measurer:
             failures=tuple(refused),
             error=None,
             stages=detections.stages,
-            models=models,
+            models=(*models, *self.plugged.models),
             left_out=detections.left_out,
+            fields=self.plugged.fields,
         )
 
     def measure_instance(
@@ -388,7 +405,7 @@ class Measurer:
         return measure_fruit(
             capture,
             instance,
-            options.methods,
+            self.plugged.methods,
             options.selector,
             options.length,
             scale_known=self._scale_known,
@@ -400,7 +417,8 @@ class Measurer:
     def _judged(self, capture: Capture, measured: list[FruitMeasurement]) -> list[FruitMeasurement]:
         """Add the look at the ends, the calibration and the size limits to measured fruit.
 
-        The ends of all fruit are evaluated in one batch. Implausible sizes get no length.
+        The ends of all fruit are evaluated in one batch. Implausible sizes get no length. Traits
+        are added last.
         """
         options, scale_known = self.options, self._scale_known
         look = None if self._finder is None else self._finder.networks.look_at_ends
@@ -412,8 +430,13 @@ class Measurer:
             measured = [calibrated_fruit(fruit, self.site, options.length) for fruit in measured]
         doubts = [Flag(doubt) for doubt in capture.doubts]
         sizes = options.accepted_m, options.accepted_diameter_m
-        return [
+        accepted = [
             accepted_fruit(fruit.flagged(*doubts), *sizes, capture.intrinsics) for fruit in measured
+        ]
+        traits = self.plugged.traits
+        return [
+            fruit if fruit.reason is Choice.WAITING else with_traits(capture, fruit, traits)
+            for fruit in accepted
         ]
 
     @property
@@ -429,4 +452,9 @@ class Measurer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only the options, so that another process loads its own networks."""
-        return Measurer, (self.options, self._registry, self._detector)
+        return Measurer, (self.options, self._registry, self.plug_ins)
+
+
+def plugin_failures(measurer: Measurer) -> list[Failure]:
+    """Return the installed plug-ins that a run goes on without, and why."""
+    return [Failure.of(fault, fault.source) for fault in measurer.plugged.faults]

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import json_value
-from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.pose import CUT_BEYOND_M
-from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
+from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.runtime import RUNTIMES
 from cucumbervision.perception.sam import PROMPTS
+from cucumbervision.plugins import plugins
 
 if TYPE_CHECKING:
     from typing import Self
@@ -66,8 +66,8 @@ class MeasureOptions:
         whose detector mask does not fit a tube well (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
-    methods : tuple of MethodName
-        Methods to run; also given as their names, 'all', or 'm1,m5'.
+    methods : tuple of str
+        Names of the methods to run, in any case; also 'all', or 'm1,m5'.
     selector : Selector
         How the result is chosen.
     length : LengthDefinition
@@ -106,7 +106,7 @@ class MeasureOptions:
     end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
-    methods: tuple[MethodName, ...] = AVAILABLE
+    methods: tuple[str, ...] = ("all",)
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.CENTRELINE
     confidence: float = DEFAULT_CONFIDENCE
@@ -134,12 +134,7 @@ class MeasureOptions:
         names = classes.split(",") if isinstance(classes, str) else classes
         class_names = tuple(name.strip().casefold() for name in names if name.strip())
         object.__setattr__(self, "classes", class_names)
-        method_names: Any = self.methods  # users give names, or 'all', or one text such as 'm1,m5'
-        method_names = method_names.split(",") if isinstance(method_names, str) else method_names
-        methods = {str(name).strip().upper() for name in method_names}
-        listed = (_choice("methods", name, MethodName) for name in sorted(methods))
-        chosen = AVAILABLE if methods == {"ALL"} else tuple(listed)
-        object.__setattr__(self, "methods", chosen)
+        object.__setattr__(self, "methods", _method_names(self.methods))
         named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
         if self.camera_up is not None:
             named.append(("camera_up", tuple(GRAVITY_BY_EDGE)))
@@ -181,6 +176,18 @@ def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
         return kind(value)
     except ValueError:
         raise _no_choice(name, value, tuple(map(str, kind))) from None
+
+
+def _method_names(methods: Any) -> tuple[str, ...]:
+    """Return names of the table for what people write: names, 'all', or 'm1,m5' as one text."""
+    listed = methods.split(",") if isinstance(methods, str) else methods
+    names = {str(name).strip().casefold() for name in listed}
+    table = tuple(plugins("methods"))
+    if names == {"all"}:
+        return table
+    for name in sorted(names - {name.casefold() for name in table}):
+        raise _no_choice("methods", name, table)
+    return tuple(name for name in table if name.casefold() in names)
 
 
 def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisionError:

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import CaptureError, MissingExtraError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.finders import instance_notes
 from cucumbervision.pipeline.inputs import Listed, list_captures
-from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.measurer import (
+    Boundary,
+    CaptureResult,
+    Failure,
+    Measurer,
+    plugin_failures,
+)
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.plugged import PlugIns
 from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
@@ -29,7 +38,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.finders import Detector
+    from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +77,8 @@ class Results:
             import pandas as pd
         except ModuleNotFoundError:
             raise MissingExtraError("pandas") from None
-        return pd.DataFrame(self.rows(), columns=[fruit_field.name for fruit_field in FIELDS])
+        fields = self.captures[0].fields if self.captures else FIELDS
+        return pd.DataFrame(self.rows(), columns=[fruit_field.name for fruit_field in fields])
 
     def __iter__(self) -> Iterator[CaptureResult]:
         return iter(self.captures)
@@ -88,6 +98,10 @@ def measure(
     *,
     masks: Iterable[NDArray[Any]] | None = None,
     instances: str | Path | Sequence[Instance] | Detector | None = None,
+    segmenter: str | Segmenter | None = None,
+    methods: str | Iterable[str | Method] = "all",
+    traits: Iterable[Trait] = (),
+    readers: Iterable[Reader] = (),
     depth_unit_m: float | None = None,
     options: MeasureOptions | None = None,
     **choices: Any,
@@ -105,9 +119,17 @@ def measure(
         For a picture, as in `Capture.from_arrays`.
     masks : iterable of ndarray, shape (H, W), optional
         The fruit of one capture, one mask each, as people drew them.
-    instances : str, Path, sequence of Instance or callable, optional
+    instances : str, Path, sequence of Instance or Detector, optional
         Source of the fruit: as in `MeasureOptions.instances`; the instances of one capture; or a
         detector, which is called with each `Capture` and returns its instances.
+    segmenter : str or Segmenter, optional
+        Draws all masks: a name, as `MeasureOptions.segmenter`, or an object with `segment`.
+    methods : str or iterable of str or Method
+        Methods to run, as `MeasureOptions.methods`, and methods of your own.
+    traits : iterable of Trait
+        Traits of your own, each a column.
+    readers : iterable of Reader
+        Readers of your own, which see a folder before those of the package.
     options : MeasureOptions, optional
         How to measure.
     **choices
@@ -141,12 +163,20 @@ def measure(
     """
     if masks is not None:
         instances = [Instance.of_mask(mask) for mask in masks]
+    detector: Detector | None = None
     if isinstance(instances, str | Path):
-        choices, instances = {**choices, "instances": str(instances)}, None
+        choices = {**choices, "instances": str(instances)}
+    elif instances is not None:
+        detector = instances if callable(instances) else _always(instances)
+    if isinstance(segmenter, str):
+        choices, segmenter = {**choices, "segmenter": segmenter}, None
+    method_names, own_methods = _sorted_methods(methods)
+    if method_names != ["all"]:
+        choices = {**choices, "methods": method_names}
     if options is not None and choices:
         raise TypeError("give options or their fields, not both")
-    detector = instances if instances is None or callable(instances) else _always(instances)
-    measurer = Measurer(options or MeasureOptions(**choices), detector=detector)
+    plug_ins = PlugIns(detector, segmenter, own_methods, tuple(traits))
+    measurer = Measurer(options or MeasureOptions(**choices), plug_ins=plug_ins)
     measurer.load()
     if isinstance(captures, np.ndarray):
         if depth is None or intrinsics is None:
@@ -154,6 +184,7 @@ def measure(
                 "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
             )
         captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
+    opener = partial(open_source, readers=tuple(readers))
     inputs = [captures] if isinstance(captures, Capture | Path | str) else captures
 
     def items() -> Iterator[Item]:
@@ -161,7 +192,7 @@ def measure(
             if isinstance(source, Capture):
                 yield Listed.of(source)
             else:
-                yield from list_captures([as_path(source)], measurer.options.reading)
+                yield from list_captures([as_path(source)], measurer.options.reading, opener)
 
     done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
     results = [
@@ -169,13 +200,23 @@ def measure(
         for outcome in done
         if outcome.value is not None and outcome.value.error is None
     ]
-    failures = [failure for outcome in done for failure in outcome.failures]
+    failures = plugin_failures(measurer)
+    failures += [failure for outcome in done for failure in outcome.failures]
     chosen = measurer.options.instances
     names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
     if detector is None:
         with Boundary(failures, chosen):
             instance_notes(chosen, names)
     return Results(tuple(results), tuple(failures))
+
+
+def _sorted_methods(
+    methods: str | Iterable[str | Method],
+) -> tuple[list[str], tuple[Method, ...]]:
+    """Return the names among methods, 'all' if there are none, and the methods themselves."""
+    listed = methods.split(",") if isinstance(methods, str) else list(methods)
+    names = [method for method in listed if isinstance(method, str)]
+    return names or ["all"], tuple(method for method in listed if not isinstance(method, str))
 
 
 def _always(instances: Sequence[Instance]) -> Detector:

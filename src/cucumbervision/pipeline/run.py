@@ -32,6 +32,7 @@ from cucumbervision.pipeline.measurer import (
     Failure,
     Measurer,
     exit_code,
+    plugin_failures,
 )
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import (
@@ -334,6 +335,7 @@ class _Run:
         listed = each_once(
             list_captures(paths, options.reading, self.batch.opener), result.notes.append
         )
+        result.failures += plugin_failures(self.measurer)
         worker = FolderWorker(self.measurer, self.out)
         tasks = map(self._task, listed)
         for task, outcome in measure_all(tasks, worker, self.batch.engine, self.batch.is_cancelled):
@@ -353,6 +355,7 @@ class _Run:
             result.summary,
             result.failures,
             provenance,
+            fields=self.measurer.plugged.fields,
             parquet=self.batch.parquet,
         )
         return result

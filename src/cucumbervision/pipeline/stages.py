@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.registry import file_sha256, load_registry
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.plugged import PlugIns, RunPlugins
+from cucumbervision.plugins import plugins
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -53,6 +54,8 @@ class StageHashes:
         Options of the run.
     registry : Registry, optional
         Registry of named networks; by default that of the package.
+    plugged : RunPlugins, optional
+        Methods and traits of the run; by default those of the options.
 
     Examples
     --------
@@ -65,8 +68,14 @@ class StageHashes:
     False
     """
 
-    def __init__(self, options: MeasureOptions, registry: Registry | None = None) -> None:
+    def __init__(
+        self,
+        options: MeasureOptions,
+        registry: Registry | None = None,
+        plugged: RunPlugins | None = None,
+    ) -> None:
         self._options, self._registry = options, registry or load_registry()
+        self._plugged = plugged or RunPlugins(options, PlugIns())
         self._digests: dict[str, Any] = {}
 
     @cached_property
@@ -75,7 +84,8 @@ class StageHashes:
         choice = self._options.instances
         if choice == "auto":
             return frozenset({Stage.DATASET, Stage.DETECTED})
-        if choice == "models" or Path(choice).suffix.lower() == ".onnx":
+        named = choice == "models" or choice in plugins("detectors")
+        if named or Path(choice).suffix.lower() == ".onnx":
             return frozenset({Stage.DETECTED})
         return frozenset({Stage.DATASET if choice == "dataset" else Stage.LISTED})
 
@@ -99,6 +109,8 @@ class StageHashes:
     def still_hold(self, stages: Iterable[Stage | str], digest: str) -> bool:
         """Return whether a result of these stages would be the same with the present options."""
         names = [Stage(stage) for stage in stages]
+        if not all(plugin.version for plugin in self._plugged.lines):
+            return False  # a part of the calling program may have changed
         return bool(names) and names[0] in self.sources and self.of(names) == digest
 
     @cached_property
@@ -116,8 +128,9 @@ class StageHashes:
                 fruit_field.path,
                 fruit_field.digits,
             ]
-            for fruit_field in FIELDS
+            for fruit_field in self._plugged.fields
         ]
+        table += [list(plugin.as_json().values()) for plugin in self._plugged.lines]
         reading = options.reading
         depth = [reading.depth_unit_m, reading.depth_along, reading.aligned_to]
         return [__version__, how, site, *depth, *crop, table]
@@ -134,6 +147,8 @@ class StageHashes:
         if stage is Stage.DRAWN:
             chosen = options.segmenter
             drawing = self._hashes(chosen) if chosen else self._named("prompted-mask")
+            if chosen in plugins("segmenters"):
+                drawing = plugins("segmenters")[str(chosen)].as_json()
             return [drawing, options.prompt, computing]
         if stage is Stage.KEPT:
             return options.segmenter
@@ -141,6 +156,8 @@ class StageHashes:
 
     def _detectors(self) -> Any:
         options = self._options
+        if options.instances in plugins("detectors"):
+            return plugins("detectors")[options.instances].as_json()
         has_own_file = options.instances not in ("auto", "models")
         named = [self._named("segment"), self._named("crops")]
         detector = _path_sha256(Path(options.instances)) if has_own_file else named

@@ -9,7 +9,8 @@ from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound
-from cucumbervision.measurement.result import Choice, MethodName
+from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.measurement.result import Choice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -103,7 +104,7 @@ class Summary:
             large = Flag.DEPTH_UNIT in flags
             if refused == Choice.IMPLAUSIBLE or (refused == Choice.IMPLAUSIBLE_DIAMETER and large):
                 self.too_large += large
-                read = [row[f"{method.lower()}_cm"] for method in reversed(MethodName)]
+                read = [row[f"{method.lower()}_cm"] for method in reversed(AVAILABLE)]
                 self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
             self.labels[str(row.get("label") or "")] += 1
@@ -184,7 +185,10 @@ class Summary:
         if provenance["calibration"]:
             lines.append(("Calibration", provenance["calibration"]["tag"]))
         return lines + [
-            (f"Model {m['name']}", f"{m['runtime']} {m['sha256']}") for m in self.models
+            (f"Plug-in {m['name']}", f"{m['package']} {m['version']}".strip())
+            if "package" in m
+            else (f"Model {m['name']}", f"{m['runtime']} {m['sha256']}")
+            for m in self.models
         ]
 
     def _statistics(self) -> list[tuple[str, Any]]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.measurement.result import Measurement
-    from cucumbervision.pipeline.fields import Cell, Column
+    from cucumbervision.pipeline.fields import Cell, Column, Field
     from cucumbervision.pipeline.folder import JournalRecord, OutputFolder
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
@@ -168,6 +168,7 @@ def write_workbook(
     rows: Iterable[Mapping[str, Cell]],
     summary: Sequence[tuple[str, Any]],
     most_rows: int = MOST_EXCEL_ROWS,
+    fields: Sequence[Field] = FIELDS,
 ) -> None:
     """Write an Excel file with the fruit, a summary, and the meaning of the columns.
 
@@ -181,6 +182,8 @@ def write_workbook(
         Lines of the summary sheet.
     most_rows : int
         Maximum number of rows, by default that of an Excel sheet.
+    fields : sequence of Field
+        Columns of the rows.
 
     Raises
     ------
@@ -189,8 +192,8 @@ def write_workbook(
     """
     with Workbook(path) as book:
         book.lines(book.sheet("Summary", (34, 60)), summary)
-        book.table("Fruit", FIELDS, islice(rows, most_rows), frozen=3)
-        meaning = ((fruit_field.name, fruit_field.unit, fruit_field.says) for fruit_field in FIELDS)
+        book.table("Fruit", fields, islice(rows, most_rows), frozen=3)
+        meaning = ((fruit_field.name, fruit_field.unit, fruit_field.says) for fruit_field in fields)
         book.lines(book.sheet("Columns", (24, 24, 60)), (_MEANING, *meaning))
 
 
@@ -296,7 +299,8 @@ def provenance_of(
         "started": started.isoformat(timespec="seconds"),
         "config": options.as_json(),
         "config_sha256": options.sha256,
-        "models": list(models),
+        "models": [model for model in models if "package" not in model],
+        "plugins": [model for model in models if "package" in model],
         "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
@@ -315,6 +319,7 @@ def write_reports(
     failures: Sequence[Failure],
     provenance: Mapping[str, Any],
     *,
+    fields: Sequence[Field] = FIELDS,
     parquet: bool = False,
 ) -> list[Failure]:
     """Write the tables of a run; a failed table keeps its previous version.
@@ -331,6 +336,8 @@ def write_reports(
         Captures that could not be read, measured or written.
     provenance : mapping
         As `provenance_of` returns it.
+    fields : sequence of Field
+        The columns of the rows.
     parquet : bool
         Whether to also write `parquet/`.
 
@@ -341,7 +348,7 @@ def write_reports(
     """
     written: list[Failure] = []
     with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
-        write_csv(path, [fruit_field.name for fruit_field in FIELDS], rows_of(records()))
+        write_csv(path, [fruit_field.name for fruit_field in fields], rows_of(records()))
     with (
         Boundary(written, str(out.path)),
         out.replacing("measurements.json") as path,
@@ -350,10 +357,10 @@ def write_reports(
         file.writelines(_json_pieces(provenance, records(), failures))
     with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
         lines = [*excel_limit(summary.fruit), *summary.lines(len(failures), provenance)]
-        write_workbook(path, rows_of(records()), lines)
+        write_workbook(path, rows_of(records()), lines, fields=fields)
     if parquet:
         with Boundary(written, str(out.path)):
-            _write_parts(out, rows_of(records()), provenance)
+            _write_parts(out, rows_of(records()), provenance, fields)
     with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
         write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
     return written
@@ -398,7 +405,10 @@ def _json_items(values: Iterable[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _write_parts(
-    out: OutputFolder, rows: Iterator[dict[str, Cell]], provenance: Mapping[str, Any]
+    out: OutputFolder,
+    rows: Iterator[dict[str, Cell]],
+    provenance: Mapping[str, Any],
+    fields: Sequence[Field],
 ) -> None:
     """Write `parquet/part-00000.parquet` and so on, and remove further parts of an earlier run."""
     names = set[str]()
@@ -406,7 +416,7 @@ def _write_parts(
     while (part := list(islice(rows, _PART_ROWS))) or not names:
         name = f"part-{len(names):05d}.parquet"
         with out.replacing(f"{PARQUET}/{name}") as path:
-            write_parquet(path, FIELDS, part, provenance)
+            write_parquet(path, fields, part, provenance)
         names.add(name)
     for old in (out.path / PARQUET).glob("part-*.parquet"):
         if old.name not in names:

@@ -144,7 +144,7 @@ class StreamedFrame:
         values: dict[str, Any] = {
             "version": 1,
             **_cells((*_OF_CAPTURE, *FRAME_FIELDS), self),
-            "fruit": [_fruit_json(tracked) for tracked in self.fruit],
+            "fruit": [_fruit_json(tracked, self.result.fields) for tracked in self.fruit],
         }
         if self.result.failures:
             values["failures"] = [vars(failure) for failure in self.result.failures]
@@ -178,8 +178,8 @@ def line_model() -> type[BaseModel]:
     )
 
 
-def _fruit_json(tracked: TrackedFruit) -> dict[str, Any]:
-    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT), tracked)
+def _fruit_json(tracked: TrackedFruit, fields: tuple[Field, ...]) -> dict[str, Any]:
+    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT, *fields[len(FIELDS) :]), tracked)
     return cells if tracked.fruit.pose is None else {**cells, "pose": tracked.fruit.pose.as_json()}
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.m1 import window_depths
+from cucumbervision.measurement.methods import method_color
 from cucumbervision_greenhouse.backend.words import length_words
 
 if TYPE_CHECKING:
@@ -45,16 +46,6 @@ OTHER_COLORS = {
 
 PICTURE_FILES = Path(__file__).with_name("static")
 """Folder of the element that shows a picture on the capture page and the dashboard."""
-
-# Okabe and Ito's palette, suitable for colour-blind people.
-_METHOD_COLORS = {
-    "M1": "#56B4E9",
-    "M2": "#CC79A7",
-    "M3": "#E69F00",
-    "M4": "#F0E442",
-    "M5": "#0072B2",
-    "M6": "#FFFFFF",
-}
 _JOINT_COLOR, _JOINT_RGB = "#FF4FD8", (255, 79, 216)
 _SUBPIXEL_BITS = 4  # of OpenCV's lines
 _OUTLINE_STEPS = 8  # of a tube's outline between two points of its path
@@ -169,7 +160,7 @@ def fruit_layers(
         if shapes := _path_shapes(method, camera):
             name = f"{method.method} axis" if method.diameter_m else method.method
             chosen = method.method == record.method
-            layers.append(layer(name, _METHOD_COLORS[method.method], chosen, shapes))
+            layers.append(layer(name, method_color(method.method), chosen, shapes))
     if together is not None:
         edge = tube_outline(together, camera).round(1).reshape(-1).tolist()
         layers.append(layer("All views", _JOINT_COLOR, False, [{"kind": "area", "points": edge}]))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.measurement.result import FruitMeasurement
-    from cucumbervision.perception.networks import Segmenter
+    from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision_greenhouse.backend.jobs import Job
@@ -60,7 +60,7 @@ class SharedMeasurer:
         self._registry = registry
         self._lock = threading.Lock()
         self._loaded: Measurer | None = None
-        self._segmenter: Segmenter | None = None
+        self._segmenter: NetworkSegmenter | None = None
 
     def with_options(self, options: MeasureOptions) -> Measurer:
         """Return a measurer with these options."""
@@ -209,7 +209,7 @@ class SharedMeasurer:
             fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
 
-    def _sam(self) -> Segmenter:
+    def _sam(self) -> NetworkSegmenter:
         with self._lock:
             if self._segmenter is None:
                 from cucumbervision.perception.networks import open_segmenter

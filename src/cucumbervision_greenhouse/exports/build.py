@@ -18,7 +18,7 @@ from cucumbervision.agronomy.grades import grade
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.measurement.flags import flag_remarks
-from cucumbervision.measurement.result import MethodName
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
 from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
@@ -441,7 +441,7 @@ _STORED_FIELDS = {
 }
 _METHODS = tuple(
     replace(column, path=f"methods.{method}")
-    for method in MethodName
+    for method in AVAILABLE
     for column in FIELDS
     if column.name == f"{method.lower()}_cm"
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.measurement.result import Choice, MethodName
+from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.measurement.result import Choice
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision_greenhouse.store.views import Verdict
 
@@ -51,5 +52,5 @@ def _row(record: DetectionRecord, methods: Sequence[MethodRecord]) -> dict[str, 
         "mask_source": record.mask_source,
         "label": record.label,
         "simulated": False,
-        **{f"{method.lower()}_cm": lengths_cm.get(method) for method in MethodName},
+        **{f"{method.lower()}_cm": lengths_cm.get(method) for method in AVAILABLE},
     }

@@ -11,17 +11,14 @@ import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, estimate, score
 from cucumbervision.accuracy.table import Cell, ReportTable
+from cucumbervision.measurement.methods import AVAILABLE, TableMethod
 from cucumbervision.measurement.result import LengthDefinition
 
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
 """Definitions of length, in the order of all reports."""
 
 DESCRIPTIONS = {
-    "M1": "scan line",
-    "M2": "box PCA",
-    "M3": "mask PCA",
-    "M4": "keypoints",
-    "M5": "medial arc spline",
+    **{name: TableMethod.of(name).title for name in AVAILABLE},
     "M6": "swept tube, centreline",
     "M6 thread": "swept tube, thread",
     "M6 chord": "swept tube, chord",
@@ -32,7 +29,7 @@ DESCRIPTIONS = {
 }
 """Descriptions of methods, in the order of all tables; other methods come last."""
 
-PAPER_METHODS = ("M1", "M2", "M3", "M4", "M5")
+PAPER_METHODS = tuple(name for name in AVAILABLE if TableMethod.of(name).is_paper)
 _COUNT_OF_RESAMPLES = 10_000
 _RESAMPLED_VALUES = 5_000_000  # limits the memory of a bootstrap
 

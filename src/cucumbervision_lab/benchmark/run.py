@@ -21,6 +21,7 @@ from cucumbervision.measurement.intervals import (
     IntervalModels,
     raw_features,
 )
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.pipeline.finders import Finder, make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.benchmark.records import LengthRecord
 
 TRUTH_OF = {
-    **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),
+    **dict.fromkeys(AVAILABLE, "centreline_m"),
     "M6 thread": "thread_m",
     "M6 chord": "chord_m",
 }

@@ -38,7 +38,7 @@ from cucumbervision_lab.datasets.yolo import write_yolo
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 
-    from cucumbervision.perception.networks import Segmenter
+    from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
         DetectionRecord,
@@ -137,7 +137,7 @@ class PseudoMasks:
 
 def add_pseudo_masks(
     dataset: DataSet,
-    segmenter: Segmenter,
+    segmenter: NetworkSegmenter,
     progress: Callable[[int], None] | None = None,
 ) -> PseudoMasks:
     """Add masks by SAM to all fruit that have only a box, except in the split 'test'.
@@ -146,8 +146,8 @@ def add_pseudo_masks(
     ----------
     dataset : DataSet
         Labels with masks and ignored labels are not changed.
-    segmenter : Segmenter
-        Segmenter, prompted with box and centre.
+    segmenter : NetworkSegmenter
+        NetworkSegmenter, prompted with box and centre.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -175,7 +175,7 @@ def add_pseudo_masks(
 
 
 def _draw(
-    dataset: DataSet, picture: LabelledPicture, segmenter: Segmenter
+    dataset: DataSet, picture: LabelledPicture, segmenter: NetworkSegmenter
 ) -> tuple[tuple[Label, ...], list[str]]:
     missing = [k for k, x in enumerate(picture.labels) if x.mask_code is None and not x.ignore]
     if not missing:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.networks import Segmenter
+    from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet
 
@@ -48,7 +48,7 @@ class Networks:
     ----------
     segment, pose : YoloDetector, optional
         Segmentation and pose network.
-    segmenter : Segmenter, optional
+    segmenter : NetworkSegmenter, optional
         SAM.
     confidence : float
         Confidence threshold for recall, precision and measurement.
@@ -58,7 +58,7 @@ class Networks:
 
     segment: YoloDetector | None
     pose: YoloDetector | None
-    segmenter: Segmenter | None
+    segmenter: NetworkSegmenter | None
     confidence: float
     models: list[dict[str, Any]] = field(default_factory=list)
 
@@ -200,7 +200,7 @@ def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
 
 
 def _placed(
-    kept: tuple[Instance, ...], segmenter: Segmenter, color: NDArray[np.uint8]
+    kept: tuple[Instance, ...], segmenter: NetworkSegmenter, color: NDArray[np.uint8]
 ) -> tuple[Instance, ...]:
     """Replace keypoints by those on the axes of SAM's masks, as used for measurement."""
     drawn = place_keypoints(segmenter.segment(color, kept))

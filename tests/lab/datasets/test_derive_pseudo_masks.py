@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.pictures import write_png
-from cucumbervision.perception.networks import Segmenter, open_segmenter
+from cucumbervision.perception.networks import NetworkSegmenter, open_segmenter
 from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.derive import add_pseudo_masks
 from cucumbervision_lab.datasets.labels import DataSet, Label
@@ -17,7 +17,7 @@ BOX = np.array([29.5, 39.5, 129.5, 79.5])
 
 
 @pytest.fixture(scope="module")
-def segmenter() -> Segmenter:
+def segmenter() -> NetworkSegmenter:
     return open_segmenter("mobile-sam", full_precision=True)
 
 
@@ -34,7 +34,7 @@ def boxed(make_set: MakeSet) -> DataSet:
     return replace(dataset, pictures=tuple(pictures))
 
 
-def test_boxes_get_masks_in_train_only(make_set: MakeSet, segmenter: Segmenter) -> None:
+def test_boxes_get_masks_in_train_only(make_set: MakeSet, segmenter: NetworkSegmenter) -> None:
     dataset = boxed(make_set)
     seen: list[int] = []
     drawn = add_pseudo_masks(dataset, segmenter, progress=seen.append)
@@ -54,7 +54,9 @@ def test_boxes_get_masks_in_train_only(make_set: MakeSet, segmenter: Segmenter) 
     assert "no picture is in val" in check_dataset(drawn.dataset, duplicates=False)[0].fault
 
 
-def test_a_mask_that_does_not_fit_is_to_be_ignored(make_set: MakeSet, segmenter: Segmenter) -> None:
+def test_a_mask_that_does_not_fit_is_to_be_ignored(
+    make_set: MakeSet, segmenter: NetworkSegmenter
+) -> None:
     dataset = boxed(make_set)
     picture = dataset.pictures[0]
     small = Label(np.array([60.0, 55.0, 66.0, 60.0]))

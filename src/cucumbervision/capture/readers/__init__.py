@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.readers.bop import find_scenes
-from cucumbervision.capture.readers.native import MANIFEST, find_native
-from cucumbervision.capture.readers.pair import find_pairs, is_half_a_pair, open_pair_file
+from cucumbervision.capture.readers.native import MANIFEST
+from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file
 from cucumbervision.capture.readers.recording import open_recording
-from cucumbervision.capture.readers.viewer import find_snapshots
 from cucumbervision.capture.source import (
     CaptureRef,
     CaptureSource,
@@ -22,14 +20,18 @@ from cucumbervision.capture.source import (
     ReadOptions,
     fail,
 )
-from cucumbervision.errors import CaptureError
+from cucumbervision.errors import CaptureError, PluginError
+from cucumbervision.plugins import Plugin, plugins
 from cucumbervision.urls import as_path, is_remote, with_retries
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import CaptureEntry, CaptureLister
+    from cucumbervision.protocols import Reader
 
 __all__ = [
-    "READERS",
     "RECORDING_SUFFIXES",
     "CaptureRef",
     "CaptureSource",
@@ -41,31 +43,28 @@ __all__ = [
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
-READERS = {
-    "native": find_native,
-    "bop": find_scenes,
-    "viewer": find_snapshots,
-    "pair": find_pairs,
-}
-"""Functions that find captures in a folder, by format; each file is used by one reader only."""
-
 _REMEDY = (
     "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
     "named alike but for the words color and depth, .npz files or a .bag or .db3 recording"
 )
 
 
-def open_source(path: Path | str, options: ReadOptions | None = None) -> CaptureSource:
+def open_source(
+    path: Path | str, options: ReadOptions | None = None, readers: Sequence[Reader] = ()
+) -> CaptureSource:
     """Open a source of captures.
 
     Parameters
     ----------
     path : Path or str
-        A path, or a URL that `urls.as_path` knows: a folder in which one of `READERS`
+        A path, or a URL that `urls.as_path` knows: a folder in which a reader
         finds captures, one colour picture with `options.depth`, an `.npz` with colour and depth,
         or, on this machine, a `.bag` or `.db3` recording.
     options : ReadOptions, optional
         Intrinsics, depth picture, depth unit and burst length.
+    readers : sequence of Reader
+        Readers of your own, which see a folder before those of the package. Installed ones of other
+        packages see what the package's own readers leave.
 
     Returns
     -------
@@ -79,21 +78,23 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     """
     path = as_path(path)
     options = options or ReadOptions()
-    source = with_retries(path, lambda: _open_or_error(path, options))
+    source = with_retries(path, lambda: _open_or_error(path, options, readers))
     if isinstance(source, CaptureError):
         raise source
     return source
 
 
-def _open_or_error(path: Path, options: ReadOptions) -> CaptureSource | CaptureError:
+def _open_or_error(
+    path: Path, options: ReadOptions, readers: Sequence[Reader]
+) -> CaptureSource | CaptureError:
     # Errors of readers are returned, not raised, so that they are not retried.
     try:
-        return _open(path, options)
+        return _open(path, options, readers)
     except CaptureError as error:
         return error
 
 
-def _open(path: Path, options: ReadOptions) -> CaptureSource:
+def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> CaptureSource:
     if not path.exists():
         raise CaptureError("does not exist", source=path, remedy="check the path")
     if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
@@ -115,7 +116,7 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
         )
     folder = list_folder(path)
     kinds = folder.kinds()
-    openers = find_captures(folder)
+    openers = find_captures(folder, readers)
     if not openers and not folder.faults:
         raise CaptureError(
             f"holds no captures that can be recognised, but {kinds}", source=path, remedy=_REMEDY
@@ -135,10 +136,37 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
     return replace(CaptureSource.listed(path, "+".join(openers), parts), unused=unused)
 
 
-def find_captures(folder: Folder) -> dict[str, CaptureLister]:
-    """Return the openers of a folder's captures by format; `folder` keeps the unused files."""
-    openers = {kind: find(folder) for kind, find in READERS.items()}
-    return {kind: opener for kind, opener in openers.items() if opener is not None}
+def find_captures(folder: Folder, readers: Sequence[Reader] = ()) -> dict[str, CaptureLister]:
+    """Return the openers of a folder's captures by format; `folder` keeps the unused files.
+
+    Each file is used by one reader only. A reader of another package that fails is among the
+    folder's faults, and the others go on.
+    """
+    lines = [(Plugin.of("readers", reader), reader) for reader in readers]
+    openers: dict[str, CaptureLister] = {}
+    for plugin, reader in (*lines, *((line, None) for line in plugins("readers").values())):
+        try:
+            find = plugin.load() if reader is None else reader
+            opener = plugin.call(find, folder)
+        except PluginError as error:
+            folder.faults.append(CaptureError(str(error), source=folder.path))
+            continue
+        if opener is not None:
+            openers[plugin.name] = partial(_listed_by, plugin, opener)
+    return openers
+
+
+def _listed_by(
+    plugin: Plugin, opener: CaptureLister, options: ReadOptions, camera: CameraFile | None
+) -> list[CaptureEntry]:
+    try:
+        entries = plugin.call(lambda: list(opener(options, camera)))
+    except PluginError as error:
+        raise CaptureError(str(error)) from error
+    return [
+        (name, frame, partial(plugin.call, load), path, files)
+        for name, frame, load, path, files in entries
+    ]
 
 
 def list_folder(path: Path) -> Folder:

@@ -1,0 +1,142 @@
+"""Plug-ins as another package would add them: a detector, a segmenter, a method, a trait, a reader.
+
+A package makes them known by entry points in its `pyproject.toml`:
+
+    [project.entry-points."cucumbervision.detectors"]
+    rt-detr = "plugins:RtDetr"
+    [project.entry-points."cucumbervision.segmenters"]
+    grabcut = "plugins:GrabCut"
+    [project.entry-points."cucumbervision.methods"]
+    M7 = "plugins:BOX_DIAGONAL"
+    [project.entry-points."cucumbervision.traits"]
+    mean_green = "plugins:MEAN_GREEN"
+    [project.entry-points."cucumbervision.readers"]
+    stacked = "plugins:find_stacked"
+
+Then `cucumbervision measure captures --instances rt-detr --segmenter grabcut --out run` uses them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
+from cucumbervision.measurement.methods import Region, TableMethod
+from cucumbervision.measurement.result import FruitMeasurement, Reason
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions
+
+_SIDE_PX = 640
+
+
+class RtDetr:
+    """An RT-DETR as Transformers exports it: `logits` (1, Q, C) and `pred_boxes` (1, Q, 4).
+
+    The boxes are centre and size as shares of the picture. The file is that of the environment
+    variable `RTDETR_ONNX`.
+    """
+
+    def __init__(self, path: str | None = None, class_id: int = 0, confidence: float = 0.5) -> None:
+        path = path or os.environ["RTDETR_ONNX"]
+        self._session = ort.InferenceSession(path, providers=["CPUExecutionProvider"])
+        self._class_id, self._confidence = class_id, confidence
+
+    def __call__(self, capture: Capture, /) -> list[Instance]:
+        """Return the fruit of a capture, by their boxes."""
+        small = cv2.resize(capture.color, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
+        batch = small.transpose(2, 0, 1)[None].astype(np.float32) / 255
+        name = self._session.get_inputs()[0].name
+        logits, boxes = self._session.run(["logits", "pred_boxes"], {name: batch})
+        scores = 1 / (1 + np.exp(-logits[0, :, self._class_id].astype(np.float64)))
+        size = np.array([capture.width, capture.height] * 2)
+        half = boxes[0, :, 2:] / 2
+        edges = np.hstack([boxes[0, :, :2] - half, boxes[0, :, :2] + half]) * size - 0.5
+        return [
+            Instance(edges[k].astype(np.float64), confidence=float(scores[k]))
+            for k in np.flatnonzero(scores >= self._confidence)
+        ]
+
+
+class GrabCut:
+    """OpenCV's GrabCut: the fruit is what differs from the colours outside its box."""
+
+    def segment(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance], /
+    ) -> list[Instance]:
+        """Return the instances with masks."""
+        bgr = np.ascontiguousarray(color_rgb[..., ::-1])
+        return [replace(instance, mask=self._mask(bgr, instance.box)) for instance in instances]
+
+    def _mask(self, bgr: NDArray[np.uint8], box: NDArray[np.float64]) -> NDArray[np.bool_]:
+        x1, y1, x2, y2 = (round(float(edge)) for edge in box)
+        labels = np.zeros(bgr.shape[:2], np.uint8)
+        models = np.zeros((1, 65)), np.zeros((1, 65))
+        rectangle = (x1, y1, max(x2 - x1, 1), max(y2 - y1, 1))
+        cv2.grabCut(bgr, labels, rectangle, *models, 3, cv2.GC_INIT_WITH_RECT)
+        return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+
+
+def _box_diagonal(region: Region) -> Measurement:
+    """Return the diagonal of the box at the fruit's median depth."""
+    points = region.mask_points_m
+    if points is None or not len(points):
+        return Measurement("M7", reason=Reason.TOO_FEW_POINTS)
+    x1, y1, x2, y2 = region.box
+    depth_m = float(np.median(points[:, 2]))
+    camera = region.intrinsics
+    length_m = depth_m * np.hypot((x2 - x1) / camera.fx_px, (y2 - y1) / camera.fy_px)
+    return Measurement("M7", float(length_m), LengthKind.BOX_CHORD)
+
+
+# Without a rank the selector never chooses it: it gets its column, and lengths stay as they are.
+BOX_DIAGONAL = TableMethod(
+    name="M7",
+    title="diagonal of the box",
+    kind=LengthKind.BOX_CHORD,
+    measure=_box_diagonal,
+    needs=("box", "mask"),
+)
+
+
+def _mean_green(capture: Capture, fruit: FruitMeasurement) -> float | None:
+    return None if fruit.mask is None else float(capture.color[fruit.mask][:, 1].mean() / 255)
+
+
+MEAN_GREEN = TableTrait("mean_green", "", "mean of the green channel, 0 to 1", _mean_green)
+
+
+def find_stacked(folder: Folder, /) -> CaptureLister | None:
+    """Find files `NAME.stack.npy`: float32, shape (H, W, 4), red, green, blue 0 to 1, metres."""
+    places = []
+    for place, names in folder.files.items():
+        for name in [name for name in names if name.endswith(".stack.npy")]:
+            names.remove(name)
+            places.append(folder.path / place / name)
+    return partial(_list_stacked, places) if places else None
+
+
+def _list_stacked(places: list[Path], options: ReadOptions, camera: Any) -> Iterator[Any]:
+    for path in places:
+        name = path.name.removesuffix(".stack.npy")
+        intrinsics = camera.intrinsics if camera else None
+        yield name, 0, partial(_load_stacked, path, intrinsics), path, None
+
+
+def _load_stacked(path: Path, intrinsics: Intrinsics | None, name: str) -> Capture:
+    stack = np.load(path)
+    color = np.rint(255 * stack[..., :3]).astype(np.uint8)
+    height, width = color.shape[:2]
+    centre_px = (width - 1) / 2, (height - 1) / 2
+    camera = intrinsics or Intrinsics(width, height, width, width, *centre_px)
+    return Capture(color, stack[..., 3].astype(np.float32), camera, name=name)

@@ -1,0 +1,222 @@
+"""The table of what plugs in: the package's own, and what installed packages add by entry points.
+
+A package adds a detector, segmenter, method, reader or trait by an entry point in the group
+`cucumbervision.detectors`, `.segmenters`, `.methods`, `.readers` or `.traits`. The package's own
+are loaded by the same lines of code. A class is called without arguments; anything else is used as
+it is. Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import (
+    EntryPoint,
+    EntryPoints,
+    PackageNotFoundError,
+    entry_points,
+    packages_distributions,
+    version,
+)
+from pkgutil import resolve_name
+from typing import Any, Literal, TypeAlias, TypeVar
+
+from cucumbervision._version import __version__
+from cucumbervision.errors import CucumberVisionError, PluginError
+
+Kind: TypeAlias = Literal["detectors", "segmenters", "methods", "readers", "traits"]
+T = TypeVar("T")
+
+PACKAGE = "cucumbervision"
+
+_OWN: Mapping[Kind, Mapping[str, str]] = {
+    "methods": {
+        "M1": "cucumbervision.measurement.m1:METHOD",
+        "M2": "cucumbervision.measurement.m2_m3:METHOD_M2",
+        "M3": "cucumbervision.measurement.m2_m3:METHOD_M3",
+        "M4": "cucumbervision.measurement.m4:METHOD",
+        "M5": "cucumbervision.measurement.m5:METHOD",
+        "M6": "cucumbervision.measurement.m6:METHOD",
+    },
+    "readers": {
+        "native": "cucumbervision.capture.readers.native:find_native",
+        "bop": "cucumbervision.capture.readers.bop:find_scenes",
+        "viewer": "cucumbervision.capture.readers.viewer:find_snapshots",
+        "pair": "cucumbervision.capture.readers.pair:find_pairs",
+    },
+    "traits": {
+        "skin_yellow_share": "cucumbervision.measurement.skin:skin_yellow_share",
+    },
+}
+"""The package's own, by name: a new one is a file, and a line here. (Networks: `models.toml`.)"""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One line of the table.
+
+    Parameters
+    ----------
+    kind : str
+        'detectors', 'segmenters', 'methods', 'readers' or 'traits'.
+    name : str
+        Its name in options, columns and files.
+    value : str
+        Where it is: 'module:attribute'.
+    package, version : str
+        The distribution that holds it; the version is empty where none is known.
+    """
+
+    kind: Kind
+    name: str
+    value: str
+    package: str = PACKAGE
+    version: str = __version__
+
+    @classmethod
+    def of(cls, kind: Kind, part: Any, name: str = "") -> Plugin:
+        """Return the line of an object that was handed over in Python."""
+        plain = part if hasattr(part, "__qualname__") else type(part)
+        package = str(plain.__module__).partition(".")[0]
+        value = f"{plain.__module__}:{plain.__qualname__}"
+        name = name or plain.__qualname__
+        if package == PACKAGE:
+            return cls(kind, name, value)
+        # A distribution may have another name than what is imported of it.
+        package = next(iter(packages_distributions().get(package, ())), package)
+        try:
+            return cls(kind, name, value, package, version(package))
+        except PackageNotFoundError:
+            return cls(kind, name, value, package, "")
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is part of this package."""
+        return self.package == PACKAGE
+
+    def as_json(self) -> dict[str, str]:
+        """Return what files say of it."""
+        return {
+            "kind": self.kind.removesuffix("s"),
+            "name": self.name,
+            "package": self.package,
+            "version": self.version,
+            "object": self.value,
+        }
+
+    def load(self) -> Any:
+        """Return what it names, loaded once.
+
+        Raises
+        ------
+        PluginError
+            If it cannot be imported, or created.
+        """
+        return _loaded(self)
+
+    def error(self, fault: str, remedy: str = "") -> PluginError:
+        """Return an error that names the plug-in and its package."""
+        return PluginError(
+            f"the {self.kind.removesuffix('s')} {self.name} {fault}",
+            source=f"{self.package} {self.version}".strip(),
+            remedy=remedy or "mend the package, or uninstall it",
+        )
+
+    def call(self, function: Callable[..., T], *arguments: Any) -> T:
+        """Call a function of the plug-in.
+
+        Raises
+        ------
+        PluginError
+            Instead of an exception of another package's plug-in. What the package itself raises is
+            a defect, or has a name; so has a `CucumberVisionError` of a detector or reader.
+        """
+        if self.is_own:
+            return function(*arguments)
+        try:
+            return function(*arguments)
+        except CucumberVisionError as error:
+            # A detector or reader may say what is wrong with its input.
+            if isinstance(error, PluginError) or self.kind in ("detectors", "readers"):
+                raise
+            raise self.error(f"failed ({error})") from error
+        except Exception as error:
+            raise self.error(f"failed ({type(error).__name__}: {error})") from error
+
+
+@lru_cache
+def _loaded(plugin: Plugin) -> Any:
+    try:
+        part = resolve_name(plugin.value)
+        return part() if isinstance(part, type) else part
+    except (Exception, SystemExit) as error:
+        if plugin.is_own:
+            raise
+        raise plugin.error(f"cannot be loaded ({type(error).__name__}: {error})") from error
+
+
+@lru_cache(maxsize=1)
+def _installed() -> Any:
+    # Python 3.11 has another class for all of them, which selects alike.
+    return entry_points()
+
+
+def installed(group: str) -> EntryPoints:
+    """Return the entry points of a group; the installed packages are looked through once."""
+    points: EntryPoints = _installed().select(group=group)
+    return points
+
+
+@lru_cache
+def plugins(kind: Kind) -> dict[str, Plugin]:
+    """Return the table of one kind by name, the package's own first.
+
+    A name that is taken, by this package or by one before it in the alphabet, is left out, and is
+    among the `faults`.
+
+    Examples
+    --------
+    >>> list(plugins("methods"))[:6]
+    ['M1', 'M2', 'M3', 'M4', 'M5', 'M6']
+    >>> plugins("traits")["skin_yellow_share"].package
+    'cucumbervision'
+    """
+    return _table(kind)[0]
+
+
+def own(kind: Kind) -> dict[str, Plugin]:
+    """Return the package's own of one kind."""
+    return {name: plugin for name, plugin in plugins(kind).items() if plugin.is_own}
+
+
+def faults(kind: Kind) -> tuple[PluginError, ...]:
+    """Return why entry points of one kind were left out."""
+    return _table(kind)[1]
+
+
+@lru_cache
+def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
+    table = {name: Plugin(kind, name, value) for name, value in _OWN.get(kind, {}).items()}
+    taken = {name.casefold() for name in table}
+    left_out = []
+    added = [_plugin(kind, point) for point in installed(f"{PACKAGE}.{kind}")]
+    for plugin in sorted(added, key=lambda plugin: (plugin.name, plugin.package)):
+        if plugin.name.casefold() in taken:
+            left_out.append(plugin.error("has a name that is taken, and is left out"))
+            continue
+        taken.add(plugin.name.casefold())
+        table[plugin.name] = plugin
+    return table, tuple(left_out)
+
+
+def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
+    about = point.dist
+    package, number = ("", "") if about is None else (about.name, about.version)
+    return Plugin(kind, point.name, point.value, package, number)
+
+
+def forget() -> None:
+    """Look for installed packages again: one was installed while the program runs."""
+    for memory in (_installed, plugins, _table, _loaded):
+        memory.cache_clear()

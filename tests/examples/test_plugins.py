@@ -34,6 +34,7 @@ from cucumbervision.pipeline.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugins.py"
+METADATA = "Metadata-Version: 2.1\nName: cucumber-extras\nVersion: {}\n"
 ENTRY_POINTS = """
 [cucumbervision.detectors]
 rt-detr = cucumber_extras:RtDetr
@@ -72,7 +73,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     about = folder / "cucumber_extras-2.1.dist-info"
     about.mkdir(parents=True)
     shutil.copyfile(EXAMPLE, folder / "cucumber_extras.py")
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: cucumber-extras\nVersion: 2.1\n")
+    (about / "METADATA").write_text(METADATA.format("2.1"))
     (about / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(str(folder))
     plugins.forget()
@@ -205,8 +206,12 @@ def test_the_command_uses_what_is_installed_and_says_so(
     report = json.loads((out / "measurements.json").read_text(encoding="utf-8"))
     named = {plugin["name"]: plugin["version"] for plugin in report["plugins"]}
     assert named == {"rt-detr": "2.1", "grabcut": "2.1", "M7": "2.1", "mean_green": "2.1"}
-    again = run()
-    assert "0 measured" in again.stdout + again.stderr or "already" in again.stdout + again.stderr
+    assert "1 of them by an earlier run" in run().stdout
+    # A new version of the package may measure differently.
+    about = package / "cucumber_extras-2.1.dist-info"
+    newer = about.rename(about.with_name("cucumber_extras-2.2.dist-info"))
+    (newer / "METADATA").write_text(METADATA.format("2.2"))
+    assert "by an earlier run" not in run().stdout
 
 
 class Broken:

@@ -25,6 +25,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.plugged import PlugIns
 from cucumbervision.service.server import ServiceSettings
 from cucumbervision.service.work import Work
 

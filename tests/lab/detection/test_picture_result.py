@@ -95,7 +95,8 @@ def test_of_low_confidence_is_ranked_and_not_reported() -> None:
         Instance(box_of_mask(sure), 0.9, detector_mask=sure),
         Instance(box_of_mask(unsure), 0.05, detector_mask=unsure),
     )
-    labels = tuple(TrueFruit(box_of_mask(mask)) for mask in (unsure, sure))
+    heap = TrueFruit(np.array([80.0, 0.0, 119.0, 8.0]), ignore=True)
+    labels = (heap, *(TrueFruit(box_of_mask(mask)) for mask in (unsure, sure)))
     networks = Networks(cast(YoloDetector, found), None, None, 0.3)
     frame = Frame("a.png", "a", 120, 40, labels)
     result = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)
@@ -103,5 +104,5 @@ def test_of_low_confidence_is_ranked_and_not_reported() -> None:
     assert [one.score for one in result.frame.kept] == [0.9]
     assert list(result.seconds) == ["segment"]
     # By the index of the label that it was found for.
-    assert found_by_fruit(result, 0.3) == {1: result.kept[0]}
+    assert found_by_fruit(result, 0.3) == {2: result.kept[0]}
     assert found_by_fruit(result, 0.95) == {}

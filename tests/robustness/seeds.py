@@ -485,7 +485,7 @@ def yolo_set(folder: Path) -> None:
     from cucumbervision_lab.datasets.yolo import write_yolo
 
     spare = folder / "spare"
-    write_yolo(_data_set(spare), folder, "pose", link=False)
+    write_yolo(_data_set(spare), folder, "pose")
     shutil.rmtree(spare)
 
 

@@ -19,6 +19,8 @@ from cucumbervision_lab.synthesis.scene import render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from cucumbervision_lab.synthesis.appearance import Assets, Style
@@ -107,6 +109,7 @@ def draw_frame(
     index: int,
     options: FrameOptions,
     assets: Assets,
+    restyle: Callable[[Style], Style] | None = None,
 ) -> Frame:
     """Render one frame of a set.
 
@@ -118,6 +121,8 @@ def draw_frame(
         Options of the set.
     assets : Assets
         Picture assets; may be empty.
+    restyle : callable, optional
+        Modifies the appearance before rendering, for example to simulate a particular greenhouse.
 
     Returns
     -------
@@ -132,6 +137,8 @@ def draw_frame(
     staged = compose(rng, camera, setting, HARD if options.hard else PLAIN)
     view = render(staged.scene, camera)
     style = _style(painter, staged, assets)
+    if restyle is not None:
+        style = restyle(style)
     if options.samples:
         traced = path_trace(staged.scene, camera, style, assets, painter, options.samples)
         linear, view = traced.linear, view.with_fruit(traced.fruit)

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
-from cucumbervision.measurement import methods
-from cucumbervision.measurement.result import Measurement, MethodName
+from cucumbervision.measurement.methods import Region, TableMethod
+from cucumbervision.measurement.result import LengthKind, Measurement
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.threads import OneThread
 
@@ -38,22 +38,28 @@ def with_three_threads(seen: Callable[[], Seen]) -> Seen:
         return [*seen(), blas_threads()]
 
 
+class Observer:
+    """A method of one's own that looks at the threads."""
+
+    name, title, kind = "observer", "looks at the threads", LengthKind.BOX_CHORD
+
+    def __init__(self) -> None:
+        self.during: Seen = []
+
+    def measure(self, region: Region) -> Measurement:
+        self.during.append(blas_threads())
+        return TableMethod.of("M2").measure(region)
+
+
 def while_a_fruit_is_measured() -> Seen:
-    during = []
-    run = methods._RUN[MethodName.M2]
-
-    def observed(region: methods.Region) -> Measurement:
-        during.append(blas_threads())
-        return run(region)
-
+    observer = Observer()
     lens = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     depth = np.full((480, 640), 0.6, np.float32)
     capture = Capture(np.zeros((480, 640, 3), np.uint8), depth, lens, "a")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(methods._RUN, MethodName.M2, observed)
-        fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
+    box = np.array([219.5, 229.5, 419.5, 249.5])
+    fruit = measure_fruit(capture, Instance(box), ("M2", observer))
     assert fruit.length is not None
-    return during
+    return observer.during
 
 
 def after_the_first_of_two_blocks() -> Seen:

@@ -1,8 +1,8 @@
-"""Draw measured or detected fruit onto a picture."""
+"""Draw measured or detected fruit, lines, outlines, scale bars and letters onto a picture."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from cucumbervision.measurement.m4 import MIN_VISIBILITY
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
@@ -31,6 +31,7 @@ _TINT = 0.30
 _BAR_M = 0.10
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SUBPIXEL_BITS = 4  # of OpenCV's lines
 
 
 def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray[np.uint8]:
@@ -98,13 +99,36 @@ def _tint_mask(
         return
     part, part_mask = picture[window], inside[window]
     part[part_mask] = ((1 - _TINT) * part[part_mask] + _TINT * np.array(color)).astype(np.uint8)
-    outline, _ = cv2.findContours(
-        part_mask.astype(np.uint8),
+    for outline in mask_outlines(inside):
+        draw_polyline(picture, outline, color, max(1, round(1.5 * size)), closed=True)
+
+
+def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
+    """Return the outer outline of each part of a mask: arrays of shape (N, 2), pixels.
+
+    Examples
+    --------
+    >>> mask = np.zeros((6, 6), bool)
+    >>> mask[1:5, 1:4] = True
+    >>> mask_outlines(mask)[0][:4].tolist()
+    [[1, 1], [1, 2], [1, 3], [1, 4]]
+    """
+    window = mask_window(mask)
+    if window is None:
+        return []
+    outlines, _ = cv2.findContours(
+        mask[window].astype(np.uint8),
         cv2.RETR_EXTERNAL,
         cv2.CHAIN_APPROX_NONE,
         offset=(window[1].start, window[0].start),
     )
-    cv2.drawContours(picture, outline, -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
+    return [outline.reshape(-1, 2).astype(np.int32) for outline in outlines]
+
+
+def path_px(path_m: ArrayLike | None, camera: Intrinsics) -> NDArray[np.float64] | None:
+    """Return a measured line in the picture, shape (N, 2); None without one before the camera."""
+    path = np.array([] if path_m is None else path_m, np.float64).reshape(-1, 3)
+    return None if len(path) < 2 or (path[:, 2] <= 0).any() else camera.project(path)
 
 
 def draw_path(
@@ -129,9 +153,22 @@ def draw_path(
     size : float
         Scale of the lines; 1 for a picture 720 pixels high.
     """
-    if chosen.path_m is None or (chosen.path_m[:, 2] <= 0).any():
-        return
-    draw_line(picture, camera.project(chosen.path_m), color, size)
+    points = path_px(chosen.path_m, camera)
+    if points is not None:
+        draw_line(picture, points, color, size)
+
+
+def draw_polyline(
+    picture: NDArray[np.uint8],
+    points_px: NDArray[Any],
+    color: tuple[int, int, int],
+    width_px: int,
+    *,
+    closed: bool = False,
+) -> None:
+    """Draw a smooth line through points of shape (N, 2), in place."""
+    points = np.rint(points_px * 2**_SUBPIXEL_BITS).astype(np.int32)
+    cv2.polylines(picture, [points], closed, color, width_px, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def draw_line(
@@ -141,11 +178,10 @@ def draw_line(
     size: float,
 ) -> None:
     """Draw a line (points of shape (N, 2)) with its tips in a colour, in place."""
-    pixels = np.rint(points_px).astype(np.int32)
-    cv2.polylines(picture, [pixels], False, _BLACK, max(2, round(4 * size)), cv2.LINE_AA)
-    cv2.polylines(picture, [pixels], False, _WHITE, max(1, round(2 * size)), cv2.LINE_AA)
-    for tip in (pixels[0], pixels[-1]):
-        centre_px = (int(tip[0]), int(tip[1]))
+    draw_polyline(picture, points_px, _BLACK, max(2, round(4 * size)))
+    draw_polyline(picture, points_px, _WHITE, max(1, round(2 * size)))
+    for tip in (points_px[0], points_px[-1]):
+        centre_px = (round(float(tip[0])), round(float(tip[1])))
         cv2.circle(picture, centre_px, max(3, round(6 * size)), _BLACK, -1, cv2.LINE_AA)
         cv2.circle(picture, centre_px, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
@@ -260,8 +296,8 @@ def _draw_keypoints(
     size: float,
 ) -> None:
     points = np.rint(keypoints[:, :2]).astype(np.int32)
-    cv2.polylines(picture, [points], False, _BLACK, max(2, round(3 * size)), cv2.LINE_AA)
-    cv2.polylines(picture, [points], False, _WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
+    draw_polyline(picture, points, _BLACK, max(2, round(3 * size)))
+    draw_polyline(picture, points, _WHITE, max(1, round(1.5 * size)))
     is_visible = keypoints[:, 2] >= MIN_VISIBILITY
     last = len(points) - 1
     for k, ((u, v), visible) in enumerate(zip(points.tolist(), is_visible.tolist(), strict=True)):
@@ -273,3 +309,28 @@ def _draw_keypoints(
                 cv2.rectangle(picture, *corners, shade, width, cv2.LINE_AA)
             else:
                 cv2.circle(picture, (u, v), reach, shade, width, cv2.LINE_AA)
+
+
+def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280, quality: int = 85) -> bytes:
+    """Return a picture as a JPEG, scaled down to a width where it is wider.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    widest_px : int
+        The width.
+    quality : int
+        Of the JPEG, up to 100.
+
+    Examples
+    --------
+    >>> as_jpeg(np.zeros((4, 4, 3), np.uint8))[:3].hex()
+    'ffd8ff'
+    """
+    if picture.shape[1] > widest_px:
+        height = round(picture.shape[0] * widest_px / picture.shape[1])
+        small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
+        picture = cast("NDArray[np.uint8]", small)
+    bgr = np.ascontiguousarray(picture[..., ::-1])
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

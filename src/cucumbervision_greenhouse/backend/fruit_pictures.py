@@ -14,6 +14,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.measurement.methods import method_color
+from cucumbervision.pipeline.overlay import as_jpeg, draw_polyline, mask_outlines, path_px
 from cucumbervision_greenhouse.backend.words import length_words
 
 if TYPE_CHECKING:
@@ -47,10 +48,8 @@ OTHER_COLORS = {
 PICTURE_FILES = Path(__file__).with_name("static")
 """Folder of the element that shows a picture on the capture page and the dashboard."""
 _JOINT_COLOR, _JOINT_RGB = "#FF4FD8", (255, 79, 216)
-_SUBPIXEL_BITS = 4  # of OpenCV's lines
 _OUTLINE_STEPS = 8  # of a tube's outline between two points of its path
 _MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
-_QUALITY = 85
 _THUMBNAIL_PX = 96
 _RULER_PX = 7
 _BAR_M = {"cm": 0.10, "in": 0.1016}
@@ -65,29 +64,6 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
     'data:image/jpeg;base64,'
     """
     return f"data:image/jpeg;base64,{base64.b64encode(as_jpeg(picture, widest_px)).decode()}"
-
-
-def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280) -> bytes:
-    """Return a picture as a JPEG, scaled down to a width where it is wider.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        RGB.
-
-    Examples
-    --------
-    >>> as_jpeg(np.zeros((4, 4, 3), np.uint8))[:3].hex()
-    'ffd8ff'
-    """
-    if picture.shape[1] > widest_px:
-        height = round(picture.shape[0] * widest_px / picture.shape[1])
-        small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
-        picture = cast("NDArray[np.uint8]", small)
-    _, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-    )
-    return data.tobytes()
 
 
 def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[np.uint8], str]:
@@ -228,9 +204,8 @@ def drawn_on(color: NDArray[np.uint8], tube: MethodRecord, camera: Intrinsics) -
         return color
     axis = camera.project(np.array(tube.path_m))
     drawn = color.copy()
-    for line, closed in ((edge, True), (axis, False)):
-        points = [np.rint(line * 2**_SUBPIXEL_BITS).astype(np.int32)]
-        cv2.polylines(drawn, points, closed, _JOINT_RGB, 2, cv2.LINE_AA, shift=_SUBPIXEL_BITS)
+    draw_polyline(drawn, edge, _JOINT_RGB, 2, closed=True)
+    draw_polyline(drawn, axis, _JOINT_RGB, 2)
     return drawn
 
 
@@ -279,10 +254,10 @@ def _box_line(record: DetectionRecord) -> dict[str, Any]:
 
 
 def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
-    path = np.array(method.path_m, np.float64).reshape(-1, 3)
-    if len(path) < 2 or (path[:, 2] <= 0).any():
+    points = path_px(method.path_m, camera)
+    if points is None:
         return []
-    pixels = np.round(camera.project(path), 1)
+    pixels = np.round(points, 1)
     line = {"kind": "line", "points": pixels.reshape(-1).tolist()}
     return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
 
@@ -297,14 +272,8 @@ def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
     >>> mask_outline(mask)
     [[1, 1, 1, 4, 3, 4, 3, 1]]
     """
-    contours, _ = cv2.findContours(
-        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-    )
-    return [
-        cv2.approxPolyDP(line, 0.7, closed=True).reshape(-1).tolist()
-        for line in contours
-        if len(line) > 2
-    ]
+    outlines = (cv2.approxPolyDP(line, 0.7, closed=True) for line in mask_outlines(mask))
+    return [line.reshape(-1).tolist() for line in outlines if len(line) > 2]
 
 
 def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dict[str, Any] | None:

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.answers import send_changes
-from cucumbervision_greenhouse.backend.fruit_pictures import as_jpeg, depth_picture, scale_bar
+from cucumbervision_greenhouse.backend.fruit_pictures import depth_picture, scale_bar
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,12 +19,10 @@ from starlette.routing import Route, WebSocketRoute
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import NameRefusedError
+from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
-from cucumbervision_greenhouse.backend.fruit_pictures import (
-    PICTURE_FILES,
-    as_jpeg,
-)
+from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.capture_page import state
 from cucumbervision_greenhouse.capture_page.preview import preview
 from cucumbervision_greenhouse.capture_page.shutter import Press, Shutter

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.pipeline.overlay import COLORS, draw_bar, draw_line, draw_text
+from cucumbervision.pipeline.overlay import (
+    COLORS,
+    as_jpeg,
+    draw_bar,
+    draw_line,
+    draw_polyline,
+    draw_text,
+    mask_outlines,
+    path_px,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,9 +70,7 @@ def _jpeg(
     record: DetectionRecord,
     capture: CaptureRecord,
 ) -> bytes:
-    drawn = draw_fruit(read(image), record, capture)
-    _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return data.tobytes()
+    return as_jpeg(draw_fruit(read(image), record, capture), quality=_QUALITY)
 
 
 def draw_fruit(
@@ -105,24 +112,22 @@ def draw_fruit(
     by = cv2.INTER_AREA if zoom < per_px[0] else cv2.INTER_CUBIC
     picture = cast("NDArray[np.uint8]", cv2.resize(cut, size, interpolation=by))
 
-    def place(points_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    def place(points_px: NDArray[Any]) -> NDArray[np.float64]:
         # Pixel centres are integers, so the window starts half a pixel before the first one.
         return (points_px - (x_min, y_min) + 0.5) * zoom - 0.5
 
     if record.mask is not None:
-        mask = decode_rle(record.mask, height, width).astype(np.uint8)
-        for line in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
-            outline = np.rint(place(line.reshape(-1, 2).astype(np.float64))).astype(np.int32)
-            cv2.polylines(picture, [outline], True, COLORS[0], 2, cv2.LINE_AA)
+        for outline in mask_outlines(decode_rle(record.mask, height, width)):
+            draw_polyline(picture, place(outline), COLORS[0], 2, closed=True)
     if capture.camera:
         camera = CameraModel.model_validate(capture.camera).intrinsics
         chosen = next(
             (measurement for measurement in record.methods if measurement.method == record.method),
             None,
         )
-        path = np.array(chosen.path_m if chosen else (), np.float64).reshape(-1, 3)
-        if len(path) > 1 and (path[:, 2] > 0).all():
-            draw_line(picture, place(camera.project(path)), COLORS[0], 0.75)
+        path = None if chosen is None else path_px(chosen.path_m, camera)
+        if path is not None:
+            draw_line(picture, place(path), COLORS[0], 0.75)
         if record.distance_m:
             _draw_scale(picture, zoom * camera.fx_px / record.distance_m)
     if record.length_m is not None:

@@ -50,7 +50,7 @@ def test_each_option_reaches_what_it_names(tmp_path: Path) -> None:
         *("a", "--methods", "m3,m1", "--selector", "paper", "--length", "thread"),
         *("--depth-unit", "0.0001", "--depth-along", "ray", "--aligned-to", "color"),
         *("--instances", "dataset", "--classes", "unripe,ripe", "--segmenter", "none"),
-        *("--confidence", "0.4", "--input-size", "640,896", "--fast", "--camera-up", "left"),
+        *("--confidence", "0.4", "--input-size", "640,896", "--camera-up", "left"),
         *("--intrinsics", str(tmp_path / "camera.json"), "--runtime", "onnxruntime"),
     )
     reading = options.reading
@@ -61,8 +61,19 @@ def test_each_option_reaches_what_it_names(tmp_path: Path) -> None:
     assert (options.instances, options.segmenter) == ("dataset", "none")
     assert set(options.classes) == {"unripe", "ripe"}
     assert (options.confidence, tuple(options.input_sizes)) == (0.4, (640, 896))
-    assert (options.full_precision, options.camera_up) == (False, "left")
+    assert (options.full_precision, options.camera_up) == (True, "left")
     assert options.runtime == "onnxruntime"
+
+
+@pytest.mark.parametrize(
+    ("words", "runtime", "full_precision"),
+    [("auto", "auto", True), ("fast", "auto", False), ("cuda-fast", "cuda", False)],
+)
+def test_a_fast_runtime_computes_in_half_precision(
+    words: str, runtime: str, full_precision: bool
+) -> None:
+    options = Asked()("a", "--runtime", words)
+    assert (options.runtime, options.full_precision) == (runtime, full_precision)
 
 
 def test_a_profile_sets_the_lengths_that_can_be() -> None:
@@ -78,10 +89,10 @@ def test_an_option_of_the_command_itself_is_shared_with_the_measuring() -> None:
 
 
 def test_options_that_a_command_leaves_out_are_none_of_its_own() -> None:
-    asked = Asked("depth", "fast")
-    refused = CliRunner().invoke(asked.app, ["a", "--fast"])
+    asked = Asked("depth", "runtime")
+    refused = CliRunner().invoke(asked.app, ["a", "--runtime", "fast"])
     assert refused.exit_code == 2
-    assert "No such option: --fast" in refused.output
+    assert "No such option: --runtime" in refused.output
     assert asked("a").full_precision
 
 

@@ -33,7 +33,7 @@ def test_detect_shows_a_summary_and_writes_its_files(
         "failures.csv",
         "overlays",
     }
-    quiet = run("detect", photos / "a.png", *common, "--quiet", "--fast")
+    quiet = run("detect", photos / "a.png", *common, "--quiet", "--runtime", "fast")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 

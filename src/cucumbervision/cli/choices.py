@@ -29,6 +29,7 @@ EXIT_CODES = (
 
 CameraUp: TypeAlias = Literal["top", "left", "right", "bottom"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
+_FAST = {"fast": "auto", "cuda-fast": "cuda"}
 
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="Minimum confidence of a detection.")
@@ -42,6 +43,13 @@ InputSize = Annotated[
     ),
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
+RuntimeOrFast = Annotated[
+    Literal["auto", "fast", "onnxruntime", "openvino", "cuda", "cuda-fast", "tensorrt"],
+    typer.Option(
+        help="Runtime of the networks. fast: auto in half precision, if the processor supports it; "
+        "outlines and lengths may then differ slightly between machines."
+    ),
+]
 Instances = Annotated[
     str,
     typer.Option(
@@ -55,14 +63,6 @@ SegmenterName = Annotated[
         help="Network that draws the masks (`models list` names them), or none; also redraws a "
         "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
         show_default=False,
-    ),
-]
-Fast = Annotated[
-    bool,
-    typer.Option(
-        "--fast",
-        help="Use half precision if the processor supports it: faster, but outlines and lengths "
-        "may differ slightly between machines.",
     ),
 ]
 Burst = Annotated[
@@ -133,6 +133,10 @@ Classes = Annotated[
 ]
 
 
+OF_CAMERA_FILE = frozenset({"depth_unit", "depth_along", "aligned_to"})
+"""Options of `measure_options` that the intrinsics file can hold instead."""
+
+
 def measure_options(
     instances: Instances = "auto",
     classes: Classes = "",
@@ -151,8 +155,7 @@ def measure_options(
     calibration: Calibration = None,
     profile: CropProfileName = "long-cucumber",
     input_size: InputSize = "",
-    runtime: Runtime = "auto",
-    fast: Fast = False,
+    runtime: RuntimeOrFast = "auto",
     camera_up: UpperEdge = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
@@ -171,8 +174,8 @@ def measure_options(
         length=length,
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
-        runtime=runtime,
-        full_precision=not fast,
+        runtime=_FAST.get(runtime, runtime),
+        full_precision=runtime not in _FAST,
         reading=ReadOptions(
             intrinsics=intrinsics,
             depth=depth,

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
-from cucumbervision.cli.choices import Burst, Fps, Quiet, Retries, Serial, measure_options, takes
+from cucumbervision.cli.choices import (
+    OF_CAMERA_FILE,
+    Burst,
+    Fps,
+    Quiet,
+    Retries,
+    Serial,
+    measure_options,
+    takes,
+)
 from cucumbervision.errors import CameraError
 
 if TYPE_CHECKING:
@@ -151,7 +160,7 @@ Frames = Annotated[
 ]
 
 
-@takes("options", measure_options, {"fast", "depth", "burst"})
+@takes("options", measure_options, {"depth", "burst"} | OF_CAMERA_FILE)
 def stream(
     source: Source,
     fast: FastWay = False,

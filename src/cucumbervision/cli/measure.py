@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import Quiet, loop_options, measure_options, takes
+from cucumbervision.cli.choices import OF_CAMERA_FILE, Quiet, loop_options, measure_options, takes
 from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
@@ -90,7 +90,8 @@ def demo(
 
 _MEASURING = {
     *("methods", "selector", "length", "calibration", "profile"),
-    *("intrinsics", "depth", "depth_unit", "depth_along", "aligned_to", "burst"),
+    *("intrinsics", "depth", "burst"),
+    *OF_CAMERA_FILE,
 }
 
 

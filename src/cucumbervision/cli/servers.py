@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import ListenOn, Port, measure_options, takes
+from cucumbervision.cli.choices import OF_CAMERA_FILE, ListenOn, Port, measure_options, takes
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
 
 
-@takes("options", measure_options, {"depth"})
+@takes("options", measure_options, {"depth"} | OF_CAMERA_FILE)
 def serve(
     address: ListenOn = "127.0.0.1",
     port: Port = 8600,

@@ -112,7 +112,7 @@ class CropClassifier(PictureClassifier):
     Parameters
     ----------
     path : Path
-        An ONNX file as `cucumbervision train crops` writes it.
+        An ONNX file as `cucumbervision train classifier crops` writes it.
     runtime : str
         As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
 
@@ -128,7 +128,7 @@ class CropClassifier(PictureClassifier):
             runtime,
             size_px=(CROP_PX, CROP_PX),
             takes=f"crops of {CROP_PX} px",
-            command="train crops",
+            command="train classifier crops",
         )
 
     def rescore(

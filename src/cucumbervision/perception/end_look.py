@@ -34,7 +34,7 @@ class EndLooker(SmallNetwork):
     Parameters
     ----------
     path : Path
-        An ONNX file as `cucumbervision train look` writes it.
+        An ONNX file as `cucumbervision train classifier look` writes it.
     runtime : str
         As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
 
@@ -46,7 +46,9 @@ class EndLooker(SmallNetwork):
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
         shapes = [(PLANES, END_PX, END_PX), (2,)]
-        super().__init__(path, runtime, shapes=shapes, takes="crops of ends", command="train look")
+        super().__init__(
+            path, runtime, shapes=shapes, takes="crops of ends", command="train classifier look"
+        )
 
     def look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
         """Return the evaluation of ends, computed in one batch.

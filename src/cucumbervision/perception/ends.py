@@ -86,7 +86,7 @@ class EndClassifier(PictureClassifier):
     Parameters
     ----------
     path : Path
-        An ONNX file as `cucumbervision train ends` writes it.
+        An ONNX file as `cucumbervision train classifier ends` writes it.
     runtime : str
         As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
 
@@ -98,7 +98,11 @@ class EndClassifier(PictureClassifier):
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
         super().__init__(
-            path, runtime, size_px=STRIP_PX, takes="fruit laid level", command="train ends"
+            path,
+            runtime,
+            size_px=STRIP_PX,
+            takes="fruit laid level",
+            command="train classifier ends",
         )
 
     def order_ends(

@@ -13,6 +13,7 @@ import typer
 
 from cucumbervision.cli.choices import (
     EXIT_CODES,
+    OF_CAMERA_FILE,
     Profile,
     RoundName,
     StoreName,
@@ -86,7 +87,7 @@ def new(
 
 
 @app.command(epilog=EXIT_CODES)
-@takes("options", measure_options, {"profile"})
+@takes("options", measure_options, {"profile", "depth"} | OF_CAMERA_FILE)
 @takes("loop", loop_options)
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Inputs as for `measure`.")],
@@ -197,7 +198,7 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 @takes(
     "options",
     measure_options,
-    {"profile", "depth", "intrinsics", "depth_unit", "depth_along", "aligned_to", "burst"},
+    {"profile", "depth", "intrinsics", "burst"} | OF_CAMERA_FILE,
 )
 @takes("loop", loop_options)
 def remeasure(

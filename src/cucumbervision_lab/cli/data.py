@@ -109,7 +109,6 @@ def convert(
 def split(
     folder: Folder,
     out: OutOrSame = None,
-    names: Names = "",
     shares: Annotated[str, typer.Option(help="Shares of train, val and test.")] = "70:15:15",
     seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
     scene_pattern: Annotated[
@@ -134,7 +133,7 @@ def split(
     )
 
     parts = parse_shares(shares)
-    dataset = _open(folder, names)
+    dataset = _open(folder)
     if scene_pattern:
         dataset = scenes_by_name(dataset, scene_pattern)
     with ticking("looking", sum(not p.scene for p in dataset.pictures)) as tick:
@@ -154,7 +153,6 @@ def split(
 def pseudo(
     folder: Folder,
     out: OutOrSame = None,
-    names: Names = "",
 ) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
     from cucumbervision.perception.networks import open_segmenter
@@ -162,7 +160,7 @@ def pseudo(
     from cucumbervision_lab.datasets.coco import write_coco
     from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
-    dataset = _open(folder, names)
+    dataset = _open(folder)
     segmenter = open_segmenter()
     with ticking("drawing", len(dataset.pictures)) as tick:
         drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
@@ -182,13 +180,12 @@ def windows(
     side: Annotated[
         int, typer.Option(min=32, help="Side of a window, pixels; larger if a fruit is larger.")
     ] = 480,
-    names: Names = "",
 ) -> None:
     """Crop windows around fruit, as smaller training pictures with the same fruit size."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.windows import write_windows
 
-    dataset = _open(folder, names)
+    dataset = _open(folder)
     with ticking("cutting", len(dataset.pictures)) as tick:
         cut = write_windows(dataset, out, side, progress=tick)
     fruit = sum(not label.ignore for picture in cut.pictures for label in picture.labels)

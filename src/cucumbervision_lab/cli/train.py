@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,18 +42,17 @@ Batch = Annotated[
 ]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or a CUDA device number.")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
-Threads = Annotated[int, typer.Option("--threads", min=0, help="Number of threads; 0: all cores.")]
-Minutes = Annotated[
-    float | None,
-    typer.Option("--minutes", min=0, help="Time limit; stops after the current epoch."),
-]
 Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Initial learning rate.")]
-First = Annotated[str, typer.Option("--init", help="Initial weights of YOLO26n-seg (.pt).")]
 Folder = Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")]
-Epochs = Annotated[int, typer.Option(min=1, help="Number of epochs.")]
 Credit = Annotated[
     list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
 ]
+
+
+def _threads() -> int:
+    """Return OMP_NUM_THREADS, or the number of cores; Ultralytics would set it to 1."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return int(asked) if asked.isdigit() and int(asked) else os.cpu_count() or 1
 
 
 @app.command()
@@ -69,8 +69,6 @@ def network(
     batch: Batch = 0,
     device: Device = "auto",
     seed: Seed = 0,
-    threads: Threads = 0,
-    minutes: Minutes = None,
     learning_rate: Rate = 0.001,
 ) -> None:
     """Train a detector: boxes with masks, or with keypoints."""
@@ -82,8 +80,7 @@ def network(
         batch=batch,
         device=device,
         seed=seed,
-        threads=threads,
-        minutes=minutes,
+        threads=_threads(),
         learning_rate=learning_rate,
     )
     if task not in ("seg", "pose"):
@@ -119,8 +116,6 @@ def recipe(
     only: Annotated[str, typer.Option("--only", help="seg or pose; default: both.")] = "",
     batch: Batch = 0,
     device: Device = "auto",
-    threads: Threads = 0,
-    minutes: Minutes = None,
 ) -> None:
     """Train the networks from a recipe of picture sources and schedules.
 
@@ -135,8 +130,7 @@ def recipe(
     options = TrainOptions(
         batch=batch,
         device=device,
-        threads=threads,
-        minutes=minutes,
+        threads=_threads(),
     )
     with TrainConsole() as console:
         networks = run_recipe(
@@ -175,8 +169,6 @@ def house(
     ] = 0.5,
     batch: Batch = 0,
     device: Device = "auto",
-    threads: Threads = 0,
-    minutes: Minutes = None,
 ) -> None:
     """Fine-tune the detector on pictures of your greenhouse, and compare it with the one in use.
 
@@ -196,67 +188,112 @@ def house(
             options=TrainOptions(
                 batch=batch,
                 device=device,
-                threads=threads,
-                minutes=minutes,
+                threads=_threads(),
             ),
             callbacks=console,
             workers=os.cpu_count() or 1,
             log=console.log,
         )
-    if judged is None:
-        show(f"Time limit reached. Rerun the command to resume {out}")
-        return
     show(judged.with_suffix(".md").read_text(encoding="utf-8"))
     show(f"To use it: cucumbervision models use {out}")
 
 
-@app.command("ends", help="Train the network that identifies the stem end, and write its card.")
-@app.command(
-    "crops", help="Train the network that looks at each detection alone, and write its card."
-)
+class SmallNetwork(StrEnum):
+    """The small networks that `train classifier` trains."""
+
+    ENDS = "ends"
+    CROPS = "crops"
+    LOOK = "look"
+
+
+@app.command()
 def classifier(
-    context: typer.Context,
+    kind: Annotated[
+        SmallNetwork,
+        typer.Argument(
+            help="ends: finds the stem end. crops: looks at each detection alone. look: looks at "
+            "each end of a fruit, and fits its intervals."
+        ),
+    ],
     sets: Annotated[
         list[Path],
         typer.Argument(
-            help="Data sets: with keypoints for ends, completely labelled for crops.",
+            help="Data sets: with keypoints for ends, completely labelled for crops, drawn with "
+            "depth (`synth`) for look.",
             metavar="SET...",
         ),
     ],
     out: Folder,
-    init: First,
+    init: Annotated[
+        str,
+        typer.Option(
+            "--init", help="Weights of YOLO26n-seg (.pt), or for look an earlier training's (.pt)."
+        ),
+    ],
     name: Annotated[
         str | None,
-        typer.Option("--name", help="The network's name.", show_default="cucumber-ends or -crops"),
+        typer.Option("--name", help="The network's name.", show_default="cucumber-KIND"),
     ] = None,
-    epochs: Epochs = 20,
+    epochs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of epochs.", show_default="20, and 8 for look"),
+    ] = None,
     seed: Seed = 0,
-    threads: Threads = 0,
+    leaves: Annotated[
+        Path | None,
+        typer.Option(
+            "--leaves",
+            help="For look: leaves cut out of photos (PNG with transparency), laid over, beside "
+            "and behind ends to train on.",
+            metavar="DIR",
+        ),
+    ] = None,
     credit: Credit = None,
 ) -> None:
-    """Train the small network given by the command name."""
+    """Train a small network, and write it with its card.
+
+    The same command goes on with an interrupted training. For look, each set's fruit are measured
+    first, those of held-out scenes on the networks' masks; what was measured stays in the folder.
+    From the held-out fruit it learns the intervals by what the network says of their ends.
+    """
+    name = name or f"cucumber-{kind}"
+    out.mkdir(parents=True, exist_ok=True)
+    epochs = epochs or (8 if kind is SmallNetwork.LOOK else 20)
+    if leaves is not None and kind is not SmallNetwork.LOOK:
+        raise typer.BadParameter("is for look only", param_hint="--leaves")
+    further: dict[str, int] = {}
+    trained: Trained
+    if kind is SmallNetwork.LOOK:
+        trained, further = _train_look(sets, out, name, init, epochs, seed, leaves)
+    else:
+        trained = _train_crops_or_ends(kind, sets, out / f"{name}.onnx", init, epochs, seed)
+    _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
+
+
+def _train_crops_or_ends(
+    kind: SmallNetwork, sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int
+) -> Trained:
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
     from cucumbervision_lab.training.classifier import ClassifierOptions
     from cucumbervision_lab.training.crops import collect_crops, train_crops
     from cucumbervision_lab.training.ends import Strips, collect_strips, train_ends
 
-    task = str(context.info_name)
-    name = name or f"cucumber-{task}"
-    file = out / f"{name}.onnx"
     opened = [open_dataset(folder) for folder in sets]
     with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        parts = (
-            collect_strips(opened, seed, tick) if task == "ends" else collect_crops(opened, tick)
-        )
+        is_ends = kind is SmallNetwork.ENDS
+        parts = collect_strips(opened, seed, tick) if is_ends else collect_crops(opened, tick)
     with ticking("training", epochs) as tick:
-        options = ClassifierOptions(epochs, seed, threads, progress=lambda *_: tick(1))
-        trained: Trained = (
-            train_ends(parts, init, file, options)
-            if isinstance(parts, Strips)
-            else train_crops(parts, init, file, options)
+        options = ClassifierOptions(
+            epochs,
+            seed,
+            _threads(),
+            keep=file.with_name(f"{file.stem}-training.pt"),
+            progress=lambda *_: tick(1),
         )
-    _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or ())
+        if isinstance(parts, Strips):
+            return train_ends(parts, init, file, options)
+        return train_crops(parts, init, file, options)
 
 
 def _collect_ends(
@@ -301,37 +338,16 @@ def _finish(
     Console(highlight=False).print(table)
 
 
-@app.command()
-def look(
-    sets: Annotated[
-        list[Path], typer.Argument(help="Drawn sets with depth (`synth`).", metavar="SET...")
-    ],
-    out: Folder,
-    init: Annotated[
-        str,
-        typer.Option("--init", help="Weights of YOLO26n-seg (.pt), or an earlier look's (.pt)."),
-    ],
-    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-look",
-    epochs: Epochs = 8,
-    seed: Seed = 0,
-    threads: Threads = 0,
-    leaves: Annotated[
-        Path | None,
-        typer.Option(
-            "--leaves",
-            help="Leaves cut out of photos (PNG with transparency), laid over, beside and behind "
-            "ends to train on.",
-            metavar="DIR",
-        ),
-    ] = None,
-    credit: Credit = None,
-) -> None:
-    """Train the network that looks at each end of a fruit, and write it with its card.
-
-    Each set's fruit are measured first, those of held-out scenes on the networks' masks; what was
-    measured and the training so far stay in the folder, and the same command goes on from there.
-    From the held-out fruit it learns the intervals by what the network says of their ends.
-    """
+def _train_look(
+    sets: Sequence[Path],
+    out: Path,
+    name: str,
+    init: str,
+    epochs: int,
+    seed: int,
+    leaves: Path | None,
+) -> tuple[Trained, dict[str, int]]:
+    """Train the look at ends and fit its intervals; also return how many fruit are behind them."""
     from cucumbervision.measurement.intervals import shipped_interval_models
     from cucumbervision.perception.end_look import EndLooker
     from cucumbervision_lab.benchmark.interval_fit import write_interval_models
@@ -346,13 +362,12 @@ def look(
         with_look_intervals,
     )
 
-    out.mkdir(parents=True, exist_ok=True)
     parts = _collect_ends(sets, out, seed, leaves)
     with ticking("training", epochs) as tick:
         options = ClassifierOptions(
             epochs,
             seed,
-            threads,
+            _threads(),
             batch=96,
             keep=out / f"{name}-training.pt",
             progress=lambda *_: tick(1),
@@ -365,8 +380,7 @@ def look(
         models = fit_look_intervals(chosen, looks)
         book = with_look_intervals(shipped_interval_models(), models)
         write_interval_models(out / "interval_models.json", book)
-    further = {"fruit behind the intervals": len(chosen)}
-    _finish(result, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
+    return result, {"fruit behind the intervals": len(chosen)}
 
 
 @app.command()

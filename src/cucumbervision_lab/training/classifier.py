@@ -322,7 +322,7 @@ def write_classifier_card(
         size_bytes=network.stat().st_size,
         checkpoint_sha256=sha256,
         began_with=began,
-        command=f"cucumbervision train {trained.task} SETS {options}",
+        command=f"cucumbervision train classifier {trained.task} SETS {options}",
         metrics=dict(trained.metrics),
         credits=(*MAKERS, *credits),
         limits=tuple(trained.limits),

@@ -298,7 +298,7 @@ def _card_entries(run: Path) -> dict[str, Any]:
     return {
         "began_with": init,
         "plan": f"{state.pictures} of {state.plan.text} pictures in {state.seconds / 3600:.1f} h",
-        "command": f"cucumbervision train {state.task} DATA --out RUN --init {init} "
+        "command": f"cucumbervision train network {state.task} DATA --out RUN --init {init} "
         f"--plan {state.plan.text} --seed {state.seed}",
         "metrics": last_metrics(run / "metrics.csv"),
         "data": data.read_text(encoding="utf-8") if data.is_file() else "",

@@ -130,7 +130,7 @@ def train_house(
     callbacks: TrainCallbacks | None = None,
     workers: int = 1,
     log: Callable[[str], None] = print,
-) -> Path | None:
+) -> Path:
     """Fine-tune the detector on a greenhouse, and compare it with the one in use.
 
     Parameters
@@ -147,7 +147,7 @@ def train_house(
     plan : HousePlan, optional
         Fine-tuning options.
     options : TrainOptions, optional
-        Machine options: device, batch, threads, minutes.
+        Machine options: device, batch, threads.
     callbacks : TrainCallbacks, optional
         Called after every batch and epoch.
     workers : int
@@ -157,8 +157,8 @@ def train_house(
 
     Returns
     -------
-    Path or None
-        `judgement.json`, or None if the time limit was reached before the end of the plan.
+    Path
+        `judgement.json`.
 
     Raises
     ------
@@ -200,8 +200,6 @@ def train_house(
         ),
         callbacks=callbacks,
     )
-    if not RunState.load(run).is_done:
-        return None
     count = len(held_out.pictures)
     log(f"comparing both detectors on {count} held-out pictures and on the other tests")
     return _compare(house, out, run, photos, plan, workers)

@@ -73,7 +73,7 @@ def run_recipe(
     tasks : tuple of str
         Tasks to train in this order, 'seg' and 'pose'.
     options : TrainOptions, optional
-        Machine options: device, batch, threads, minutes. The recipe sets the others.
+        Machine options: device, batch, threads. The recipe sets the others.
     callbacks : TrainCallbacks, optional
         Called after every batch and epoch.
     workers : int

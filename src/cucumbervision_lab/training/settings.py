@@ -63,8 +63,6 @@ class TrainOptions:
         Random seed.
     threads : int
         Number of torch threads; 0 uses all cores.
-    minutes : float, optional
-        Time limit; training stops after the epoch that exceeds it and can be resumed.
     validate_every : int
         Epochs between two validations.
     learning_rate : float
@@ -82,7 +80,6 @@ class TrainOptions:
     freeze: int = 0
     seed: int = 0
     threads: int = 0
-    minutes: float | None = None
     validate_every: int = 4
     learning_rate: float = 0.001
     one_to_many: float = 0.8

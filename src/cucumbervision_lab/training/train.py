@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -145,9 +144,8 @@ def train(
     fixed = {name: value for name, value in state.learning.items() if name in FIXED_OPTIONS}
     options = replace(options, **fixed)
     state.save(out)
-    end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
-    while not state.is_done and (end is None or time.monotonic() < end):
-        state = _run_part(state, out, options, callbacks, end)
+    while not state.is_done:
+        state = _run_part(state, out, options, callbacks)
     return out / NETWORK
 
 
@@ -195,7 +193,7 @@ def _resume_state(task: str, out: Path, plan: str | None) -> RunState:
         raise TrainingError(
             f"is a training run for {state.task}, not {task}",
             source=out,
-            remedy=f"use train {state.task}",
+            remedy=f"use train network {state.task}",
         )
     last = _last(out)
     if last.is_file():
@@ -211,13 +209,13 @@ def _last(out: Path) -> Path:
 
 
 def _run_part(
-    state: RunState, out: Path, options: TrainOptions, callbacks: TrainCallbacks, end: float | None
+    state: RunState, out: Path, options: TrainOptions, callbacks: TrainCallbacks
 ) -> RunState:
-    """Train until the end of the current part of the plan, or until the time limit."""
+    """Train until the end of the current part of the plan."""
     last = _last(out)
     device = choose_device(options.device)
     model = str(last) if last.is_file() else state.init
-    recorder = _RunRecorder(state, out, callbacks, end)
+    recorder = _RunRecorder(state, out, callbacks)
     trainer = make_trainer(
         TASKS[state.task],
         trainer_settings(state, model, out, options, device),
@@ -245,17 +243,15 @@ def _run_part(
 class _RunRecorder:
     """Trainer callbacks that save the run's state, metrics and weights, and report progress."""
 
-    def __init__(
-        self, state: RunState, out: Path, callbacks: TrainCallbacks, end: float | None
-    ) -> None:
+    def __init__(self, state: RunState, out: Path, callbacks: TrainCallbacks) -> None:
         self.state = state
-        self._out, self._callbacks, self._end = out, callbacks, end
+        self._out, self._callbacks = out, callbacks
 
     def batch(self, done: int, total: int) -> None:
         plan = self.state.plan
         self._callbacks.batch(done / total, plan.size_at(self.state.epochs))
 
-    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
+    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> None:
         plan = self.state.plan
         report = EpochReport(
             pictures=number * plan.per_epoch,
@@ -269,7 +265,6 @@ class _RunRecorder:
         strip_checkpoint(_last(self._out), self._out / NETWORK, asdict(self.state))
         _append(self._out / "metrics.csv", report, self.state.seconds)
         self._callbacks.epoch(report)
-        return self._end is not None and time.monotonic() > self._end
 
 
 def _append(path: Path, report: EpochReport, seconds: float) -> None:

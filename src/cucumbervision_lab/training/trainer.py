@@ -48,8 +48,8 @@ class TrainerCallbacks(Protocol):
     def batch(self, done: int, total: int) -> None:
         """Report that `done` of the `total` batches of an epoch are completed."""
 
-    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
-        """Report a completed epoch, counted from 1; return True to stop the training."""
+    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> None:
+        """Report a completed epoch, counted from 1."""
 
 
 @dataclass(frozen=True)
@@ -289,8 +289,8 @@ def _add_progress_callbacks(trainer: Any, callbacks: TrainerCallbacks, threads: 
         if t.args.val:
             rows |= {**t.metrics, "fitness": t.fitness}
         numbers = {key: float(value) for key, value in rows.items()}
-        stop = callbacks.epoch(t.epoch + 1, numbers, time.monotonic() - started)
-        if stop or t.epoch + 1 >= t.settings.plan.end_of_part(t.epoch):
+        callbacks.epoch(t.epoch + 1, numbers, time.monotonic() - started)
+        if t.epoch + 1 >= t.settings.plan.end_of_part(t.epoch):
             t.stop = True
 
     trainer.add_callback("on_train_start", start)

@@ -76,8 +76,11 @@ def test_distance_along_the_ray_in_a_native_folder(tmp_path: Path) -> None:
     drawn = capsule_capture(CAPSULE)
     rays_m = (along_rays_mm(drawn) / 1000).astype(np.float32)
     write_native(replace(drawn, depth_m=rays_m), tmp_path / "a")
-    read = load(tmp_path, depth_along=DepthAlong.RAY)
-    np.testing.assert_allclose(read.depth_m, drawn.depth_m, atol=0.0006)
+    file = write_pair(tmp_path / "pair", drawn, depth_along="ray") / "intrinsics.json"
+    options: dict[str, Any]
+    for options in ({"depth_along": DepthAlong.RAY}, {"intrinsics": file}):
+        read = load(tmp_path / "a", **options)
+        np.testing.assert_allclose(read.depth_m, drawn.depth_m, atol=0.0006)
 
 
 def test_colour_aligned_to_depth_has_the_depth_cameras_intrinsics(tmp_path: Path) -> None:

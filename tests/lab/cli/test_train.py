@@ -26,7 +26,7 @@ needs_extra = pytest.mark.skipif(
 
 def test_help_names_the_commands_of_training_and_not_those_of_publishing() -> None:
     text = CliRunner().invoke(app, ["--help"]).output
-    for word in ("network", "recipe", "ends", "export"):
+    for word in ("network", "recipe", "classifier", "export"):
         assert word in text
     assert "publish" not in text
 
@@ -62,7 +62,15 @@ def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
         name = f"images/{number}.png"
         pictures.append(LabelledPicture(name, 96, 64, (label,), f"s{number}", "train"))
     write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
-    words = ["ends", str(tmp_path / "set"), "--init", "yolo26n-seg.yaml", "--epochs", "1"]
+    words = [
+        "classifier",
+        "ends",
+        str(tmp_path / "set"),
+        "--init",
+        "yolo26n-seg.yaml",
+        "--epochs",
+        "1",
+    ]
     words += ["--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
@@ -90,7 +98,15 @@ def test_the_look_at_ends_is_learnt_from_pasted_fruit_and_shown(tmp_path: Path) 
         name = f"images/{number}.png"
         pictures.append(LabelledPicture(name, 160, 96, (label,), f"s{number}", "train"))
     write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
-    words = ["look", str(tmp_path / "set"), "--init", "yolo26n-seg.yaml", "--epochs", "1"]
+    words = [
+        "classifier",
+        "look",
+        str(tmp_path / "set"),
+        "--init",
+        "yolo26n-seg.yaml",
+        "--epochs",
+        "1",
+    ]
     words += ["--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
@@ -120,7 +136,15 @@ def test_the_second_look_is_learnt_from_labelled_sets_and_shown(tmp_path: Path) 
         for split in ("train", "val")
     )
     write_coco(DataSet(tmp_path / "set", pictures), tmp_path / "set")
-    words = ["crops", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--epochs", "1"]
+    words = [
+        "classifier",
+        "crops",
+        str(tmp_path / "set"),
+        "--out",
+        str(tmp_path / "out"),
+        "--epochs",
+        "1",
+    ]
     result = CliRunner().invoke(app, [*words, "--init", "yolo26n-seg.yaml"])
     assert result.exit_code == 0, result.output
     assert "false positives" in result.output

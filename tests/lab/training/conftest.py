@@ -76,6 +76,14 @@ class Notes:
         self.epochs.append(report)
 
 
+class StopAfterEpoch(Notes):
+    """Ends the training after an epoch, as Ctrl-C does."""
+
+    def epoch(self, report: EpochReport) -> None:
+        super().epoch(report)
+        raise KeyboardInterrupt
+
+
 @pytest.fixture(scope="session")
 def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Train a plan of two sizes in two calls: the second prolongs what the first ended."""

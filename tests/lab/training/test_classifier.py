@@ -150,7 +150,9 @@ def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
     )
     assert (card.sha256, card.size_bytes) == (file_sha256(network), 9)
     assert card.began_with == "yolo26n.pt"
-    assert card.command.endswith("train ends SETS --init yolo26n.pt --out DIR --epochs 3 --seed 9")
+    assert card.command.endswith(
+        "train classifier ends SETS --init yolo26n.pt --out DIR --epochs 3 --seed 9"
+    )
     page = (tmp_path / "my-ends.md").read_text()
     for words in ("Learnt from halves.", "Photos: A", "0.75", card.sha256):
         assert words in page

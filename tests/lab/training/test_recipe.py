@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tests.lab.training.conftest import StopAfterEpoch
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
@@ -160,10 +162,11 @@ def test_one_command_trains_and_goes_on(
     ultralytics = import_ultralytics()
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "seg.pt")
     folders = RecipeFolders(tmp_path, tmp_path, tmp_path / "out")
-    short = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, minutes=0.0001)
-    first = run_recipe(RECIPE, folders, tasks=("seg",), options=short, log=lambda _: None)
-    assert first == {"seg": tmp_path / "out/seg" / NETWORK}
-    run_recipe(RECIPE, folders, tasks=("seg",), options=short, log=lambda _: None)
+    short = TrainOptions(batch=4, device="cpu", precision="f32", threads=1)
+    begin = partial(run_recipe, RECIPE, folders, tasks=("seg",), options=short, log=lambda _: None)
+    with pytest.raises(KeyboardInterrupt):
+        begin(callbacks=StopAfterEpoch())
+    assert begin() == {"seg": tmp_path / "out/seg" / NETWORK}
     rows = read_rows(tmp_path / "out/seg/metrics.csv")
     assert [int(row["pictures"]) for row in rows] == [12, 24]
     # Only the second epoch is validated, and the end of the plan is judged.

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
-from tests.lab.training.conftest import QUICK, Notes
+from tests.lab.training.conftest import QUICK, Notes, StopAfterEpoch
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
@@ -24,7 +25,7 @@ from cucumbervision.perception.yolo import SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, stored_run_state
 from cucumbervision_lab.training.export import export_trained, last_metrics
 from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.settings import TrainOptions, rate_at
+from cucumbervision_lab.training.settings import rate_at
 from cucumbervision_lab.training.train import NETWORK, EpochReport, train
 
 pytestmark = pytest.mark.train
@@ -68,7 +69,7 @@ def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> 
     run = tmp_path / "run"
     words = ["train", "network", "seg", str(seg_set), "--out", str(run)]
     words += ["--init", "yolo26n-seg.yaml"]
-    words += ["--plan", "64x320,96x8", "--per-epoch", "8", "--batch", "4", "--threads", "1"]
+    words += ["--plan", "64x320,96x8", "--per-epoch", "8", "--batch", "4"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", "from cucumbervision.cli.app import main; main()", *words]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
@@ -82,9 +83,9 @@ def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> 
         finally:
             process.send_signal(signal.SIGKILL)
     done = rows(run)[-1][0]
-    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0001})
-    notes = Notes()
-    train("seg", None, run, resume=True, options=short, callbacks=notes)
+    notes = StopAfterEpoch()
+    with pytest.raises(KeyboardInterrupt):
+        train("seg", None, run, resume=True, options=QUICK, callbacks=notes)
     # The row follows the checkpoint: a kill between the two leaves an epoch without its row.
     assert [r.pictures for r in notes.epochs] in ([done + 8], [done + 16])
     assert notes.epochs[0].of == 328
@@ -93,10 +94,9 @@ def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> 
 
 def test_another_machine_goes_on_in_the_same_plan(seg_set: Path, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
-    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0001})
-    network = train(
-        "seg", seg_set, here, init="yolo26n-seg.yaml", plan="64x24", per_epoch=8, options=short
-    )
+    begin = partial(train, init="yolo26n-seg.yaml", plan="64x24", per_epoch=8, options=QUICK)
+    with pytest.raises(KeyboardInterrupt):
+        begin("seg", seg_set, here, callbacks=StopAfterEpoch())
     assert RunState.load(here).pictures == 8
     seen: list[tuple[float, float, float]] = []
 
@@ -109,7 +109,7 @@ def test_another_machine_goes_on_in_the_same_plan(seg_set: Path, tmp_path: Path)
         with (run / "results.csv").open() as file:
             return float(list(csv.DictReader(file, skipinitialspace=True))[-1]["lr/pg0"])
 
-    train("seg", seg_set, there, init=str(network), options=QUICK, callbacks=Looks())
+    train("seg", seg_set, there, init=str(here / NETWORK), options=QUICK, callbacks=Looks())
     # It went on at the second epoch of three; the rate has fallen as if nothing had been between,
     # but for the first steps of an optimiser that remembers nothing: 2 of 100 there, then 4.
     assert [(pictures, of) for pictures, _, of in seen] == [(16, 24), (24, 24)]

@@ -27,8 +27,8 @@ class Deaf:
     def batch(self, done: int, total: int) -> None:
         pass
 
-    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
-        return False
+    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> None:
+        pass
 
 
 def backbone(network: object) -> dict[str, object]:

@@ -155,10 +155,11 @@ def _load(
         camera_file,
         width,
         height,
-        aligned_to=options.aligned_to,
+        aligned_to=options.aligned_to or (camera_file.aligned_to if camera_file else None),
         source=folder / MANIFEST,
     )
-    if options.depth_along is DepthAlong.RAY:
+    along = options.depth_along or (camera_file.depth_along if camera_file else None)
+    if along is DepthAlong.RAY:
         fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
     require_readings(fused.depth_m, source=folder)
     frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]

@@ -47,9 +47,16 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     CaptureError
         If the file is not a recording with colour and depth.
     """
-    _require_aligned(options, path)
-    import_realsense()
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
+    sources = (options,) if camera_file is None else (options, camera_file)
+    for source in sources:
+        if source.depth_along is DepthAlong.RAY or source.aligned_to is Stream.DEPTH:
+            raise CaptureError(
+                "a recording's depth is along the axis and is aligned to colour here",
+                source=path,
+                remedy="leave out --depth-along and --aligned-to",
+            )
+    import_realsense()
     with _stream(path) as stream:
         frame_intrinsics, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(
@@ -59,15 +66,6 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     return CaptureSource(
         path, "recording", lambda: _refs(path, options.burst, intrinsics, capture_fields)
     )
-
-
-def _require_aligned(options: ReadOptions, path: Path) -> None:
-    if options.depth_along is DepthAlong.RAY or options.aligned_to is Stream.DEPTH:
-        raise CaptureError(
-            "a recording's depth is along the axis and is aligned to colour here",
-            source=path,
-            remedy="leave out --depth-along and --aligned-to",
-        )
 
 
 def _stream(path: Path) -> AlignedStream:

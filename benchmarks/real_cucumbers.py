@@ -93,7 +93,7 @@ class Compared:
     scale: float
     intrinsics: Intrinsics
 
-    def read_cm(self, method: MethodName | None) -> float | None:
+    def read_cm(self, method: str | None) -> float | None:
         """Return a method's own raw length, or what is reported without one."""
         if self.fruit is None:
             return None

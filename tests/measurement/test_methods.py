@@ -85,4 +85,4 @@ def test_only_what_was_asked_runs(region: Region) -> None:
 
 def test_a_method_that_is_not_there_is_refused(region: Region) -> None:
     with pytest.raises(KeyError, match="M7"):
-        run_methods(region, ["M7"])  # type: ignore[list-item]
+        run_methods(region, ["M7"])

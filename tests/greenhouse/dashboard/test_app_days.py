@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("streamlit")
@@ -40,7 +41,8 @@ def pack_day(folder: Path, taken_s: float, scale: float, gone: tuple[str, ...] =
         path.write_text(json.dumps({**manifest, "simulated": False, "stop": stop}))
     for path in folder.rglob("depth_*.png"):
         depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        cv2.imwrite(str(path), (depth * scale).round().astype(depth.dtype))
+        assert depth is not None
+        cv2.imwrite(str(path), np.rint(depth * scale).astype(depth.dtype))
     for name in gone:
         (folder / name).unlink()
     packed = folder.with_suffix(".zip")

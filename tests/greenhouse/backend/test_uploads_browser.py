@@ -68,7 +68,9 @@ def test_an_upload_goes_on_after_a_reload_a_kill_and_a_full_disk(
     # A recording is named before anything is sent, and costs the others nothing.
     page.goto(f"{address}/upload?round={WALK.key}")
     walk = {"name": "walk.BAG", "mimeType": "", "buffer": b"#ROSBAG V2.0"}
-    page.locator("input[type=file]").set_input_files([walk])
+    notes = {"name": "notes.odt", "mimeType": "", "buffer": b"PK"}
+    page.locator("input[type=file]").set_input_files([walk, notes])
+    page.get_by_text("no part of a capture: notes.odt").wait_for()
     page.get_by_text("Recordings are not sent").and_(page.get_by_text("walk.BAG")).wait_for()
     assert page.get_by_role("button", name="Measure these files").is_disabled()
 

@@ -3,6 +3,8 @@ const PART = 4 * 2 ** 20, AGAIN_MS = 1000, PATIENCE_MS = 60000;
 const state = new WeakMap();
 const mb = (bytes) => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
+const left = (seconds) => seconds < 5 ? "" : seconds < 90 ? `, ${Math.round(seconds)} s left` : `, ${Math.round(seconds / 60)} min left`;
+
 async function post(path, body) {
   const answer = await fetch(path, { method: "POST", body, signal: AbortSignal.timeout(PATIENCE_MS) });
   if (answer.ok) return answer.json();
@@ -14,6 +16,8 @@ async function send(files, about, tell) {
   const listed = files.map((file) => ({ name: file.name, size: file.size, changed: file.lastModified }));
   const all = files.reduce((sum, file) => sum + file.size, 0);
   for (;;) {
+    const begun = Date.now();
+    let first = null;  // what was there before
     try {
       const { upload, received } = await post("/api/uploads", JSON.stringify({ ...about, files: listed }));
       for (let number = 0; number < files.length; number += 1) {
@@ -21,7 +25,9 @@ async function send(files, about, tell) {
           const from = received[number], part = files[number].slice(from, from + PART);
           ({ received: received[number] } = await post(`/api/uploads/${upload}/${number}?offset=${from}`, part));
           const sent = received.reduce((sum, bytes) => sum + bytes, 0);
-          tell(`Sending: ${mb(sent)} of ${mb(all)}`, sent / Math.max(all, 1));
+          first ??= sent - part.size;
+          const left_s = ((Date.now() - begun) / 1000) * (all - sent) / Math.max(sent - first, 1);
+          tell(`Sending: ${mb(sent)} of ${mb(all)}${left(left_s)}`, sent / Math.max(all, 1));
         } while (received[number] < files[number].size);
       }
       tell("All files are sent. You may leave this page; their results appear below.", null);
@@ -48,9 +54,12 @@ export default function (component) {
   };
   const chosen = (files) => {
     const isRecording = (file) => data.recordings.some((ending) => file.name.toLowerCase().endsWith(ending));
-    own.files = [...files].filter((file) => !isRecording(file));
-    const left = [...files].filter(isRecording).map((file) => file.name).join(", ");
-    const besides = left && ` Recordings are not sent; 'cucumbervision round add' reads them where they lie: ${left}.`;
+    const isPart = (file) => data.accept.split(",").some((ending) => file.name.toLowerCase().endsWith(ending));
+    own.files = [...files].filter((file) => !isRecording(file) && isPart(file));
+    const names = (which) => [...files].filter(which).map((file) => file.name).join(", ");
+    const recordings = names(isRecording), ignored = names((file) => !isRecording(file) && !isPart(file));
+    const besides = (recordings && ` Recordings are not sent; 'cucumbervision round add' reads them where they lie: ${recordings}.`)
+      + (ignored && ` Not sent, since no part of a capture: ${ignored}.`);
     const all = own.files.reduce((sum, file) => sum + file.size, 0), most = data.limit_mb * 1e6;
     button.disabled = own.busy || !own.files.length || all > most;
     if (!own.files.length) tell(`At most ${mb(most)} at once.${besides}`, null);

@@ -36,7 +36,6 @@ _ENDINGS = [
 def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     st.write("Zips of captures, or colour and depth pictures with matching names. Many at once.")
-    sender = st.container()
     place = _place(round_summary)
     camera = st.selectbox(
         "Camera of pictures without intrinsics",
@@ -45,18 +44,17 @@ def page(round_summary: RoundSummary) -> None:
         help="Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
         "Upload an intrinsics file if you have one.",
     )
-    with sender:
-        component("upload")(
-            key=f"upload_{round_summary.key}",
-            data={
-                "round": round_summary.key,
-                "place": place.model_dump(),
-                "camera": camera,
-                "limit_mb": resources.settings().upload_limit_mb,
-                "recordings": sorted(RECORDING_SUFFIXES),
-                "accept": ",".join(f".{ending}" for ending in _ENDINGS),
-            },
-        )
+    component("upload")(
+        key=f"upload_{round_summary.key}",
+        data={
+            "round": round_summary.key,
+            "place": place.model_dump(),
+            "camera": camera,
+            "limit_mb": resources.settings().upload_limit_mb,
+            "recordings": sorted(RECORDING_SUFFIXES),
+            "accept": ",".join(f".{ending}" for ending in _ENDINGS),
+        },
+    )
     if doubts := round_caches.doubts_of(round_summary):
         words = f"Check the data of this round. {'. '.join(doubts)}."
         st.warning(plain(words), icon=":material/error:")

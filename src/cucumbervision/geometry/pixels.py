@@ -9,6 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_STEPS_PX = np.array([0.5, 1.5, 2.5, 3.5])  # how far across an outline its depth is read
 _GREY = 114  # outside a picture, as the padding of network inputs
 
 
@@ -87,10 +88,7 @@ def outline_cracks(
 
 
 def depth_across(
-    depth_m: NDArray[Any],
-    points_px: NDArray[Any],
-    outward: NDArray[Any],
-    steps_px: tuple[float, ...] = (0.5, 1.5, 2.5, 3.5),
+    depth_m: NDArray[Any], points_px: NDArray[Any], outward: NDArray[Any]
 ) -> NDArray[np.float64]:
     """Return the median depth on one side of outline points.
 
@@ -100,8 +98,6 @@ def depth_across(
         0 where there is no reading.
     points_px, outward : ndarray of float, shape (N, 2)
         Points and unit steps; negate the steps to look inward.
-    steps_px : tuple of float
-        How far out to look.
 
     Returns
     -------
@@ -116,7 +112,7 @@ def depth_across(
     ([0.9], [0.5])
     """
     height, width = depth_m.shape
-    places_px = points_px[:, None, :] + outward[:, None, :] * np.asarray(steps_px)[:, None]
+    places_px = points_px[:, None, :] + outward[:, None, :] * _STEPS_PX[:, None]
     pixel = np.rint(places_px).astype(np.intp)
     u, v = pixel[..., 0], pixel[..., 1]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)

@@ -208,7 +208,7 @@ def mirrored(instance: Instance, width: int) -> Instance:
 TRUSTED_SHARE = 0.5
 """Share of a fruit's best confidence from which another detection of it may give the mask."""
 
-_SAME_IOU = 0.5  # of two masks of one fruit
+_SAME_IOU = 0.5  # of two masks of one fruit, and of the boxes of a fruit and its keypoints
 _INSIDE = 0.8  # share of the smaller mask inside the larger one, for masks of one fruit
 _SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
 _MUCH_CUT = 0.3  # share of a mask lost to others from which its box is recomputed
@@ -295,7 +295,6 @@ def with_disjoint_masks(
 def with_keypoints(
     instances: Sequence[Instance],
     poses: Sequence[Instance],
-    min_iou: float = 0.5,
     *,
     sure: float = 0.0,
 ) -> tuple[Instance, ...]:
@@ -309,8 +308,6 @@ def with_keypoints(
         Instances of any source.
     poses : sequence of Instance
         With keypoints.
-    min_iou : float
-        Least overlap of the two boxes.
     sure : float
         Poses above this confidence are matched first, the others with the remaining instances.
 
@@ -336,7 +333,7 @@ def with_keypoints(
     overlaps = box_ious(boxes, pose_boxes)
     # A sure pose outweighs every overlap; pairs below the threshold displace none.
     worth = overlaps + [pose.confidence > sure for pose in poses]
-    worth[overlaps < min_iou] = 0.0
+    worth[overlaps < _SAME_IOU] = 0.0
     out = list(instances)
     for i, j in zip(*linear_sum_assignment(worth, maximize=True), strict=True):
         if worth[i, j] > 0:

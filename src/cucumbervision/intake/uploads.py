@@ -131,8 +131,6 @@ def accept_uploads(
     files: Sequence[tuple[str, BinaryIO | Path]],
     folder: Path,
     limits: Limits | None = None,
-    *,
-    report: Callable[[int, str], None] | None = None,
 ) -> AcceptedUploads:
     """Store uploaded files within limits, unpack zips, and find the captures.
 
@@ -145,8 +143,6 @@ def accept_uploads(
         accepted.
     limits : Limits, optional
         Limits of the upload.
-    report : callable, optional
-        Called with the number (from 0) and name of each file before it is checked.
 
     Returns
     -------
@@ -177,8 +173,6 @@ def accept_uploads(
     try:
         intake.loose.mkdir(parents=True)
         for number, (name, content) in enumerate(files):
-            if report is not None:
-                report(number, clean_name(name))
             intake.receive(number, name, content)
         intake.sort(intake.loose, LOOSE)
         if not intake.out.sources:

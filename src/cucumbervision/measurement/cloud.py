@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
+_STRIDE = 2  # pixels, of a box
+
 
 def masked_points(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
@@ -53,9 +55,9 @@ def masked_points(
 
 
 def box_points(
-    depth_m: NDArray[np.float32], box: NDArray[Any], intrinsics: Intrinsics, stride: int = 2
+    depth_m: NDArray[np.float32], box: NDArray[Any], intrinsics: Intrinsics
 ) -> NDArray[np.float64]:
-    """Deproject the pixels of a box that have a valid reading.
+    """Deproject every second pixel, in both directions, of a box that has a valid reading.
 
     Parameters
     ----------
@@ -65,8 +67,6 @@ def box_points(
         Edges x1, y1, x2, y2 in pixels; parts outside the picture are ignored.
     intrinsics : Intrinsics
         The colour stream's.
-    stride : int
-        Step between pixels, in both directions.
 
     Returns
     -------
@@ -82,9 +82,9 @@ def box_points(
     (10, 3)
     """
     x1, y1, x2, y2 = box_pixels(box, depth_m.shape)
-    region = depth_m[y1:y2:stride, x1:x2:stride]
+    region = depth_m[y1:y2:_STRIDE, x1:x2:_STRIDE]
     v, u = np.nonzero(valid_depth(region))
-    return _deproject(u * stride + x1, v * stride + y1, region[v, u], intrinsics)
+    return _deproject(u * _STRIDE + x1, v * _STRIDE + y1, region[v, u], intrinsics)
 
 
 def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:

@@ -259,9 +259,7 @@ def covered_reach(
     return float(steps[first[0]]) if inside[first[0]] else None
 
 
-def hidden_length(
-    seen_m: float, diameter_m: float, reach_m: float, relation: GirthRelation = DRAWN_KINDS
-) -> HiddenLength:
+def hidden_length(seen_m: float, diameter_m: float, reach_m: float) -> HiddenLength:
     """Return the distribution of the whole length.
 
     Parameters
@@ -272,8 +270,6 @@ def hidden_length(
         The largest diameter.
     reach_m : float
         How far it could continue unseen at both ends together, metres (`covered_reach`).
-    relation : GirthRelation
-        Relation of length and girth.
 
     Examples
     --------
@@ -286,8 +282,8 @@ def hidden_length(
     lengths = np.exp(
         np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * _REACH_SD_M), _GRID)
     )
-    off = relation.excess_sd(1.0, diameter_m)  # of one metre
-    by_girth = np.exp(-0.5 * (np.log(lengths) / relation.spread + off) ** 2)
+    off = DRAWN_KINDS.excess_sd(1.0, diameter_m)  # of one metre
+    by_girth = np.exp(-0.5 * (np.log(lengths) / DRAWN_KINDS.spread + off) ** 2)
     longer = ndtr(np.log(lengths / seen_m) / _SEEN_SD)
     before = ndtr((seen_m + reach_m - lengths) / _REACH_SD_M)
     weight = (by_girth + 1e-6) * longer * before

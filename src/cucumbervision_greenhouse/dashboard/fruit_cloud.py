@@ -23,7 +23,9 @@ _RINGS, _RING_POINTS = 16, 20
 _MARGIN_PX = 12
 _SLAB_M = 0.08  # points farther in front of or behind the fruit are left out
 CLOUD_HEIGHT_PX = 420
+_MOST_PERCENT = 97
 _RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
+_END_COLOR, _CUT_COLOR = (240, 228, 66), (213, 94, 0)
 
 
 def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None:
@@ -40,21 +42,14 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     -------
     pydeck.Deck or None
         In millimetres about the fruit's middle, y up and z towards the camera: the fruit's points
-        in their colours, what is near it paler, rings and axis of the tube, and a bar of 5 cm.
-        None where the fruit has no mask or no depth.
+        in their colours, what is near it paler, rings and axis of the tube, its two ends, the place
+        to cut, and a bar of 5 cm. None where the fruit has no mask or no depth.
     """
-    if record.mask is None:
+    pixels = _fruit_pixels(capture, record)
+    if pixels is None:
         return None
-    mask = decode_rle(record.mask, capture.height, capture.width)
-    readings = valid_depth(capture.depth_m)
-    inside, window = mask & readings, mask_window(mask, _MARGIN_PX)
-    if window is None or not inside.any():
-        return None
-    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < _SLAB_M
-    around = np.zeros_like(mask)
-    around[window] = (readings & slab & ~mask)[window]
-    points, colors = _sample(capture, inside, _POINTS)
-    surroundings, near_colors = _sample(capture, around, _POINTS // 3)
+    points, colors = _sample(capture, pixels[0], _POINTS)
+    surroundings, near_colors = _sample(capture, pixels[1], _POINTS // 3)
     middle = np.median(points, axis=0)
 
     def scene_mm(at_m: NDArray[np.float64]) -> list[list[float]]:
@@ -70,16 +65,92 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
         {"path": scene_mm(path), "color": color, "width": width}
         for path, color, width in _tube_lines(record)
     ]
-    reach_mm = np.abs(np.array(scene_mm(points))).max(axis=0)
+    # Readings at the outline that lie far behind would make the fruit small.
+    reach_mm = np.percentile(np.abs(np.array(scene_mm(points))), _MOST_PERCENT, axis=0)
     below = -float(reach_mm[1]) - 15
     bar = [[-25.0, below, 0.0], [25.0, below, 0.0]]
     lines.append({"path": bar, "color": _AXIS_COLOR, "width": 2.0})
-    return _scene(
-        [{"at": place, "color": color} for place, color in dots], lines, float(reach_mm.max())
-    )
+    marks = [
+        {"at": scene_mm(place_m[None])[0], "color": color}
+        for place_m, color in _marked_places(record)
+    ]
+    cloud = [{"at": place, "color": color} for place, color in dots]
+    return _scene(cloud, marks, lines, float(reach_mm.max()))
 
 
-def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: float) -> pydeck.Deck:
+def cloud_ply(capture: Capture, record: DetectionRecord) -> bytes | None:
+    """Return a fruit's depth points and their near surroundings as a binary PLY file.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    record : DetectionRecord
+        The fruit, with mask.
+
+    Returns
+    -------
+    bytes or None
+        Every pixel with a reading: x, y, z in metres in camera coordinates, colour, and 1 for the
+        fruit or 0 for what is near it. None where the fruit has no mask or no depth.
+    """
+    pixels = _fruit_pixels(capture, record)
+    if pixels is None:
+        return None
+    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    kinds += [(name, "u1") for name in ("red", "green", "blue", "fruit")]
+    parts = []
+    for is_fruit, where in ((1, pixels[0]), (0, pixels[1])):
+        points, colors = _sample(capture, where, int(where.sum()) or 1)
+        part = np.empty(len(points), kinds)
+        for name, column in zip("xyz", points.T, strict=True):
+            part[name] = column
+        for name, column in zip(("red", "green", "blue"), colors.T, strict=True):
+            part[name] = column
+        part["fruit"] = is_fruit
+        parts.append(part)
+    vertices = np.concatenate(parts)
+    words = {"<f4": "float", "u1": "uchar"}
+    properties = "".join(f"property {words[kind]} {name}\n" for name, kind in kinds)
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+    return f"{head}{properties}end_header\n".encode() + vertices.tobytes()
+
+
+def _fruit_pixels(
+    capture: Capture, record: DetectionRecord
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+    """Return the pixels with a reading on a fruit, and near it at about its depth."""
+    if record.mask is None:
+        return None
+    mask = decode_rle(record.mask, capture.height, capture.width)
+    readings = valid_depth(capture.depth_m)
+    inside, window = mask & readings, mask_window(mask, _MARGIN_PX)
+    if window is None or not inside.any():
+        return None
+    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < _SLAB_M
+    around = np.zeros_like(mask)
+    around[window] = (readings & slab & ~mask)[window]
+    return inside, around
+
+
+def _marked_places(
+    record: DetectionRecord,
+) -> list[tuple[NDArray[np.float64], tuple[int, int, int]]]:
+    """Return the two ends and the place to cut, where they are known, each with its colour."""
+    places = []
+    for name, color in (("stem", _END_COLOR), ("blossom", _END_COLOR), ("cut", _CUT_COLOR)):
+        place = [getattr(record, f"{name}_{axis}_m") for axis in "xyz"]
+        if None not in place:
+            places.append((np.array(place, np.float64), color))
+    return places
+
+
+def _scene(
+    dots: list[dict[str, Any]],
+    marks: list[dict[str, Any]],
+    lines: list[dict[str, Any]],
+    reach_mm: float,
+) -> pydeck.Deck:
     layers = [
         pydeck.Layer(
             "PointCloudLayer",
@@ -88,6 +159,15 @@ def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: fl
             get_color="color",
             size_units="'common'",
             point_size=0.6,
+            material=False,
+        ),
+        pydeck.Layer(
+            "PointCloudLayer",
+            marks,
+            get_position="at",
+            get_color="color",
+            size_units="'common'",
+            point_size=2.5,
             material=False,
         ),
         pydeck.Layer(
@@ -106,7 +186,7 @@ def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: fl
         target=[0, 0, 0],
         rotation_x=15,
         rotation_orbit=-30,
-        zoom=math.log2(CLOUD_HEIGHT_PX / (2.5 * reach_mm)),
+        zoom=math.log2(CLOUD_HEIGHT_PX / (2.8 * reach_mm)),
     )
     # No map provider, so that no other machine is contacted.
     return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)

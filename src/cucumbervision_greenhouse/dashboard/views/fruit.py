@@ -34,7 +34,7 @@ from cucumbervision_greenhouse.backend.words import (
     step_words,
 )
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
+from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, cloud_ply, point_cloud
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
@@ -180,7 +180,16 @@ def _cloud(capture: Capture, record: DetectionRecord) -> None:
         st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
     st.caption(
         "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
-        "white; the bar is 5 cm long. Drag to turn, pinch or wheel to zoom."
+        "white, its ends in yellow, the place to cut in orange; the bar is 5 cm long. Drag to "
+        "turn, pinch or wheel to zoom."
+    )
+    st.download_button(
+        "All points (PLY)",
+        lambda: cloud_ply(capture, record) or b"",
+        f"fruit-{record.number}.ply",
+        "application/octet-stream",
+        icon=":material/download:",
+        on_click="ignore",
     )
 
 

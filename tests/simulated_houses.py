@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision_greenhouse.agronomy.growth import Curve, Link, Spreads
+from cucumbervision_greenhouse.agronomy.growth import Link, Spreads, rate_share
 from cucumbervision_greenhouse.agronomy.length_draws import FruitState
 
 
@@ -125,7 +125,7 @@ def _increment(
 ) -> NDArray[np.float64]:
     luck = s.spreads.fruit_day * rng.standard_normal(len(rate))
     step = np.maximum(rate + s.spreads.day * rng.standard_normal() + luck, 0.0)
-    return np.asarray(step * Curve(s.full_m).rate_share(length), np.float64)
+    return np.asarray(step * rate_share(length, s.full_m), np.float64)
 
 
 def _measured(

@@ -14,14 +14,10 @@ import numpy as np
 from cucumbervision.agronomy.classes import NO_CLASS, possible_classes
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.result import INTERVAL_Z
-from cucumbervision_greenhouse.agronomy.growth import (
-    kalman_filter,
-)
 from cucumbervision_greenhouse.agronomy.length_draws import (
     FruitState,
-    LengthDraws,
     draw_lengths,
-    histories_of,
+    lengths_today,
 )
 
 if TYPE_CHECKING:
@@ -214,7 +210,7 @@ def forecast(
         Relative standard deviation of an error common to all lengths: the camera's depth scale,
         0.01 until it was calibrated. It is subtracted from each fruit's own variance.
     draws : int
-        Draws from the posterior; a multiple of `growth.HYPER_DRAWS`, rounded up.
+        Draws from the posterior.
     level : float
         Of the intervals.
 
@@ -246,12 +242,13 @@ def forecast(
     )
     day_of_forecast = max((f.day for f in fruit), default=0.0) if today is None else today
     rng = np.random.default_rng(seed)
-    lengths = draw_lengths(hanging, growth, day_of_forecast, days, draws, scale_sd, rng)
+    lengths_m, newcomer_m = draw_lengths(
+        hanging, growth, day_of_forecast, days, draws, scale_sd, rng, profile.accepted_m[0]
+    )
     tally = _Tally(
         fruit=hanging,
         profile=profile,
-        edges_m=growth.curve.unslowed(profile.edges_m),
-        lengths=lengths,
+        lengths_m=lengths_m,
         detection=detection or DetectionRates(),
         rng=rng,
     )
@@ -276,7 +273,7 @@ def forecast(
         by_row=by_row,
         picks=picks,
         row_picks=row_picks,
-        complete=_complete(lengths, growth, profile),
+        complete=_complete(newcomer_m, profile),
         level=level,
     )
 
@@ -307,37 +304,15 @@ def _possible_today(
     ]
     if not aged:
         return tuple(possible)
-    mean, sd = _lengths_today([fruit[k] for k in aged], growth, today, scale_sd)
-    edges = growth.curve.unslowed(profile.edges_m)
+    mean, sd = lengths_today([fruit[k] for k in aged], growth, today, scale_sd)
     for k, low_m, high_m in zip(aged, mean - INTERVAL_Z * sd, mean + INTERVAL_Z * sd, strict=True):
         state = fruit[k]
         best = names.index(state.best_class) if state.best_class else 0
         bins = [max(n, best) if n < len(names) else n for n in profile.outcome_of_bin]
         by_bin = [profile.outcomes[n] for n in bins]
         ends = float(low_m), math.inf if state.at_least else float(high_m)
-        possible[k] = possible_classes(*ends, edges, by_bin)
+        possible[k] = possible_classes(*ends, profile.edges_m, by_bin)
     return tuple(possible)
-
-
-def _lengths_today(
-    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean and standard deviation of each unslowed length today, metres, (N,)."""
-    histories = histories_of(fruit, growth, today, scale_sd)
-    # Rows without links have no coefficient in the posterior; theirs come before the days'.
-    first = 1 + len(growth.basis.rows)
-    unseen = slice(first, first + len(histories.basis.rows) - len(growth.basis.rows))
-    means, squares = np.zeros(len(fruit)), np.zeros(len(fruit))
-    for spreads, beta, root in zip(growth.spreads, growth.mean, growth.root, strict=True):
-        filtered = kalman_filter(histories, spreads)
-        columns = filtered.length[:, 1:]
-        columns_of_rows = np.delete(columns, unseen, axis=1)
-        mean = filtered.length[:, 0] + columns_of_rows @ beta
-        variance = filtered.covariance[:, 0] + ((columns_of_rows @ root) ** 2).sum(axis=1)
-        variance += ((spreads.row * columns[:, unseen]) ** 2).sum(axis=1)
-        means += mean / len(growth.spreads)
-        squares += (variance + mean**2) / len(growth.spreads)
-    return means, np.sqrt(np.maximum(squares - means**2, 0.0) + (scale_sd * means) ** 2)
 
 
 def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
@@ -355,23 +330,22 @@ class _Tally:
         self,
         fruit: Sequence[FruitState],
         profile: CropProfile,
-        edges_m: NDArray[np.float64],
-        lengths: LengthDraws,
+        lengths_m: NDArray[np.float32],
         detection: DetectionRates,
         rng: np.random.Generator,
     ) -> None:
         names = [c.name for c in profile.classes]
         self.rows = tuple(dict.fromkeys(f.row for f in fruit))
         index_of_row = {name: k for k, name in enumerate(self.rows)}
-        self._profile, self._lengths = profile, lengths
-        self._edges = edges_m.astype(np.float32)
-        self._weights = _weights(lengths.unslowed_m.shape[1:], detection, rng)
+        self._profile, self._lengths_m = profile, lengths_m
+        self._edges = profile.edges_m.astype(np.float32)
+        self._weights = _weights(lengths_m.shape[1:], detection, rng)
         self._of_bin = np.array(profile.outcome_of_bin, np.int8)
         best = [names.index(f.best_class) if f.best_class else 0 for f in fruit]
         self._best = np.array(best, np.int8)
         self._ready = np.array([name in profile.pick for name in profile.outcomes])
         row = np.array([index_of_row[f.row] for f in fruit], np.int64)
-        shape = lengths.unslowed_m.shape[1:]
+        shape = lengths_m.shape[1:]
         # The fruit of a row are contiguous.
         ends = np.searchsorted(row, np.arange(len(self.rows) + 1)).tolist()
         self._spans = [slice(*span) for span in pairwise(ends)]
@@ -379,7 +353,7 @@ class _Tally:
 
     def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
-        lengths = self._lengths.unslowed_m[day]
+        lengths = self._lengths_m[day]
         bins = np.zeros(lengths.shape, np.int8)
         for edge in self._edges:
             bins += lengths >= edge
@@ -454,12 +428,10 @@ def _counts(
     return house_and_rows[0], house_and_rows[1]
 
 
-def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
+def _complete(newcomer_m: NDArray[np.float32], profile: CropProfile) -> NDArray[np.bool_]:
     """Return for each day and class whether no fruit too small today can be in it, (D, C)."""
-    unslowed = growth.curve.unslowed
-    grown = unslowed(profile.acceptance.min_cm / 100) + lengths.newcomer_m
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
-    reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
+    reach = [(newcomer_m >= entry).mean(axis=1) for entry in entries]
     complete = np.stack(reach, axis=1) <= _SURELY_COMPLETE
     complete[1:, len(profile.classes)] = False  # new fruit join 'too short' every day
     return complete

@@ -1,42 +1,34 @@
-"""Growth of a house, its rows and its fruit, and a Kalman filter for each fruit's lengths.
+"""Growth of a house, its rows and its fruit, by weighted means in closed form.
 
-Growth is linear with day-to-day variability. For fruit i in row r on day t
+Lengths grow linearly, in metres a day, by
 
-    x(i, t + 1) = x(i, t) + mu + a(r) + b(i) + w(t) + e(i, t)
-    m(i, t) = x(i, t) + measuring error of known variance
+    pace + row + fruit,    row ~ N(0, row²),  fruit ~ N(0, fruit²)
 
-with mu the house's growth, a ~ N(0, row²), b ~ N(0, fruit²), w ~ N(0, day²) common to the house,
-and e ~ N(0, fruit_day²). Given beta = (mu, a, w), each fruit is a linear Gaussian state (x, b):
-a Kalman filter (Kalman 1960) gives its innovations, which are linear in beta, and its state today.
-
-Beta = (house, rows, days) has a normal prior, hence a normal posterior for given spreads (Bayesian
-linear regression on the filter's whitened innovations). The five spreads have log-normal priors
-about the profile's figures; their posterior is approximated by a normal one of their logarithms at
-its mode (Laplace). Without links, both are the prior. The likelihood of the links decides whether
-growth slows with length: see `curve`.
+with `pace` the growth of the house on the days that the links span, weather included. The weighted
+line through a fruit's lengths measures its growth, with an error from the lengths' errors and the
+day-to-day growth. On every level the posterior mean is that of what was measured and of the level
+above, weighted by inverse variances (partial pooling: Gelman and Hill 2007, chapter 12). The
+variance between fruit is estimated from their scatter by moments (DerSimonian and Laird 1986) and
+pooled with the profile's. Without links everything is the profile's.
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.errors import ForecastError
-from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.agronomy.profiles import CropProfile
 
-
-Array: TypeAlias = "NDArray[Any]"
-Point = tuple[float, float, float]  # day, length in metres, its variance
+    Point = tuple[float, float, float]  # day, length in metres, its standard deviation
 
 
 @dataclass(frozen=True)
@@ -50,284 +42,26 @@ class Spreads:
     fruit_day: float
 
 
-@dataclass(frozen=True)
-class Basis:
-    """The coefficients of beta: the house, its rows, and the days that the links span."""
-
-    rows: tuple[str, ...]
-    first_day: int
-    days: int
-
-    @property
-    def size(self) -> int:
-        """Number of coefficients: 1 + rows + days."""
-        return 1 + len(self.rows) + self.days
-
-    def overlap(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of each day between `start` and `end`, shape (N, days)."""
-        days = self.first_day + np.arange(self.days)
-        upper = np.minimum(end[:, None], days + 1)
-        return np.asarray(np.maximum(upper - np.maximum(start[:, None], days), 0.0))
+# The profile's variance between fruit counts as much as the scatter of so many fruit: an assumed
+# error of a factor of 1.4 in the standard deviation.
+_PRIOR_FRUIT = 4.0
+_LEAST_VARIANCE = 0.1  # least variance between fruit, as a share of the profile's
+_FASTEST_SD = 3.0  # fruit that grow faster than the median by more are too few to matter
+_LEAST_FAIR = 1 / 3  # of the fruit; with fewer the loss of links would outweigh the bias
+_LEAST_SHARE = 0.04  # of the full growth, by which measured growth is divided
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """The k-th point of each fruit.
+def rate_share(length_m: ArrayLike, full_m: float) -> NDArray[np.float64]:
+    """Return the share of its full growth by which a fruit of this length grows, float64.
 
-    `length_m` and `variance_m2` are NaN for a prediction without a measurement.
-    """
-
-    fruit: NDArray[np.intp]
-    elapsed: NDArray[np.float64]
-    overlap: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    variance_m2: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Histories:
-    """Measured lengths of N fruit: the basis, the index of each fruit's row, the steps."""
-
-    basis: Basis
-    row: NDArray[np.intp]
-    steps: tuple[_Step, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class FilteredStates:
-    """The filter's result.
-
-    Parameters
-    ----------
-    length, growth : ndarray of float64, shape (N, 1 + p)
-        Means of x and b: the first column plus the others times beta; metres, metres a day.
-    covariance : ndarray of float64, shape (N, 3)
-        Variance of x, covariance, variance of b.
-    innovations : ndarray of float64, shape (M, 1 + p)
-        Whitened: the first column less the others times beta is standard normal.
-    log_scale : float
-        Sum of the logarithms of the innovations' standard deviations.
-    """
-
-    length: NDArray[np.float64]
-    growth: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    innovations: NDArray[np.float64]
-    log_scale: float
-
-
-def measured_histories(
-    points: Sequence[Sequence[Point]], rows: Sequence[str], basis: Basis, until: float | None = None
-) -> Histories:
-    """Sort the points of each fruit and arrange them step by step.
-
-    Parameters
-    ----------
-    points : sequence of sequences of (day, length_m, variance_m2)
-        Of each fruit, at least one; the same point twice counts once.
-    rows : sequence of str
-        The row of each fruit, of the basis.
-    basis : Basis
-        Of the coefficients.
-    until : float, optional
-        A day to which every fruit is extrapolated from its last point.
-    """
-    index_of_row = {name: k for k, name in enumerate(basis.rows)}
-    series = [sorted(set(p)) for p in points]
-    counts = np.array([len(s) for s in series], np.intp)
-    flat = np.array([point for s in series for point in s], np.float64).reshape(-1, 3)
-    first = np.cumsum(counts) - counts
-    steps = []
-
-    def add(fruit: Array, start: Array, end: Array, length_m: Array, variance_m2: Array) -> None:
-        overlap = basis.overlap(start, end)
-        steps.append(
-            _Step(
-                fruit=fruit,
-                elapsed=end - start,
-                overlap=overlap,
-                length_m=length_m,
-                variance_m2=variance_m2,
-            )
-        )
-
-    for k in range(int(counts.max(initial=0))):
-        fruit = np.flatnonzero(counts > k)
-        index = first[fruit] + k
-        before = flat[index - 1 if k else index, 0]
-        add(fruit, before, *flat[index].T)
-    if until is not None:
-        last = flat[first + counts - 1, 0]
-        late = np.flatnonzero(last < until)
-        none, end = np.full(len(late), np.nan), np.full(len(late), until)
-        add(late, last[late], end, none, none)
-    return Histories(basis, np.array([index_of_row[r] for r in rows], np.intp), tuple(steps))
-
-
-def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
-    """Run a Kalman filter along the points of every fruit, all fruit at once.
-
-    The prior of the length is flat, so the first point starts the state and has no information on
-    growth.
+    It falls linearly from 1 at half of `full_m`, the length at which growth stops, to 0.
 
     Examples
     --------
-    Two lengths 3 cm apart in a day, both exact, growth known to vary among fruit alone:
-
-    >>> basis = Basis(("1",), 0, 0)
-    >>> seen = measured_histories([[(0.0, 0.20, 0.0), (1.0, 0.23, 0.0)]], ["1"], basis)
-    >>> spreads = Spreads(0.006, 0.002, 0.005, 1e-9, 1e-9)
-    >>> found = kalman_filter(seen, spreads)
-    >>> found.length[:, 0].round(4), found.growth.round(4)  # b = 0.03 - mu - a
-    (array([0.23]), array([[ 0.03, -1.  , -1.  ]]))
+    >>> rate_share([0.10, 0.20, 0.30, 0.50], full_m=0.40).round(6).tolist()
+    [1.0, 1.0, 0.5, 0.0]
     """
-    count, width = len(histories.row), 1 + histories.basis.size
-    length, growth = np.zeros((count, width)), np.zeros((count, width))
-    cov = np.zeros((count, 3))
-    cov[:, 2] = spreads.fruit**2
-    innovations, log_scale = [np.empty((0, width))], 0.0
-    for k, step in enumerate(histories.steps):
-        if k == 0:
-            length[step.fruit, 0] = step.length_m
-            cov[step.fruit, 0] = step.variance_m2
-            continue
-        x, b = _carried(histories, step, length, growth)
-        p = _carried_cov(step, cov[step.fruit], spreads)
-        if not np.isnan(step.length_m).any():
-            residual = -x
-            residual[:, 0] += step.length_m
-            scale = p[:, 0] + step.variance_m2
-            gain_x, gain_b = p[:, 0] / scale, p[:, 1] / scale
-            x += gain_x[:, None] * residual
-            b = b + gain_b[:, None] * residual
-            p = p - scale[:, None] * np.stack([gain_x**2, gain_x * gain_b, gain_b**2], axis=1)
-            residual[:, 1:] *= -1
-            innovations.append(residual / np.sqrt(scale)[:, None])
-            log_scale += 0.5 * float(np.log(scale).sum())
-        length[step.fruit], growth[step.fruit], cov[step.fruit] = x, b, p
-    return FilteredStates(
-        length=length,
-        growth=growth,
-        covariance=cov,
-        innovations=np.concatenate(innovations),
-        log_scale=log_scale,
-    )
-
-
-def _carried(
-    histories: Histories, step: _Step, length: NDArray[np.float64], growth: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    b = growth[step.fruit]
-    x = length[step.fruit] + step.elapsed[:, None] * b
-    x[:, 1] += step.elapsed
-    x[np.arange(len(x)), 2 + histories.row[step.fruit]] += step.elapsed
-    x[:, 2 + len(histories.basis.rows) :] += step.overlap
-    return x, b
-
-
-def _carried_cov(step: _Step, cov: NDArray[np.float64], spreads: Spreads) -> NDArray[np.float64]:
-    elapsed = step.elapsed
-    # Days outside the basis have no coefficient and count as variance of each fruit.
-    outside = elapsed - step.overlap.sum(axis=1)
-    noise = elapsed * spreads.fruit_day**2 + outside * spreads.day**2
-    x = cov[:, 0] + 2 * elapsed * cov[:, 1] + elapsed**2 * cov[:, 2] + noise
-    return np.stack([x, cov[:, 1] + elapsed * cov[:, 2], cov[:, 2]], axis=1)
-
-
-_NEARLY_FULL = 0.98  # beyond this share of the full length, age cannot be inferred from length
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Growth that falls linearly with length, from half of `full_m` to zero at `full_m`.
-
-    With dL/dt = rate s(L) and s = min(1, 2 (1 - L / full)), the *unslowed* length u, for which
-    du = dL / s(L), grows linearly whatever the length. The whole model is in u: lengths and class
-    limits are transformed.
-
-    Parameters
-    ----------
-    full_m : float
-        Full length, metres; infinite for growth that does not slow.
-
-    Examples
-    --------
-    >>> curve = Curve(0.40)
-    >>> curve.rate_share([0.10, 0.20, 0.30]).round(6).tolist()
-    [1.0, 1.0, 0.5]
-    >>> curve.unslowed([0.10, 0.20, 0.30]).round(4).tolist()  # 0.2 + 0.2 log 2
-    [0.1, 0.2, 0.3386]
-    """
-
-    full_m: float = float("inf")
-
-    def rate_share(self, length_m: ArrayLike) -> NDArray[np.float64]:
-        """Return s(L), the share of the full rate at this length, float64."""
-        length = np.asarray(length_m, np.float64)
-        if np.isinf(self.full_m):
-            return np.ones_like(length)
-        share = np.minimum(length / self.full_m, _NEARLY_FULL)
-        return np.asarray(np.minimum(2 * (1 - share), 1.0), np.float64)
-
-    def unslowed(self, length_m: ArrayLike) -> NDArray[np.float64]:
-        """Return u(L) in metres, float64."""
-        length = np.asarray(length_m, np.float64)
-        if np.isinf(self.full_m):
-            return length
-        half = self.full_m / 2
-        # Below half of the full length `rate_share` is 1 and its logarithm 0.
-        return np.asarray(np.minimum(length, half) - half * np.log(self.rate_share(length)))
-
-    def points(
-        self, measured: Sequence[tuple[float, float, float]], pace_m: float
-    ) -> list[tuple[float, float, float]]:
-        """Transform one fruit's measurements into points of the linear model.
-
-        Parameters
-        ----------
-        measured : sequence of (day, length_m, sd_m)
-            In order of days.
-        pace_m : float
-            Approximate unslowed growth, metres a day.
-
-        Returns
-        -------
-        list of (day, unslowed length in m, its variance)
-            An error of the length is 1 / s times as large in u, with s at the length predicted from
-            the previous point; at the measured length, long readings would weigh less than short
-            ones.
-        """
-        if np.isinf(self.full_m):
-            return [(day, length, sd**2) for day, length, sd in measured]
-        points: list[tuple[float, float, float]] = []
-        for day, length, sd in measured:
-            u = float(self.unslowed(length))
-            expected = u if not points else points[-1][1] + (day - points[-1][0]) * pace_m
-            points.append((day, u, (sd / self._rate_share_of_unslowed(expected)) ** 2))
-        return points
-
-    def _rate_share_of_unslowed(self, u_m: float) -> float:
-        half = self.full_m / 2
-        if u_m <= half:
-            return 1.0
-        return max(float(np.exp(1 - u_m / half)), 2 * (1 - _NEARLY_FULL))
-
-
-LINEAR = Curve()
-
-# Assumed error factors of the profile's spreads, up or down: 1.6 for houses, 1.4 for all others.
-SPREAD_LOG_SD = np.array([0.5, 0.35, 0.35, 0.35, 0.35])
-
-# Candidate full lengths, as multiples of the longest class's upper limit.
-_FULL_LENGTHS = 1.15, 1.3, 1.5, 1.8
-
-# Log likelihood that a curve must gain over the first. Picking alone makes growth look as if it
-# slowed, since of the long fruit those that grow slowly stay: 5 to 10 with 500 links.
-_PLAINLY_BETTER = 15.0
-
-HYPER_DRAWS = 40
-
-_STEP = 0.05  # of the numerical second derivatives
+    return np.clip(2 * (1 - np.asarray(length_m, np.float64) / full_m), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -383,14 +117,16 @@ class GrowthPrior:
         Mean growth, metres a day.
     spreads : Spreads
         Standard deviations of houses, rows, fruit and days.
-    curves : tuple of Curve
-        Candidate dependences of growth on length; the first is used unless the links clearly favour
-        another.
+    full_m : float
+        The length at which growth stops (`rate_share`); infinite for growth that does not slow.
+    shortest_m : float
+        The shortest length that is measured, metres.
     """
 
     mean_m: float
     spreads: Spreads
-    curves: tuple[Curve, ...] = (LINEAR,)
+    full_m: float = float("inf")
+    shortest_m: float = 0.0
 
     @classmethod
     def of(cls, profile: CropProfile) -> GrowthPrior:
@@ -404,49 +140,85 @@ class GrowthPrior:
         """
         g = profile.growth
         cm = (g.house_sd, g.row_sd, g.fruit_sd, g.day_sd, g.fruit_day_sd)
+        full_m = float("inf") if g.full_cm is None else g.full_cm / 100
         spreads = Spreads(*(figure / 100 for figure in cm))
-        if g.full_cm is not None:
-            return cls(g.mean / 100, spreads, (Curve(g.full_cm / 100),))
-        curves = [Curve(float(times * profile.edges_m[-1])) for times in _FULL_LENGTHS]
-        return cls(g.mean / 100, spreads, (LINEAR, *curves))
+        return cls(g.mean / 100, spreads, full_m, profile.acceptance.min_cm / 100)
+
+
+@dataclass(frozen=True, eq=False)
+class LineSums:
+    """Sums over the points of N fruit, float64, shape (N,): what a line through each needs.
+
+    Days count from a fruit's last point, so that they are 0 or negative. A point's weight is the
+    inverse of the variance of its length and of the day-to-day growth since then.
+
+    Parameters
+    ----------
+    weight, day, day_day, length, day_length : ndarray
+        Weighted sums of 1, day, day², length, and day times length.
+    """
+
+    weight: NDArray[np.float64]
+    day: NDArray[np.float64]
+    day_day: NDArray[np.float64]
+    length: NDArray[np.float64]
+    day_length: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, histories: Sequence[Sequence[Point]], prior: GrowthPrior) -> LineSums:
+        """Sum the points of each fruit, which are in order of days, at least one."""
+        counts = [len(points) for points in histories]
+        fruit = np.repeat(np.arange(len(counts)), counts)
+        flat = np.array([p for points in histories for p in points], np.float64).reshape(-1, 3)
+        day, length_m, sd_m = flat.T
+        mean_m = np.bincount(fruit, length_m, len(counts)) / np.array(counts, np.float64)
+        # Where growth slows, a fruit's days count for less.
+        share = np.maximum(rate_share(mean_m, prior.full_m), _LEAST_SHARE)
+        day = (day - day[np.cumsum(counts, dtype=np.intp) - 1][fruit]) * share[fruit]
+        daily = prior.spreads.day**2 + prior.spreads.fruit_day**2
+        weight = 1 / (sd_m**2 - daily * day)
+        terms = (np.ones_like(day), day, day**2, length_m, day * length_m)
+        return cls(*(np.bincount(fruit, weight * term, len(counts)) for term in terms))
 
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """The posterior of growth.
+    """The posterior of growth, metres a day.
 
     Parameters
     ----------
     prior : GrowthPrior
         The prior.
-    basis : Basis
-        Of the coefficients.
     links : tuple of Link
         The links.
-    curve : Curve
-        Dependence of growth on length; rates are unslowed.
-    pace_m : float
-        Median unslowed growth of the links, metres a day, an approximation for `curve`.
-    spreads : tuple of Spreads, length H
-        Draws from the spreads' posterior.
-    mean : ndarray of float64, shape (H, p)
-        Posterior mean of the coefficients for each draw, metres a day.
-    root : ndarray of float64, shape (H, p, p)
-        A square root of their covariance.
+    pace_m, pace_sd_m : float
+        Growth of the house on the days of the links, and its standard deviation.
+    lasting : float
+        Share of the pace's deviation from the prior that is the house's; the rest is weather.
+    lasting_sd_m : float
+        Standard deviation of the house's growth, given the pace.
+    fruit_sd_m : float
+        Standard deviation between the fruit of a row.
+    rows : mapping of str to (float, float)
+        Of each row with links: mean growth of its fruit, and the weight of that against the pace.
     """
 
     prior: GrowthPrior
-    basis: Basis
     links: tuple[Link, ...]
-    curve: Curve
     pace_m: float
-    spreads: tuple[Spreads, ...]
-    mean: NDArray[np.float64]
-    root: NDArray[np.float64]
+    pace_sd_m: float
+    lasting: float
+    lasting_sd_m: float
+    fruit_sd_m: float
+    rows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def mean_m(self) -> float:
+        """Mean growth of the house from today on."""
+        return self.prior.mean_m + self.lasting * (self.pace_m - self.prior.mean_m)
 
 
-@OneThread()
-def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Growth:
+def fit_growth(links: Sequence[Link], prior: GrowthPrior) -> Growth:
     """Learn growth from links.
 
     Parameters
@@ -455,156 +227,108 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
         May be empty: then the result is the prior.
     prior : GrowthPrior
         The prior.
-    seed : int
-        Of the draws from the spreads' posterior.
-
-    Returns
-    -------
-    Growth
 
     Notes
     -----
     The errors of two measurements are taken as independent. An error common to all lengths, such as
     the camera's depth scale, changes growth by the same share.
 
+    A fruit that is short and grew fast was too short to be measured earlier and has no link, so
+    that links of short fruit favour slow ones. Only fruit that would have been long enough at any
+    likely growth count for the house, where they are a third of all.
+
     Examples
     --------
     >>> prior = GrowthPrior(0.03, Spreads(0.006, 0.002, 0.005, 0.003, 0.003))
     >>> links = [Link(str(k), "1", 0, 0.2, 0.003, 3, 0.32, 0.003) for k in range(200)]
-    >>> growth = fit_growth(links, prior)
-    >>> round(100 * float(growth.mean[:, 0].mean()), 1)  # of the house: 4.0 cm a day were seen
+    >>> round(100 * fit_growth(links, prior).mean_m, 1)  # 4.0 cm a day were seen
     3.8
     """
-    rows = tuple(sorted({link.row for link in links}))
-    first = int(np.floor(min((link.day0 for link in links), default=0.0)))
-    last = int(np.ceil(max((link.day1 for link in links), default=0.0)))
-    basis = Basis(rows, first, last - first)
-    fruit: dict[str, list[Link]] = {}
-    for link in links:
-        fruit.setdefault(link.fruit_id, []).append(link)
-    rows_of = [links[0].row for links in fruit.values()]
-    series = [measured_points(links) for links in fruit.values()]
-    problems = [_Problem.of(curve, series, rows_of, basis, prior) for curve in prior.curves]
-    best = problems[0]
-    mode, root = best.fit()
-    # A better curve is better with the first one's spreads too.
-    scores = [problem.log_posterior(mode) for problem in problems]
-    if max(scores) > scores[0] + _PLAINLY_BETTER:
-        best = problems[int(np.argmax(scores))]
-        mode, root = best.fit()
-    logs = mode + np.random.default_rng(seed).standard_normal((HYPER_DRAWS, 5)) @ root.T
-    figures = np.array(astuple(prior.spreads)) * np.exp(logs)
-    draws = tuple(Spreads(*line) for line in figures.tolist())
-    posteriors = [_coefficients(best.histories, prior, spreads) for spreads in draws]
-    means, roots = np.array([f[0] for f in posteriors]), np.array([f[1] for f in posteriors])
+    spreads = prior.spreads
+    by_fruit = links_by_fruit(links)
+    histories = [measured_points(group) for group in by_fruit.values()]
+    if not histories:
+        return Growth(
+            prior=prior,
+            links=(),
+            pace_m=prior.mean_m,
+            pace_sd_m=spreads.house,
+            lasting=1.0,
+            lasting_sd_m=0.0,
+            fruit_sd_m=spreads.fruit,
+        )
+    sums = LineSums.of(histories, prior)
+    spread = sums.weight * sums.day_day - sums.day**2
+    growth = (sums.weight * sums.day_length - sums.day * sums.length) / spread
+    error = sums.weight / spread
+    fair = _is_fair(histories, growth, prior)
+    growth, error = growth[fair], error[fair]
+    all_rows = np.array([group[0].row for group in by_fruit.values()])
+    names, row = np.unique(all_rows[fair], return_inverse=True)
+    fruit_var = _fruit_variance(growth, error, row, spreads.fruit**2)
+    weight = 1 / (fruit_var + error)
+    row_weight = np.bincount(row, weight)
+    row_growth = np.bincount(row, weight * growth) / row_weight
+    # What the fruit of a row, and of a day, have in common does not average out over fruit.
+    house_weight = 1 / (spreads.row**2 + 1 / row_weight)
+    measured_m, measured_var = np.average(row_growth, weights=house_weight), 1 / house_weight.sum()
+    days = max(link.day1 for link in links) - min(link.day0 for link in links)
+    pace_var = spreads.house**2 + spreads.day**2 / days
+    share = pace_var / (pace_var + measured_var)
+    lasting = spreads.house**2 / pace_var
+    row_share = spreads.row**2 * house_weight
+    rows = zip(names.tolist(), row_growth.tolist(), row_share.tolist(), strict=True)
     return Growth(
         prior=prior,
-        basis=basis,
         links=tuple(links),
-        curve=best.curve,
-        pace_m=best.pace_m,
-        spreads=draws,
-        mean=means,
-        root=roots,
+        pace_m=float(prior.mean_m + share * (measured_m - prior.mean_m)),
+        pace_sd_m=float(np.sqrt(share * measured_var)),
+        lasting=lasting,
+        lasting_sd_m=float(spreads.house * np.sqrt(1 - lasting)),
+        fruit_sd_m=float(np.sqrt(fruit_var)),
+        rows={name: (mean_m, weight) for name, mean_m, weight in rows},
     )
 
 
-def measured_points(links: Sequence[Link]) -> list[tuple[float, float, float]]:
+def links_by_fruit(links: Sequence[Link]) -> dict[str, list[Link]]:
+    """Return the links of each fruit."""
+    by_fruit: dict[str, list[Link]] = {}
+    for link in links:
+        by_fruit.setdefault(link.fruit_id, []).append(link)
+    return by_fruit
+
+
+def measured_points(links: Sequence[Link]) -> list[Point]:
     """Return the measurements (day, length_m, sd_m) of one fruit's links, each once, in order."""
     starts = {(k.day0, k.length0_m, k.sd0_m) for k in links}
     return sorted(starts | {(k.day1, k.length1_m, k.sd1_m) for k in links})
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The links under one curve, as a function of log(spread / prior's)."""
-
-    prior: GrowthPrior
-    curve: Curve
-    pace_m: float
-    histories: Histories
-    log_slope: float
-
-    @classmethod
-    def of(
-        cls,
-        curve: Curve,
-        series: Sequence[Sequence[tuple[float, float, float]]],
-        rows: Sequence[str],
-        basis: Basis,
-        prior: GrowthPrior,
-    ) -> _Problem:
-        steps = [pair for measured in series for pair in pairwise(measured)]
-        ends = curve.unslowed([[a[1], b[1]] for a, b in steps]).reshape(-1, 2)
-        paces = (ends[:, 1] - ends[:, 0]) / np.array([b[0] - a[0] for a, b in steps])
-        pace_m = float(np.median(paces)) if steps else prior.mean_m
-        histories = measured_histories([curve.points(m, pace_m) for m in series], rows, basis)
-        slope = float(np.log(curve.rate_share([b[1] for _, b in steps])).sum())
-        return cls(prior=prior, curve=curve, pace_m=pace_m, histories=histories, log_slope=slope)
-
-    def log_posterior(self, logs: NDArray[np.float64]) -> float:
-        centre = np.array(astuple(self.prior.spreads))
-        spreads = Spreads(*(centre * np.exp(logs)).tolist())
-        prior_term = 0.5 * float(((logs / SPREAD_LOG_SD) ** 2).sum())
-        log_likelihood = _coefficients(self.histories, self.prior, spreads)[2]
-        # The likelihood of lengths, not of unslowed lengths, includes the derivative between them.
-        return log_likelihood - self.log_slope - prior_term
-
-    def fit(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the mode, and a root of the covariance, of the spreads' logarithms."""
-        if not len(self.histories.row):
-            return np.zeros(5), np.diag(SPREAD_LOG_SD)
-        return _laplace(lambda logs: -self.log_posterior(logs))
+def _is_fair(
+    histories: Sequence[Sequence[Point]], growth: NDArray[np.float64], prior: GrowthPrior
+) -> NDArray[np.bool_]:
+    """Return which fruit would have been long enough for their first round at any likely growth."""
+    likely_m = float(np.median(growth)) + _FASTEST_SD * prior.spreads.fruit
+    first_m = [points[-1][1] - likely_m * (points[-1][0] - points[0][0]) for points in histories]
+    is_fair = np.array(first_m) > prior.shortest_m
+    return is_fair if is_fair.mean() >= _LEAST_FAIR else np.ones_like(is_fair)
 
 
-def _coefficients(
-    histories: Histories, prior: GrowthPrior, spreads: Spreads
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return posterior mean and root of beta, and the log marginal likelihood."""
-    filtered = kalman_filter(histories, spreads)
-    sd = _prior_sd(histories.basis, spreads)
-    prior_mean = np.zeros(len(sd))
-    prior_mean[0] = prior.mean_m
-    design = filtered.innovations[:, 1:] * sd
-    residual = filtered.innovations[:, 0] - filtered.innovations[:, 1:] @ prior_mean
-    # beta = known + sd u with u ~ N(0, 1): the posterior precision of u is 1 + design' design.
-    lower = np.linalg.cholesky(np.eye(len(sd)) + design.T @ design)
-    toward = np.linalg.solve(lower, design.T @ residual)
-    inverse = np.linalg.inv(lower)
-    log_likelihood = -(
-        filtered.log_scale
-        + float(np.log(np.diag(lower)).sum())
-        + 0.5 * float(residual @ residual - toward @ toward)
+def _fruit_variance(
+    growth: NDArray[np.float64], error: NDArray[np.float64], row: NDArray[np.intp], prior: float
+) -> float:
+    """Return the variance of growth between the fruit of a row, from their growth and its errors.
+
+    A residual's square has the expectation (variance + error) times its freedom, 1 less the fruit's
+    share of its row's mean: the only fruit of a row tells nothing.
+    """
+    weight = 1 / (prior + error)
+    row_weight = np.bincount(row, weight)
+    residual = growth - (np.bincount(row, weight * growth) / row_weight)[row]
+    freedom = 1 - weight / row_weight[row]
+    information = (prior * weight) ** 2
+    scatter = float((information * (residual**2 - freedom * error)).sum())
+    variance = (_PRIOR_FRUIT * prior + scatter) / (
+        _PRIOR_FRUIT + float((information * freedom).sum())
     )
-    return prior_mean + sd * (inverse.T @ toward), sd[:, None] * inverse.T, log_likelihood
-
-
-def _prior_sd(basis: Basis, spreads: Spreads) -> NDArray[np.float64]:
-    """Return the prior standard deviation of each coefficient, metres a day, shape (p,)."""
-    rows, days = [spreads.row] * len(basis.rows), [spreads.day] * basis.days
-    return np.array([spreads.house, *rows, *days])
-
-
-def _laplace(
-    badness: Callable[[NDArray[np.float64]], float],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mode, and a square root of the inverse curvature there."""
-    from scipy.optimize import minimize
-
-    size = 5
-    optimum = minimize(badness, np.zeros(size), method="L-BFGS-B", bounds=[(-3.0, 3.0)] * size)
-    mode = np.asarray(optimum.x, np.float64)
-    step = _STEP * np.eye(size)
-    curvature = np.empty((size, size))
-    for i in range(size):
-        for j in range(i, size):
-            corners = [
-                badness(mode + si * step[i] + sj * step[j]) * si * sj
-                for si in (1, -1)
-                for sj in (1, -1)
-            ]
-            curvature[i, j] = curvature[j, i] = sum(corners) / (4 * _STEP**2)
-    values, vectors = np.linalg.eigh(curvature)
-    # The posterior of the spreads is never wider than the prior.
-    values = np.maximum(values, SPREAD_LOG_SD.max() ** -2)
-    return mode, vectors / np.sqrt(values)
+    return max(variance, _LEAST_VARIANCE * prior)

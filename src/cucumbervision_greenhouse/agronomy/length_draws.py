@@ -1,17 +1,18 @@
-"""A fruit as last measured, and draws of every fruit's length on the coming days."""
+"""A fruit as last measured, its line of growth, and draws of its length on the coming days."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.errors import ForecastError
 from cucumbervision_greenhouse.agronomy.growth import (
-    kalman_filter,
-    measured_histories,
+    LineSums,
+    links_by_fruit,
     measured_points,
+    rate_share,
 )
 
 if TYPE_CHECKING:
@@ -19,13 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.agronomy.growth import (
-        FilteredStates,
-        Growth,
-        Histories,
-        Link,
-        Spreads,
-    )
+    from cucumbervision_greenhouse.agronomy.growth import Growth
 
 
 @dataclass(frozen=True)
@@ -72,19 +67,91 @@ class FruitState:
 
 
 @dataclass(frozen=True, eq=False)
-class LengthDraws:
-    """Drawn lengths.
+class FruitLines:
+    """The posterior of N fruit's last length and growth, given the growth g of their rows.
 
     Parameters
     ----------
-    unslowed_m : ndarray of float32, shape (D, S, N)
-        Unslowed lengths (`curve`) of N fruit on D days in S draws, metres.
-    newcomer_m : ndarray of float64, shape (D, S)
-        Unslowed growth from today on of a fruit in an unknown row, metres.
+    day : ndarray of float64, shape (N,)
+        Of the last length.
+    length_m, growth_m : ndarray of float64, shape (2, N)
+        Means: the first line plus the second times g; metres, metres a day.
+    covariance : ndarray of float64, shape (3, N)
+        Variance of the length, covariance, variance of the growth.
+    row_growth_m, row_weight : ndarray of float64, shape (N,)
+        Measured growth of each fruit's row, and its weight against the house's pace; 0 without.
     """
 
-    unslowed_m: NDArray[np.float32]
-    newcomer_m: NDArray[np.float64]
+    day: NDArray[np.float64]
+    length_m: NDArray[np.float64]
+    growth_m: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    row_growth_m: NDArray[np.float64]
+    row_weight: NDArray[np.float64]
+
+
+def fruit_lines(fruit: Sequence[FruitState], growth: Growth, scale_sd: float) -> FruitLines:
+    """Return the line of each fruit through its lengths, its slope pooled with its row's growth.
+
+    Parameters
+    ----------
+    fruit, growth, scale_sd
+        As `draw_lengths` takes them.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit has links after its day.
+    """
+    links = links_by_fruit(growth.links)
+    histories = []
+    for state in fruit:
+        alone_var = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
+        past = measured_points(links[state.fruit_id]) if state.fruit_id in links else []
+        if past and past[-1][0] > state.day:
+            raise ForecastError(
+                f"fruit {state.fruit_id!r} was measured on day {state.day:g}, a link of it ends "
+                f"on day {past[-1][0]:g}",
+                remedy="give the fruit as last measured, on the links' own count of days",
+            )
+        last = (state.day, state.length_m, alone_var**0.5)
+        histories.append([*(point for point in past if point[0] < state.day), last])
+    sums = LineSums.of(histories, growth.prior)
+    # The row's growth is one more measurement of the slope.
+    pull = growth.fruit_sd_m**-2
+    day_day = sums.day_day + pull
+    determinant = sums.weight * day_day - sums.day**2
+    length_m = day_day * sums.length - sums.day * sums.day_length, -pull * sums.day
+    growth_m = sums.weight * sums.day_length - sums.day * sums.length, pull * sums.weight
+    rows = np.array([growth.rows.get(state.row, (0.0, 0.0)) for state in fruit]).reshape(-1, 2)
+    return FruitLines(
+        day=np.array([state.day for state in fruit], np.float64),
+        length_m=np.array(length_m) / determinant,
+        growth_m=np.array(growth_m) / determinant,
+        covariance=np.array([day_day, -sums.day, sums.weight]) / determinant,
+        row_growth_m=rows[:, 0],
+        row_weight=rows[:, 1],
+    )
+
+
+def lengths_today(
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean and standard deviation of each length today, metres, (N,)."""
+    lines, prior = fruit_lines(fruit, growth, scale_sd), growth.prior
+    days = (today - lines.day) * rate_share(lines.length_m[0], prior.full_m)
+    pull = growth.pace_m + lines.row_weight * (lines.row_growth_m - growth.pace_m)
+    # The derivatives of the length by the row's growth and by the house's pace.
+    by_row = lines.length_m[1] + days * lines.growth_m[1]
+    by_pace = by_row * (1 - lines.row_weight) + days * (growth.lasting - 1)
+    mean_m = lines.length_m[0] + by_row * pull
+    mean_m += days * (lines.growth_m[0] + growth.mean_m - growth.pace_m)
+    of_length, shared, of_growth = lines.covariance
+    daily = prior.spreads.day**2 + prior.spreads.fruit_day**2
+    variance = of_length + 2 * days * shared + days**2 * of_growth + days * daily
+    variance += by_row**2 * prior.spreads.row**2 * (1 - lines.row_weight)
+    variance += (by_pace * growth.pace_sd_m) ** 2 + (days * growth.lasting_sd_m) ** 2
+    return mean_m, np.sqrt(variance + (scale_sd * mean_m) ** 2)
 
 
 def draw_lengths(
@@ -95,7 +162,8 @@ def draw_lengths(
     draws: int,
     scale_sd: float,
     rng: np.random.Generator,
-) -> LengthDraws:
+    shortest_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Draw the lengths of fruit on days 0 to `days`; lengths never shrink.
 
     Parameters
@@ -107,11 +175,20 @@ def draw_lengths(
     today : float
         Day 0; every fruit is extrapolated to it.
     days, draws : int
-        Days ahead, and number of draws, rounded up to a multiple of the posterior's.
+        Days ahead, and number of draws.
     scale_sd : float
         Relative standard deviation of an error common to all lengths.
     rng : numpy.random.Generator
         Random generator.
+    shortest_m : float
+        Length of a newcomer today, metres: the shortest that is measured.
+
+    Returns
+    -------
+    lengths_m : ndarray of float32, shape (days + 1, draws, N)
+        Of the fruit.
+    newcomer_m : ndarray of float32, shape (days + 1, draws)
+        Of a newcomer in a row without links.
 
     Raises
     ------
@@ -124,115 +201,65 @@ def draw_lengths(
             f"{today:g}",
             remedy="give the day of the latest round as today",
         )
-    histories = histories_of(fruit, growth, today, scale_sd)
-    per_spread = -(-draws // len(growth.spreads))
-    total = per_spread * len(growth.spreads)
-    unslowed = np.empty((days + 1, total, len(fruit)), np.float32)
-    newcomers = np.zeros((days + 1, total))
+    lines, spreads = fruit_lines(fruit, growth, scale_sd), growth.prior.spreads
     [later] = rng.spawn(1)  # today's draws do not depend on the number of days
-    for h, spreads in enumerate(growth.spreads):
-        z = rng.standard_normal((per_spread, growth.basis.size))
-        beta = growth.mean[h] + z @ growth.root[h].T
-        unseen = len(histories.basis.rows) - len(growth.basis.rows)
-        luck = spreads.row * rng.standard_normal((per_spread, unseen))
-        beta = np.insert(beta, [1 + len(growth.basis.rows)] * unseen, luck, axis=1)
-        weather = spreads.day * later.standard_normal((days, per_spread))
-        shared = _Shared(beta, weather, len(histories.basis.rows))
-        where = slice(h * per_spread, (h + 1) * per_spread)
-        _fill(
-            unslowed[:, where],
-            kalman_filter(histories, spreads),
-            shared,
-            histories.row,
-            spreads,
-            (rng, later),
-        )
-        newcomers[1:, where] = _newcomers(shared, spreads, later)
-    if scale_sd > 0:
-        unslowed *= np.exp(scale_sd * rng.standard_normal((total, 1))).astype(np.float32)
-    return LengthDraws(unslowed, newcomers)
+    length_m, growth_m, newcomer_growth_m = _drawn_lines(fruit, lines, growth, draws, rng)
+    length_m = np.pad(length_m, ((0, 0), (0, 1)), constant_values=shortest_m)
+    growth_m = np.column_stack([growth_m, newcomer_growth_m.astype(np.float32)])
 
-
-def histories_of(
-    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
-) -> Histories:
-    """Arrange each fruit's points; rows without links follow those of the posterior."""
-    links: dict[str, list[Link]] = {}
-    for link in growth.links:
-        links.setdefault(link.fruit_id, []).append(link)
-    points = []
-    for state in fruit:
-        alone = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
-        past = measured_points(links[state.fruit_id]) if state.fruit_id in links else []
-        if past and past[-1][0] > state.day:
-            raise ForecastError(
-                f"fruit {state.fruit_id!r} was measured on day {state.day:g}, a link of it ends "
-                f"on day {past[-1][0]:g}",
-                remedy="give the fruit as last measured, on the links' own count of days",
-            )
-        series = [*(p for p in past if p[0] < state.day), (state.day, state.length_m, alone**0.5)]
-        points.append(growth.curve.points(series, growth.pace_m))
-    names = [state.row for state in fruit]
-    rows = tuple(dict.fromkeys((*growth.basis.rows, *names)))
-    return measured_histories(points, names, replace(growth.basis, rows=rows), today)
-
-
-@dataclass(frozen=True, eq=False)
-class _Shared:
-    """Effects shared in s draws: coefficients (s, p) of `rows` rows, next days (D, s)."""
-
-    beta: NDArray[np.float64]
-    days: NDArray[np.float64]
-    row_count: int
-
-    @property
-    def rates(self) -> NDArray[np.float64]:
-        """Growth of each row, shape (s, R)."""
-        return self.beta[:, :1] + self.beta[:, 1 : 1 + self.row_count]
-
-
-def _fill(
-    lengths: NDArray[np.float32],
-    filtered: FilteredStates,
-    shared: _Shared,
-    rows: NDArray[np.intp],
-    spreads: Spreads,
-    rngs: tuple[np.random.Generator, np.random.Generator],
-) -> None:
-    """Fill lengths, shape (D, s, N), of some draws: today's by one generator, later by another."""
-    rng, later = rngs
-    shape = lengths.shape[1:]
-    var_x, cov, var_b = filtered.covariance.T
-    sd_x = np.sqrt(var_x)
-    slope = cov / sd_x
-    residual_sd = np.sqrt(np.maximum(var_b - slope**2, 0.0))
-    z = rng.standard_normal(shape, np.float32)
-    length = _affine(filtered.length, shared.beta) + sd_x.astype(np.float32) * z
-    rate = _affine(filtered.growth, shared.beta) + slope.astype(np.float32) * z
-    rate += residual_sd.astype(np.float32) * rng.standard_normal(shape, np.float32)
-    rate += shared.rates.astype(np.float32)[:, rows]
-    lengths[0] = length
-    for day in range(1, len(lengths)):
-        step = later.standard_normal(shape, np.float32)
+    def grow(start_m: NDArray[np.float32], elapsed: NDArray[np.float32]) -> NDArray[np.float32]:
+        step = later.standard_normal(start_m.shape, np.float32)
         step *= np.float32(spreads.fruit_day)
-        step += rate
-        step += shared.days[day - 1].astype(np.float32)[:, None]
+        step += (spreads.day * later.standard_normal((draws, 1))).astype(np.float32)
+        step *= np.sqrt(elapsed)
+        step += elapsed * growth_m
         np.maximum(step, 0, out=step)
-        np.add(lengths[day - 1], step, out=lengths[day])
+        if np.isfinite(growth.prior.full_m):
+            step *= rate_share(start_m, growth.prior.full_m).astype(np.float32)
+        step += start_m
+        return step
+
+    gap = (today - np.append(lines.day, today)).astype(np.float32)
+    lengths_m = np.empty((days + 1, *length_m.shape), np.float32)
+    lengths_m[0] = grow(length_m, gap) if gap.any() else length_m
+    for day in range(days):
+        lengths_m[day + 1] = grow(lengths_m[day], np.ones(1, np.float32))
+    lengths_m *= np.exp(scale_sd * rng.standard_normal((draws, 1))).astype(np.float32)
+    return lengths_m[..., :-1], lengths_m[..., -1]
 
 
-def _affine(columns: NDArray[np.float64], beta: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return first column + others times beta for every draw, shape (s, N)."""
-    result = np.repeat(columns[None, :, 0].astype(np.float32), len(beta), axis=0)
-    # Only fruit with several points depend on beta. No BLAS: its threads cost more than they save.
-    past = np.flatnonzero(columns[:, 1:].any(axis=1))
-    weights = columns[past, 1:].astype(np.float32)
-    result[:, past] += np.einsum("sp,np->sn", beta.astype(np.float32), weights)
-    return result
+def _drawn_lines(
+    fruit: Sequence[FruitState],
+    lines: FruitLines,
+    growth: Growth,
+    draws: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Draw each fruit's last length and growth, (draws, N), and the growth of a newcomer."""
+    spreads, prior = growth.prior.spreads, growth.prior
+    names = list(dict.fromkeys(state.row for state in fruit))
+    row = np.array([names.index(state.row) for state in fruit], np.intp)
+    pace_m = growth.pace_m + growth.pace_sd_m * rng.standard_normal(draws)
+    house_m = prior.mean_m + growth.lasting * (pace_m - prior.mean_m)
+    house_m += growth.lasting_sd_m * rng.standard_normal(draws)
+    row_sd_m = (spreads.row * np.sqrt(1 - lines.row_weight)).astype(np.float32)
+    row_luck = rng.standard_normal((draws, len(names)), np.float32)[:, row]
+    row_m = pace_m.astype(np.float32)[:, None] * (1 - lines.row_weight).astype(np.float32)
+    row_m += (lines.row_weight * lines.row_growth_m).astype(np.float32) + row_sd_m * row_luck
+    length, slope, cov = (
+        part.astype(np.float32) for part in (lines.length_m, lines.growth_m, _root(lines))
+    )
+    first, second = rng.standard_normal((2, *row_m.shape), np.float32)
+    length_m = length[0] + length[1] * row_m + cov[0] * first
+    growth_m = slope[0] + slope[1] * row_m + cov[1] * first + cov[2] * second
+    growth_m += (house_m - pace_m).astype(np.float32)[:, None]
+    newcomer_sd_m = np.hypot(spreads.row, growth.fruit_sd_m)
+    return length_m, growth_m, house_m + newcomer_sd_m * rng.standard_normal(draws)
 
 
-def _newcomers(shared: _Shared, spreads: Spreads, rng: np.random.Generator) -> NDArray[np.float64]:
-    own_rate = np.hypot(spreads.row, spreads.fruit) * rng.standard_normal(len(shared.beta))
-    luck = spreads.fruit_day * rng.standard_normal(shared.days.shape)
-    steps = np.maximum(shared.beta[:, 0] + own_rate + shared.days + luck, 0.0)
-    return np.asarray(np.cumsum(steps, axis=0), np.float64)
+def _root(lines: FruitLines) -> NDArray[np.float64]:
+    """Return the Cholesky factor of each fruit's covariance: its three figures, shape (3, N)."""
+    of_length, shared, of_growth = lines.covariance
+    sd_m = np.sqrt(of_length)
+    shared = shared / sd_m
+    return np.array([sd_m, shared, np.sqrt(np.maximum(of_growth - shared**2, 0.0))])

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.simulated_houses import HouseSettings, simulate_house
@@ -7,51 +10,58 @@ from tests.simulated_houses import HouseSettings, simulate_house
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 from cucumbervision_greenhouse.agronomy.growth import (
-    LINEAR,
-    Basis,
-    Curve,
     Growth,
     GrowthPrior,
     Link,
     Spreads,
     fit_growth,
-    kalman_filter,
-    measured_histories,
 )
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior.of(load_profile("long-cucumber"))
 
 
-def house_rate(growth: Growth) -> tuple[float, float]:
-    """Mean and standard deviation of the house's growth over all draws of the spreads."""
-    means, own = growth.mean[:, 0], growth.root[:, 0]
-    return float(means.mean()), float(np.sqrt(means.var() + (own**2).sum(axis=1).mean()))
+def house_sd(growth: Growth) -> float:
+    """Return the standard deviation of the house's growth from today on."""
+    return math.hypot(growth.lasting * growth.pace_sd_m, growth.lasting_sd_m)
 
 
-def test_filter_is_the_joint_normal_posterior() -> None:
-    """Held against the whole covariance of one fruit with three lengths."""
-    days, sd = np.array([0.0, 2.0, 3.0]), np.array([0.004, 0.005, 0.006])
-    lengths, mu = np.array([0.15, 0.20, 0.245]), 0.03
-    basis = Basis(("r",), 0, 0)
-    seen = measured_histories(
-        [list(zip(days, lengths, sd**2, strict=True))], ["r"], basis, until=4.0
-    )
-    found = kalman_filter(seen, SPREADS)
-    # x(t) = x0 + (mu + b) t + sum of daily luck, x0 with a practically flat prior; days outside
-    # the basis bring the weather's variance as well.
-    luck = SPREADS.fruit_day**2 + SPREADS.day**2
-    times = np.array([*days, 4.0])
-    cov = 10.0 + np.outer(times, times) * SPREADS.fruit**2 + luck * np.minimum.outer(times, times)
-    cov_b = np.concatenate([times * SPREADS.fruit**2, [SPREADS.fruit**2]])
-    joint = np.block([[cov, cov_b[:4, None]], [cov_b[None, :4], cov_b[None, 4:]]])
-    gain = joint[3:, :3] @ np.linalg.inv(joint[:3, :3] + np.diag(sd**2))
-    mean = np.array([mu * 4.0, 0.0]) + gain @ (lengths - mu * days)
-    left = joint[3:, 3:] - gain @ joint[:3, 3:]
-    beta = np.array([mu, 0.0])
-    assert found.length[0, 0] + found.length[0, 1:] @ beta == pytest.approx(mean[0], abs=1e-6)
-    assert found.growth[0, 0] + found.growth[0, 1:] @ beta == pytest.approx(mean[1], abs=1e-6)
-    np.testing.assert_allclose(found.covariance[0], [left[0, 0], left[0, 1], left[1, 1]], atol=1e-7)
+def test_one_fruit_by_hand() -> None:
+    # 10 cm in 2 days: 5 cm a day, whose variance is that of both lengths and of two days over 2²,
+    # of its row and of itself.
+    link = Link("a", "1", 0, 0.15, 0.004, 2, 0.25, 0.003)
+    growth = fit_growth([link], PRIOR)
+    error = (0.004**2 + 2 * (0.003**2 + 0.003**2) + 0.003**2) / 2**2 + 0.005**2 + 0.002**2
+    weather = 0.003**2 / 2
+    total = 0.008**2 + weather
+    share = total / (total + error)
+    assert growth.pace_m == pytest.approx(0.03 + share * (0.05 - 0.03))
+    assert growth.pace_sd_m == pytest.approx(math.sqrt(share * error))
+    # Of the deviation the house keeps its own share, and loses the weather's.
+    kept = 0.008**2 / total
+    assert growth.mean_m == pytest.approx(0.03 + kept * share * 0.02)
+    assert growth.lasting_sd_m == pytest.approx(math.sqrt(0.008**2 * (1 - kept)))
+    # A single fruit says nothing of the difference between fruit.
+    assert growth.fruit_sd_m == pytest.approx(0.005)
+
+
+def test_fruit_of_several_rows_by_hand() -> None:
+    growths = {"a": ("1", 0.030), "b": ("1", 0.034), "c": ("2", 0.050)}
+    links = [
+        Link(name, row, 0, 0.15, 1e-6, 2, 0.15 + 2 * pace, 1e-6)
+        for name, (row, pace) in growths.items()
+    ]
+    spreads = replace(SPREADS, day=1e-9, fruit_day=1e-9, row=0.004)
+    growth = fit_growth(links, replace(PRIOR, spreads=spreads))
+    # Row 1 scatters by 2 mm either way with one degree of freedom, the profile counts for four.
+    variance = (4 * 0.005**2 + 2 * 0.002**2) / (4 + 1)
+    assert growth.fruit_sd_m == pytest.approx(math.sqrt(variance), rel=1e-5)
+    weights = 1 / (0.004**2 + variance / np.array([2, 1]))
+    assert growth.rows["1"] == pytest.approx((0.032, 0.004**2 * weights[0]), rel=1e-5)
+    assert growth.rows["2"] == pytest.approx((0.050, 0.004**2 * weights[1]), rel=1e-5)
+    share = 0.008**2 / (0.008**2 + 1 / weights.sum())
+    measured = np.average([0.032, 0.050], weights=weights)
+    assert growth.pace_m == pytest.approx(0.03 + share * (measured - 0.03), rel=1e-5)
 
 
 def test_same_measurement_in_two_links_counts_once() -> None:
@@ -60,64 +70,84 @@ def test_same_measurement_in_two_links_counts_once() -> None:
     around = Link("a", "1", 0, 0.10, 0.004, 4, 0.22, 0.004)
     two = fit_growth([first, second], PRIOR)
     three = fit_growth([first, second, around], PRIOR)
-    np.testing.assert_array_equal(two.mean, three.mean)
+    assert (two.pace_m, two.rows, two.fruit_sd_m) == (three.pace_m, three.rows, three.fruit_sd_m)
 
 
 def test_no_link_leaves_the_prior() -> None:
     growth = fit_growth([], PRIOR)
-    assert growth.curve is LINEAR
-    mean_m, sd_m = house_rate(growth)
-    assert mean_m == pytest.approx(0.03)
-    # Wider than 0.8 cm, since the spread itself is not sure.
-    assert 0.008 < sd_m < 1.35 * 0.008
+    assert growth.mean_m == 0.03
+    assert house_sd(growth) == 0.008
+    assert growth.fruit_sd_m == 0.005
+    assert growth.rows == {}
 
 
 @pytest.mark.parametrize("true_m", [0.015, 0.03, 0.05])
 def test_links_overrule_the_prior(true_m: float) -> None:
     house = simulate_house(HouseSettings(true_m, SPREADS, links=300), seed=3)
-    mean_m, sd_m = house_rate(fit_growth(house.links, PRIOR))
-    assert abs(mean_m - true_m) < 2.58 * sd_m
-    assert 2 * 2.58 * sd_m < 0.015  # three days' weather of the house remains
+    growth = fit_growth(house.links, PRIOR)
+    assert abs(growth.mean_m - true_m) < 2.58 * house_sd(growth)
+    assert 2 * 2.58 * house_sd(growth) < 0.015  # the weather of four days remains
 
 
 def test_rows_are_told_apart() -> None:
     spreads = Spreads(0.008, 0.006, 0.002, 0.001, 0.001)
     house = simulate_house(HouseSettings(0.03, spreads, rows=4, links=400), seed=5)
     growth = fit_growth(house.links, PRIOR)
-    seen = {
-        row: np.mean([(k.length1_m - k.length0_m) / 2 for k in house.links if k.row == row])
-        for row in growth.basis.rows
+    measured = {
+        row: float(np.mean([(k.length1_m - k.length0_m) / 2 for k in house.links if k.row == row]))
+        for row in growth.rows
     }
-    fitted = dict(zip(growth.basis.rows, growth.mean[:, 1:].mean(axis=0).tolist(), strict=False))
-    assert sorted(seen, key=lambda r: seen[r]) == sorted(fitted, key=lambda r: fitted[r])
+    fitted = {row: mean_m for row, (mean_m, _) in growth.rows.items()}
+    assert sorted(measured, key=measured.__getitem__) == sorted(fitted, key=fitted.__getitem__)
     assert max(fitted.values()) - min(fitted.values()) > 0.004
+    assert min(weight for _, weight in growth.rows.values()) > 0.7
 
 
-def test_slowing_growth_is_found_and_steady_growth_is_left_alone() -> None:
-    steady = simulate_house(HouseSettings(0.03, SPREADS, links=400), seed=1)
-    assert fit_growth(steady.links, PRIOR).curve is LINEAR
-    slowing = simulate_house(HouseSettings(0.03, SPREADS, links=400, full_m=0.45), seed=1)
-    assert fit_growth(slowing.links, PRIOR).curve.full_m == pytest.approx(0.43, abs=0.04)
+@pytest.mark.parametrize("true_m", [0.0025, 0.005, 0.01])
+def test_difference_between_fruit_is_learnt(true_m: float) -> None:
+    spreads = replace(SPREADS, fruit=true_m)
+    fitted = [
+        fit_growth(
+            simulate_house(HouseSettings(0.03, spreads, links=500), seed=seed).links, PRIOR
+        ).fruit_sd_m
+        for seed in range(5)
+    ]
+    assert np.mean(fitted) == pytest.approx(true_m, rel=0.12)
 
 
-def test_unslowed_length_grows_as_fast_everywhere() -> None:
-    curve = Curve(0.45)
-    lengths = [0.10]
-    for _ in range(4000):  # a rate of 3 cm a day for 10 days, in small steps
-        lengths.append(lengths[-1] + 0.03 * 10 / 4000 * float(curve.rate_share(lengths[-1])))
-    grown = curve.unslowed(lengths[-1]) - curve.unslowed(lengths[0])
-    assert float(grown) == pytest.approx(0.30, rel=1e-4)
-    assert lengths[-1] < 0.36
+def test_exact_lengths_of_equal_fruit_keep_some_difference_between_them() -> None:
+    links = [Link(str(k), "1", 0, 0.2, 1e-6, 2, 0.26, 1e-6) for k in range(500)]
+    assert 0.001 < fit_growth(links, PRIOR).fruit_sd_m < 0.002
 
 
-def test_points_count_by_their_error_and_the_slope_that_was_expected() -> None:
-    curve = Curve(0.40)
-    (_, u0, v0), (_, u1, v1) = curve.points([(0, 0.10, 0.004), (4, 0.30, 0.004)], pace_m=0.05)
-    assert u0 == 0.10
-    assert v0 == pytest.approx(0.004**2)
-    assert u1 == pytest.approx(0.2 + 0.2 * np.log(2))
-    # 0.10 + 4 days of 0.05 = 0.30 unslowed is exp(1 - 0.30 / 0.20) = 0.61 of full growth.
-    assert v1 == pytest.approx((0.004 / np.exp(-0.5)) ** 2)
+def test_fast_fruit_without_a_link_do_not_make_the_house_slow() -> None:
+    # Whoever grew faster than 5 cm a day was shorter than 5 cm four days ago, and has no link.
+    rng = np.random.default_rng(2)
+    growths = rng.normal(0.03, 0.01, 4000)
+    lengths = rng.uniform(0.05, 0.40, 4000)
+    links = [
+        Link(str(k), "1", 0, length - 4 * pace, 0.001, 4, length, 0.001)
+        for k, (pace, length) in enumerate(zip(growths, lengths, strict=True))
+        if length - 4 * pace > 0.05
+    ]
+    all_m = np.mean([(k.length1_m - k.length0_m) / 4 for k in links])
+    prior = replace(PRIOR, spreads=replace(SPREADS, day=1e-6, fruit=0.01))
+    fitted = fit_growth(links, prior).mean_m
+    assert all_m < 0.0285
+    assert fitted == pytest.approx(0.03, abs=0.0006)
+
+
+def test_short_fruit_count_where_no_long_ones_have_links() -> None:
+    links = [Link(str(k), "1", 0, 0.06, 0.002, 2, 0.12, 0.002) for k in range(5)]
+    assert fit_growth(links, replace(PRIOR, mean_m=0.02)).pace_m > 0.025
+
+
+def test_growth_that_slows_is_measured_against_the_length() -> None:
+    # 30 cm long, a fruit that stops at 40 cm grows by half of its full 3 cm a day.
+    links = [Link(str(k), "1", 0, 0.285, 0.003, 2, 0.315, 0.003) for k in range(300)]
+    prior = replace(PRIOR, spreads=replace(SPREADS, day=1e-6))
+    assert fit_growth(links, prior).mean_m == pytest.approx(0.015, abs=0.001)
+    assert fit_growth(links, replace(prior, full_m=0.40)).mean_m == pytest.approx(0.03, abs=0.001)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ class GrowthFigures(_Strict):
     day_sd, fruit_day_sd : float
         Between days, for all fruit of a house together (weather) and for each fruit.
     full_cm : float, optional
-        The length at which growth stops, if known; otherwise the links decide (`curve`).
+        The length at which growth stops, if known: growth falls linearly from half of it on.
     source : str
         Source of the figures.
     """

@@ -147,6 +147,8 @@ class Forecast:
         too small to be measured today.
     level : float
         Of the intervals.
+    growth : Growth
+        The growth that the fruit are expected to have.
     """
 
     today: float
@@ -163,6 +165,7 @@ class Forecast:
     row_picks: Counts
     complete: NDArray[np.bool_]
     level: float
+    growth: Growth
 
     @property
     def ready(self) -> NDArray[np.float64]:
@@ -275,6 +278,7 @@ def forecast(
         row_picks=row_picks,
         complete=_complete(newcomer_m, profile),
         level=level,
+        growth=growth,
     )
 
 

@@ -121,12 +121,15 @@ class GrowthPrior:
         The length at which growth stops (`rate_share`); infinite for growth that does not slow.
     shortest_m : float
         The shortest length that is measured, metres.
+    source : str
+        Source of the figures.
     """
 
     mean_m: float
     spreads: Spreads
     full_m: float = float("inf")
     shortest_m: float = 0.0
+    source: str = ""
 
     @classmethod
     def of(cls, profile: CropProfile) -> GrowthPrior:
@@ -142,7 +145,7 @@ class GrowthPrior:
         cm = (g.house_sd, g.row_sd, g.fruit_sd, g.day_sd, g.fruit_day_sd)
         full_m = float("inf") if g.full_cm is None else g.full_cm / 100
         spreads = Spreads(*(figure / 100 for figure in cm))
-        return cls(g.mean / 100, spreads, full_m, profile.acceptance.min_cm / 100)
+        return cls(g.mean / 100, spreads, full_m, profile.accepted_m[0], g.source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +181,8 @@ class LineSums:
         daily = prior.spreads.day**2 + prior.spreads.fruit_day**2
         weight = 1 / (sd_m**2 - daily * day)
         terms = (np.ones_like(day), day, day**2, length_m, day * length_m)
-        return cls(*(np.bincount(fruit, weight * term, len(counts)) for term in terms))
+        sums = [np.bincount(fruit, weight * term, len(counts)) for term in terms]
+        return cls(*(np.asarray(total, np.float64) for total in sums))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +220,11 @@ class Growth:
     def mean_m(self) -> float:
         """Mean growth of the house from today on."""
         return self.prior.mean_m + self.lasting * (self.pace_m - self.prior.mean_m)
+
+    @property
+    def mean_sd_m(self) -> float:
+        """Standard deviation of `mean_m`."""
+        return float(np.hypot(self.lasting * self.pace_sd_m, self.lasting_sd_m))
 
 
 def fit_growth(links: Sequence[Link], prior: GrowthPrior) -> Growth:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.agronomy.growth import Growth
     from cucumbervision_greenhouse.agronomy.picking import Pick, Span
     from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
@@ -35,6 +36,7 @@ _FOUND_LATER = re.compile(
     r"|(?<!\S)(?:<(?=->(?!\S)|[-=](?!\S))|-(?=[->](?!\S))|[>~](?==(?!\S))))"
 )
 _JOINER = "\u2060"  # has no width, and breaks no word
+_FORECAST_Z = 1.2816  # half of an 80 % interval, in standard deviations
 
 
 # Remedies of the core name options of commands; a reader of a page has the camera file and the
@@ -399,6 +401,32 @@ def span_words(span: Span) -> str:
         return f"0 to {span.high:.0f}"
     words = f"{span.expected:.0f}"
     return words if span.low == span.high else f"{words} ({span.low:.0f} to {span.high:.0f})"
+
+
+def growth_words(growth: Growth) -> str:
+    """Return the growth that a forecast expects of its house in words, and where it comes from.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.profiles import load_profile
+    >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
+    >>> prior = GrowthPrior.of(load_profile("long-cucumber"))
+    >>> growth_words(fit_growth([], prior))
+    'Expected growth: 3.0 cm a day (2.0 to 4.0), by the crop profile, as no fruit was seen on two
+    days (2 to 4 cm a day: the CucumberVision paper, ...).'
+    >>> growth_words(fit_growth([Link("a", "1", 0, 0.2, 0.003, 2, 0.28, 0.003)], prior))
+    'Expected growth: 3.6 cm a day (2.9 to 4.2), by 1 fruit seen on several days and the crop
+    profile.'
+    """
+    cm = [
+        100 * max(growth.mean_m + z * growth.mean_sd_m, 0.0) for z in (-_FORECAST_Z, 0, _FORECAST_Z)
+    ]
+    words = f"Expected growth: {cm[1]:.1f} cm a day ({cm[0]:.1f} to {cm[2]:.1f}), by "
+    count = len({link.fruit_id for link in growth.links})
+    if count:
+        return f"{words}{count} fruit seen on several days and the crop profile."
+    source = f" ({growth.prior.source})" if growth.prior.source else ""
+    return f"{words}the crop profile, as no fruit was seen on two days{source}."
 
 
 def hours_span_words(span: Span) -> str:

@@ -12,6 +12,7 @@ from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.words import (
     counted,
+    growth_words,
     hours_span_words,
     plain,
     round_day,
@@ -90,10 +91,7 @@ def _days(prediction: Forecast) -> None:
         words = f"Today {fruit} in no class, and in the ranges. {words}"
     st.caption(words)
     with st.expander("Details", icon=":material/list:"):
-        st.caption(
-            "Ranges are 80 % intervals. Growth comes from the crop profile until fruit are linked "
-            "between days."
-        )
+        st.caption(f"Ranges are 80 % intervals. {plain(growth_words(prediction.growth))}")
 
 
 def _work(prediction: Forecast) -> None:

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+
+from tests.greenhouse.dashboard.app_pages import WALK, app, classes, listed, said, tap
+
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.views import Verdict
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+def test_results_count_the_round_and_show_its_fruit(house: Path) -> None:
+    test = app("results")
+    shown = {metric.label: metric.value for metric in test.metric}
+    assert shown["Fruit"] == shown["Measured"] == "8"
+    # Mean of the eight bundled fruit as drawn: 21.1 cm.
+    assert float(shown["Mean length"].split()[0]) == pytest.approx(21.1, abs=0.6)
+    assert len(listed(test)) == 8
+    assert classes(test) == {"class I", "class II", "too short", "undecided"}
+
+
+def test_filters_leave_fruit_out(house: Path) -> None:
+    test = app("results")
+    chosen = next(box for box in test.selectbox if box.label == "Class")
+    chosen.select("class I").run()
+    assert classes(test) == {"class I"}
+
+
+def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
+    with open_store(house) as store:
+        key = store.detections(WALK)[0].key
+    test = app("results", fruit=key)
+    assert not test.exception
+    assert re.fullmatch(r"Likely between [\d.]+ and [\d.]+ cm", test.metric[0].delta)
+
+    def press(label: str) -> None:
+        next(button for button in test.button if button.label == label).click().run()
+
+    def view() -> Any:
+        with open_store(house) as store:
+            return store.detection(key).view
+
+    press("Accept")
+    assert view().verdict is Verdict.ACCEPTED
+    press("Picked")
+    assert view().picked_s is not None
+    press("Undo")
+    assert view().picked_s is None
+    press("Undo")
+    assert view().verdict is None
+    press("Undo")
+    assert "Nothing to undo" in said(test)
+
+
+def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
+    with open_store(house) as store:
+        first, *_ = views = store.detections(WALK)
+    test = app("results", fruit=first.key)
+    label = "Accept the rest of this picture"
+    next(button for button in test.button if button.label == label).click().run()
+    assert not test.exception
+    with open_store(house) as store:
+        judged = {one.key for one in store.detections(WALK) if one.verdict is Verdict.ACCEPTED}
+        store.undo(WALK)
+    here = (first.stop_key, first.capture)
+    assert judged == {one.key for one in views if (one.stop_key, one.capture) == here}
+
+
+def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
+    with open_store(house) as store:
+        keys = [view.key for view in store.detections(WALK)]
+    test = app("results", fruit=keys[0])
+    assert next(b for b in test.button if b.label == "Previous").disabled
+    next(b for b in test.button if b.label == "Next").click().run()
+    assert test.query_params["fruit"] == keys[1]
+    next(b for b in test.button if b.label == "All fruit").click().run()
+    assert any(metric.label == "Mean length" for metric in test.metric)
+
+
+def test_a_fruit_marked_as_none_keeps_its_place_among_the_others(house: Path) -> None:
+    with open_store(house) as store:
+        keys = [view.key for view in store.detections(WALK) if view.best]
+    test = app("results", fruit=keys[1])
+    tap(test, "Not a fruit")
+    for label, key in (("Next", keys[2]), ("Previous", keys[0])):
+        tap(test, label)
+        assert test.query_params["fruit"] == key
+        test.query_params["fruit"] = keys[1]
+        test.run()

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+
+from tests.greenhouse.dashboard.app_pages import app
+
+from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision_greenhouse.backend import resources
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+def test_preset_and_exposure_of_the_camera_are_chosen(house: Path) -> None:
+    test = app("settings")
+    next(box for box in test.selectbox if box.label == "Depth preset").select("hand").run()
+    exposure = next(box for box in test.selectbox if box.label.startswith("Exposure"))
+    exposure.select("fixed").run()
+    next(box for box in test.number_input if box.label == "Microseconds").set_value(5000.0).run()
+    assert not test.exception
+    assert resources.settings().camera == CameraSettings("hand", 5000.0)
+
+
+def test_inches_are_shown_where_chosen(house: Path) -> None:
+    test = app("settings")
+    control = next(c for c in test.segmented_control if c.label == "Lengths in")
+    control.set_value("in").run()
+    assert resources.settings().unit == "in"
+    limits = test.table[0].value
+    assert [cell.replace("\\", "") for cell in limits["From"]] == [
+        "9.84 in",
+        "7.87 in",
+    ]  # 25 and 20 cm
+    shown = {metric.label: metric.value for metric in app("results").metric}
+    assert shown["Mean length"].endswith(" in")

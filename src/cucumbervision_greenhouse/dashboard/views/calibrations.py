@@ -44,8 +44,7 @@ def draw_grid(round_summary: RoundSummary) -> None:
         "Lay a flat printed grid of squares, such as a cutting mat, where the fruit will be, and "
         "take a few pictures of it from several sides in a round of their own."
     )
-    least, most, usual = _GRID_MM
-    spacing_mm = st.number_input("Millimetres between the lines", least, most, usual, 1.0)
+    spacing_mm = st.number_input("Millimetres between the lines", *_GRID_MM, 1.0)
     name = st.text_input("Name of the calibration", "my camera", key="grid_name")
 
     def calibrate() -> SiteCalibration:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 
-PAGES = ("", "upload", "results", "map", "forecast", "accuracy", "settings", "about")
+PAGES = ("", "upload", "results", "map", "days", "forecast", "accuracy", "settings", "about")
 """Addresses of Streamlit's pages."""
 
 

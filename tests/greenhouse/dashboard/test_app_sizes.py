@@ -32,7 +32,7 @@ PAGES = {
     "fruit": ("/results?fruit={fruit}", "Details"),
     "map": ("/map?fruit={fruit}", "This is a fruit"),
     "stop": ("/map?stop={stop}", "Delete this stop"),
-    "days": ("/days", "Nothing to compare yet"),
+    "days": ("/days", "Compare with"),
     "forecast": ("/forecast", "if nothing is picked"),
     "accuracy": ("/accuracy", "Measured by hand"),
     "settings": ("/settings", "Networks"),

@@ -27,7 +27,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.capture_page.state import walk
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -42,6 +42,23 @@ def test_every_page_opens_on_an_empty_store(
     assert not test.exception
     if page != "settings":
         assert "round" in said(test).lower()
+
+
+def test_days_that_are_not_linked_are_no_change(house: Path) -> None:
+    with open_store(house) as store:
+        later = Round(new_key(), "next", "house 1", profile="long-cucumber")
+        store.save_round(later)
+        for view in store.stops(WALK):
+            stop = replace(store.stop(view.key), key=new_key(), round_key=later.key)
+            store.save_stop(replace(stop, taken_s=time.time() + 86400 + (view.step or 0)))
+        first, last = (
+            [view.key for view in store.detections(key) if view.best] for key in (WALK, later.key)
+        )
+    words = "No fruit of one day could be told to be one of the other"
+    assert words in said(app("days", round=later.key))
+    with open_store(house) as store:
+        store.link_growth(first[0], last[0])
+    assert words not in said(app("days", round=later.key))
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -85,6 +85,12 @@ def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) ->
     with st.container(horizontal=True):
         for label, value in metrics.items():
             st.metric(label, value, width="content")
+    if counts.gone and counts.new and not counts.stayed:
+        st.warning(
+            "No fruit of one day could be told to be one of the other: 'not seen again' and 'new' "
+            "may be the same fruit. 'Row map' tells which are the same.",
+            icon=":material/link_off:",
+        )
     words = (
         "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
         "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "

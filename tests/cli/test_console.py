@@ -103,6 +103,8 @@ def test_failures_say_where_their_table_is(
 def test_the_first_ctrl_c_asks_and_the_second_interrupts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # A shell that starts the tests in the background has them ignore Ctrl-C.
+    outside = signal.signal(signal.SIGINT, signal.default_int_handler)
     before = signal.getsignal(signal.SIGINT)
     with stopping_gently() as is_cancelled:
         assert not is_cancelled()
@@ -112,3 +114,4 @@ def test_the_first_ctrl_c_asks_and_the_second_interrupts(
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
+    signal.signal(signal.SIGINT, outside)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -77,17 +78,18 @@ pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
 def address(
     made: Path, tmp_path_factory: pytest.TempPathFactory, start_server: Callable[..., str]
 ) -> tuple[str, dict[str, str]]:
-    """A server with a round of today, and what the addresses of its pages name."""
+    """A server with rounds of yesterday and today, and what the addresses of its pages name."""
     folder = tmp_path_factory.mktemp("sizes")
     path = folder / "house.db"
     shutil.copyfile(made, path)
     shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
     with open_store(path) as store:
-        today = Round(TODAY, "morning", "house 1", profile="long-cucumber")
-        store.save_round(today)
-        for number, stop in enumerate(store.stops(WALK)):
-            record = replace(store.stop(stop.key), key=key_of("today", number), round_key=TODAY)
-            store.save_stop(replace(record, taken_s=today.started_s + number))
+        now_s = time.time()
+        for key, begun_s in ((key_of("yesterday"), now_s - 86400), (TODAY, now_s)):
+            store.save_round(Round(key, "morning", "house 1", begun_s, "long-cucumber"))
+            for number, stop in enumerate(store.stops(WALK)):
+                record = replace(store.stop(stop.key), key=key_of(key, number), round_key=key)
+                store.save_stop(replace(record, taken_s=begun_s + number))
         fruit = next(view for view in store.detections(TODAY) if view.record.length_m)
     server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
     return server, {"fruit": fruit.key, "stop": fruit.stop_key}

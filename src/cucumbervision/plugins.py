@@ -168,7 +168,6 @@ def installed(group: str) -> EntryPoints:
     return points
 
 
-@lru_cache
 def plugins(kind: Kind) -> dict[str, Plugin]:
     """Return the table of one kind by name, the package's own first.
 
@@ -186,8 +185,8 @@ def plugins(kind: Kind) -> dict[str, Plugin]:
 
 
 def own(kind: Kind) -> dict[str, Plugin]:
-    """Return the package's own of one kind."""
-    return {name: plugin for name, plugin in plugins(kind).items() if plugin.is_own}
+    """Return the package's own of one kind; no installed package is looked at."""
+    return {name: Plugin(kind, name, value) for name, value in _OWN.get(kind, {}).items()}
 
 
 def faults(kind: Kind) -> tuple[PluginError, ...]:
@@ -197,7 +196,7 @@ def faults(kind: Kind) -> tuple[PluginError, ...]:
 
 @lru_cache
 def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
-    table = {name: Plugin(kind, name, value) for name, value in _OWN.get(kind, {}).items()}
+    table = own(kind)
     taken = {name.casefold() for name in table}
     left_out = []
     added = [_plugin(kind, point) for point in installed(f"{PACKAGE}.{kind}")]
@@ -218,5 +217,5 @@ def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
 
 def forget() -> None:
     """Look for installed packages again: one was installed while the program runs."""
-    for memory in (_installed, plugins, _table, _loaded):
+    for memory in (_installed, _table, _loaded):
         memory.cache_clear()

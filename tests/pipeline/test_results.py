@@ -46,6 +46,7 @@ def test_arrays_measure_as_the_capture_does(bench: Capture, lengths_m: list[floa
     for depth in (in_mm, in_float):
         found = measure(bench.color, depth, matrix, masks=as_numbers)
         assert values(found.fruit) == pytest.approx(lengths_m, abs=1e-4)
+        assert found.captures[0].models == ()  # masks that are given are of no network or plug-in
     tenths = measure(
         bench.color, 10 * in_mm, bench.intrinsics, masks=bench.masks, depth_unit_m=1e-4
     )
@@ -61,6 +62,9 @@ def test_any_callable_is_a_detector(bench: Capture, lengths_m: list[float]) -> N
 
     found = measure([bench, replace(bench, name="again")], instances=second)
     assert names == ["simulated-bench", "again"]
+    (model,) = (model for model in found.captures[0].models if "package" in model)
+    assert model["kind"] == "detector"
+    assert str(model["name"]).endswith("second")
     assert values(found.fruit) == pytest.approx([lengths_m[1]] * 2, abs=1e-6)
     assert found.fruit[0].mask_source is MaskSource.DETECTOR
 

@@ -219,8 +219,9 @@ def make_finder(
         file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
         return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN))
 
-    plugins = tuple(plugin for plugin, _ in filter(None, (detector, painter)))
-    return Finder(find, networks, plugins)
+    parts = (plugin for plugin, _ in filter(None, (detector, painter)))
+    # Fruit that a program gives are of no plug-in.
+    return Finder(find, networks, tuple(plugin for plugin in parts if not plugin.is_own))
 
 
 def _plugged(kind: Kind, name: str | None, part: Any) -> tuple[Plugin, Any] | None:

@@ -105,8 +105,3 @@ class RunPlugins:
     def models(self) -> tuple[dict[str, Any], ...]:
         """What files say of these."""
         return tuple(plugin.as_json() for plugin in self.lines)
-
-
-def installed_fields(options: MeasureOptions) -> tuple[Field, ...]:
-    """Return the columns of a run with what is installed."""
-    return RunPlugins(options, PlugIns()).fields

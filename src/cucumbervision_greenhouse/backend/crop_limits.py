@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.agronomy.profiles import CropProfile, profiles_folder
+from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import ProfileError
 from cucumbervision.files import parse_model
 from cucumbervision.names import checked_name
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary
 
 _OWN_RULE = "limits of this house"
-_NO_FILE_NAME = re.compile(r"[^\w-]+")
 
 
 @dataclass(frozen=True)
@@ -134,10 +133,10 @@ def save_own_profile(profile: CropProfile) -> Path:
     """
     import tomli_w
 
-    stem = _NO_FILE_NAME.sub("-", checked_name(profile.title, "crop").casefold()).strip("-_")
-    if not stem:
+    title = checked_name(profile.title, "crop").casefold()
+    if not any(letter.isalnum() for letter in title):
         raise ProfileError("the crop has no name", remedy="give it one with letters or digits")
-    path = profiles_folder() / f"{stem}.toml"
+    path = profiles_folder() / f"{safe_name(title)}.toml"
     content = profile.model_dump(mode="json", exclude_none=True)
     replace_text(path, tomli_w.dumps(content))
     return path

@@ -29,21 +29,30 @@ LENGTHS = 0.5, 100.0
 """Shortest and longest length that can be typed, in the unit of the page."""
 
 
+def truth_folder(store: str) -> Path:
+    """Return the folder of lengths by hand and calibrations: beside the store, or the user's own.
+
+    Examples
+    --------
+    >>> truth_folder("house.db").name
+    'house.truth'
+    """
+    if "://" not in store:
+        return Path(store).with_suffix(".truth")
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "truth"
+
+
 def hand_file(store: str, round_key: str) -> Path:
-    """Return the path of a round's lengths by hand: beside an SQLite file, else the user's own.
+    """Return the path of a round's lengths by hand.
 
     Examples
     --------
     >>> hand_file("house.db", "a").parts
     ('house.truth', 'a.csv')
     """
-    if "://" in store:
-        import platformdirs
-
-        folder = Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "truth"
-    else:
-        folder = Path(store).with_suffix(".truth")
-    return folder / f"{round_key}.csv"
+    return truth_folder(store) / f"{round_key}.csv"
 
 
 def capture_name(view: DetectionSummary) -> str:

@@ -114,6 +114,7 @@ def _profile(name: str) -> tuple[str, CropProfile]:
         return "long-cucumber", load_profile("long-cucumber")
 
 
+@st.cache_resource(show_spinner=False, ttl=60)
 def crop_titles() -> dict[str, str]:
     """Return the titles of all readable crop profiles by their names, told apart."""
     readable = {entry.name: entry.profile for entry in profiles()}
@@ -125,6 +126,7 @@ def crop_titles() -> dict[str, str]:
 def forget_profiles() -> None:
     """Read crop profiles again, since a file was changed."""
     _profile.clear()
+    crop_titles.clear()
 
 
 def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:

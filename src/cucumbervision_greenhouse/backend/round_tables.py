@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision_greenhouse.backend.words import (
+    daily_growth_words,
     day_words,
     interval_words,
     length_words,
@@ -144,11 +145,11 @@ def change_words(fruit: FruitChange, units: Units) -> list[str]:
     if view is None:
         return []
     lengths = [length_words(x.record, units) for x in (fruit.before, fruit.after) if x is not None]
-    growth_m = fruit.growth_m_per_day
+    growth = fruit.growth_m_per_day
     return [
         f"{row_and_side(view)}, {metres_words(view.along_m)}",
         " → ".join(lengths),
-        "" if growth_m is None else f"{units.text(growth_m)} a day",
+        "" if growth is None else daily_growth_words(growth, units),
         "picked" if view.picked_s is not None else "",
     ]
 

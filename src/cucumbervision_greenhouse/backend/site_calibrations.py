@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,6 +17,7 @@ from cucumbervision.calibration.calibration_file import (
 )
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.calibration.site_calibration import calibrate_camera
+from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError
 from cucumbervision.measurement.result import MethodName, calibration_key
 from cucumbervision.names import checked_name
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
 
 _SUFFIX = ".calibration.json"
-_NO_FILE_NAME = re.compile(r"[^\w-]+")
 
 
 @dataclass(frozen=True)
@@ -81,9 +80,9 @@ def save_calibration(folder: Path, site: SiteCalibration) -> Path:
     NameRefusedError
         If its name cannot be read.
     """
-    stem = _NO_FILE_NAME.sub("-", checked_name(site.name, "calibration's name")).strip("-_")
     moment = time.strftime("%Y-%m-%d-%H%M%S")
-    path = folder / f"{moment}-{stem or 'site'}{_SUFFIX}"
+    name = safe_name(checked_name(site.name, "calibration's name"))
+    path = folder / f"{moment}-{name}{_SUFFIX}"
     folder.mkdir(parents=True, exist_ok=True)
     write_site_calibration(path, site)
     return path

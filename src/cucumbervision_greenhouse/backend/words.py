@@ -152,6 +152,19 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     return f"{units.value(length.low_m):.{units.digits}f} to {units.text(length.high_m)}"
 
 
+def daily_growth_words(growth_m_per_day: float | None, units: Units) -> str:
+    """Return the growth of a day.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> daily_growth_words(0.0182, Units("cm")), daily_growth_words(None, Units("cm"))
+    ('1.8 cm a day', '–')
+    """
+    growth = units.text(growth_m_per_day)
+    return growth if growth_m_per_day is None else f"{growth} a day"
+
+
 def kind_words(kind: str | None) -> str:
     """Return the kind of a length in words.
 

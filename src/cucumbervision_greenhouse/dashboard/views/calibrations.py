@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import streamlit as st
@@ -10,7 +9,7 @@ import streamlit as st
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources
-from cucumbervision_greenhouse.backend.hand_lengths import hand_file
+from cucumbervision_greenhouse.backend.hand_lengths import truth_folder
 from cucumbervision_greenhouse.backend.site_calibrations import (
     SavedCalibration,
     calibrate_by_grid,
@@ -60,23 +59,21 @@ def _make(label: str, calibrate: Callable[[], SiteCalibration]) -> None:
     if st.button(label, icon=":material/target:", width="stretch"):
         st.session_state.pop(made, None)
         try:
-            st.session_state[made] = str(save_calibration(_folder(), calibrate()))
+            st.session_state[made] = str(
+                save_calibration(truth_folder(resources.where()), calibrate())
+            )
         except (CucumberVisionError, ValueError) as error:
             st.error(sentence(error), icon=":material/error:")
     path = st.session_state.get(made)
-    for calibration in saved_calibrations(_folder()):
+    for calibration in saved_calibrations(truth_folder(resources.where())):
         if str(calibration.path) == path:
             _draw(calibration, key=made)
-
-
-def _folder() -> Path:
-    return hand_file(resources.where(), "x").parent
 
 
 def draw_choice() -> None:
     """Draw all calibrations with what each does; one tap uses one, one more goes back."""
     settings = resources.settings()
-    saved = saved_calibrations(_folder(), settings.calibration)
+    saved = saved_calibrations(truth_folder(resources.where()), settings.calibration)
     in_use = next((x for x in saved if str(x.path) == settings.calibration), None)
     if not saved:
         st.caption("No calibration yet: lengths are as the camera gives them.")

@@ -15,7 +15,7 @@ from cucumbervision_greenhouse.backend.crop_limits import (
     class_counts,
     save_own_profile,
 )
-from cucumbervision_greenhouse.backend.words import plain, round_name, sentence
+from cucumbervision_greenhouse.backend.words import plain, round_name, sentence, told_apart
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 
@@ -30,7 +30,7 @@ def draw() -> None:
     readable = {
         name: profile for name, entry in entries.items() if (profile := entry.profile) is not None
     }
-    titles = resources.crop_titles()
+    titles = told_apart({name: profile.title for name, profile in readable.items()})
     name = st.selectbox(
         "Crop",
         list(readable),
@@ -69,15 +69,14 @@ def _limits(profile: CropProfile) -> None:
 
 def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     """Draw the limits as fields, what they would change, and the button that saves them."""
-    before = CropLimits.of(profile)
-    after = _fields(name, profile, before)
+    limits = _fields(name, profile)
     title = st.text_input(
         "Name of your crop",
         profile.title if own else f"{profile.title}, own limits",
         key=f"limits_title_{name}",
     )
     try:
-        changed = after.applied_to(profile, title.strip())
+        changed = limits.applied_to(profile, title.strip())
     except CucumberVisionError as error:
         st.error(sentence(error), icon=":material/error:")
         return
@@ -104,29 +103,13 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     )
 
 
-def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
-    units = resources.settings().units
-    classes = sorted(profile.classes, key=lambda c: c.min_cm)
-    labels = [f"{_upper(class_name(c.name))} from [{units.name}]" for c in classes]
-    labels.append(f"{_upper(class_name(classes[-1].name))} below [{units.name}]")
-    step = 0.5 if units.name == "cm" else 0.25
-    edges_m = []
-    places = st.columns(len(labels))
-    for number, edge_m in enumerate(limits.edges_m):
-        value = places[number].number_input(
-            plain(labels[number]),
-            0.1,
-            200.0,
-            units.value(edge_m),
-            step,
-            format=f"%.{units.digits}f",
-            key=f"limits_{name}_{number}_{units.name}",
-        )
-        edges_m.append(units.metres(float(value or 0.0)))
-    arcs = []
-    for number, arc in enumerate(limits.arc_mm_per_10cm):
-        value = st.number_input(
-            plain(f"{_upper(profile.shape[number].name)} up to [mm of arc for 10 cm]"),
+def _fields(name: str, profile: CropProfile) -> CropLimits:
+    """Draw the limits of a profile as fields, and return what they hold."""
+    limits = CropLimits.of(profile)
+    edges_m = _edge_fields(name, profile, limits)
+    arcs = [
+        st.number_input(
+            sentence(f"{profile.shape[number].name} up to [mm of arc for 10 cm]"),
             0.5,
             100.0,
             arc,
@@ -134,7 +117,8 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
             format="%.1f",
             key=f"limits_{name}_arc_{number}",
         )
-        arcs.append(float(value))
+        for number, arc in enumerate(limits.arc_mm_per_10cm)
+    ]
     thin, light = st.columns(2)
     diameter_mm = thin.number_input(
         "Thinnest [mm]; 0: no limit",
@@ -167,7 +151,7 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
         key=f"limits_{name}_pick",
     )
     return CropLimits(
-        edges_m=tuple(edges_m),
+        edges_m=edges_m,
         pick=tuple(pick),
         arc_mm_per_10cm=tuple(arcs),
         minimum_diameter_mm=diameter_mm or None,
@@ -176,8 +160,24 @@ def _fields(name: str, profile: CropProfile, limits: CropLimits) -> CropLimits:
     )
 
 
-def _upper(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _edge_fields(name: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
+    """Draw the lengths between the classes side by side, and return them in metres."""
+    units = resources.settings().units
+    names = [class_name(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
+    labels = [*(f"{label} from" for label in names), f"{names[-1]} below"]
+    edges_m = []
+    for number, place in enumerate(st.columns(len(labels))):
+        value = place.number_input(
+            sentence(f"{labels[number]} [{units.name}]"),
+            0.1,
+            200.0,
+            units.value(limits.edges_m[number]),
+            0.5 if units.name == "cm" else 0.25,
+            format=f"%.{units.digits}f",
+            key=f"limits_{name}_{number}_{units.name}",
+        )
+        edges_m.append(units.metres(float(value or 0.0)))
+    return tuple(edges_m)
 
 
 def _preview(profile: CropProfile, changed: CropProfile) -> None:

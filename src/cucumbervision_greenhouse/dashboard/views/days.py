@@ -9,7 +9,13 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend import round_tables as tables
-from cucumbervision_greenhouse.backend.words import counted, day_words, plain, row_name
+from cucumbervision_greenhouse.backend.words import (
+    counted,
+    daily_growth_words,
+    day_words,
+    plain,
+    row_name,
+)
 from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.day_comparison import Change
@@ -66,13 +72,6 @@ def _keys(fruit: FruitChange) -> list[str]:
     return [view.key for view in (fruit.before, fruit.after) if view is not None]
 
 
-def _growth_words(growth_m_per_day: float | None) -> str:
-    if growth_m_per_day is None:
-        return "–"
-    units = resources.settings().units
-    return f"{units.text(growth_m_per_day)} a day"
-
-
 def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) -> None:
     metrics: dict[str, int | str] = {
         f"On {day_words(before.walked_s)}": counts.before,
@@ -80,7 +79,7 @@ def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) ->
         "Not seen again": counts.gone,
         "New": counts.new,
         f"On {day_words(after.walked_s)}": counts.after,
-        "Growth": _growth_words(counts.growth_m_per_day),
+        "Growth": daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
     with st.container(horizontal=True):
         for label, value in metrics.items():
@@ -119,7 +118,7 @@ def _rows(comparison: DayComparison) -> None:
             "Not seen again": counts.gone,
             "New": counts.new,
             "Now": counts.after,
-            "Growth": _growth_words(counts.growth_m_per_day),
+            "Growth": daily_growth_words(counts.growth_m_per_day, resources.settings().units),
         }
         for row, counts in comparison.by_row().items()
     ]

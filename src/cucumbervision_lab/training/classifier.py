@@ -116,7 +116,9 @@ def fit(
     steps = options.epochs * batches
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, steps)
     parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
-    for epoch in range(_resumed(parts, options.keep), options.epochs):
+    # What was kept belongs to this training alone: in a folder used again it may be another's.
+    training = [count, options.epochs, options.seed, options.batch]
+    for epoch in range(_resumed(parts, training, options.keep), options.epochs):
         network.train()
         order = np.random.default_rng([options.seed, epoch]).permutation(count)
         losses = []
@@ -129,19 +131,21 @@ def fit(
             losses.append(loss.item())
         if options.keep is not None:
             state = {name: part.state_dict() for name, part in parts.items()}
-            torch.save({"epoch": epoch + 1, **state}, options.keep)
+            torch.save({"epoch": epoch + 1, "training": training, **state}, options.keep)
         if options.progress is not None:
             options.progress(epoch + 1, float(np.mean(losses)))
     return network.eval()
 
 
-def _resumed(parts: dict[str, Any], keep: Path | None) -> int:
-    """Load what an interrupted training kept; return the epoch to go on with."""
+def _resumed(parts: dict[str, Any], training: list[int], keep: Path | None) -> int:
+    """Load what an interruption of the same training left; return the epoch to go on with."""
     import torch
 
     if keep is None or not keep.exists():
         return 0
     state = torch.load(keep, weights_only=True)
+    if state.get("training") != training:
+        return 0
     for name, part in parts.items():
         part.load_state_dict(state[name])
     return int(state["epoch"])

@@ -113,6 +113,10 @@ def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
         drawn, "yolo26n-seg.yaml", replace(options, progress=lambda epoch, _: epochs.append(epoch))
     )
     assert epochs == [3]
+    # What another training left in the folder is not taken for this one's.
+    other = replace(options, seed=7, progress=lambda epoch, _: epochs.append(epoch))
+    fit_look(drawn, "yolo26n-seg.yaml", other)
+    assert epochs == [3, 1, 2, 3]
 
 
 def test_held_out_scenes_and_moved_copies_are_not_judged_by_what_was_learnt() -> None:

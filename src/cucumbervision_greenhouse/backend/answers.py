@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.access import device_of
+from cucumbervision_greenhouse.backend.language import ask_for
 from cucumbervision_greenhouse.backend.words import page_remedy
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def answer(
             content = await request.body() if request.method == "POST" else b""
         except HTTPException as error:  # too large or too slow, as `AccessGuard` found
             return JSONResponse({"error": error.detail}, error.status_code, error.headers)
+        ask_for(request.headers.get("accept-language"))
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
@@ -89,6 +91,7 @@ async def news(socket: WebSocket) -> None:
         sent.update(last=changes, at_s=now_s)
         return json.dumps({**changes, "now_s": now_s})
 
+    ask_for(socket.headers.get("accept-language"))
     await send_changes(socket, look, _NEWS_S)
 
 

@@ -14,6 +14,7 @@ from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision_greenhouse.backend.access import VIEWER, device_of
 from cucumbervision_greenhouse.backend.jobs import JobQueue
+from cucumbervision_greenhouse.backend.language import asked_language, best_of, decide_by
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
 from cucumbervision_greenhouse.backend.settings import (
     STORE_VARIABLE,
@@ -104,6 +105,19 @@ def change_settings(**changes: object) -> None:
     if chosen != settings():
         _settings()[0] = chosen
         write_settings(chosen, settings_file(where()))
+
+
+def _language() -> str:
+    """Return the language of the settings, else the one of the viewer's browser."""
+    if chosen := settings().language:
+        return chosen
+    context = get_script_run_ctx(suppress_warning=True)
+    if context is None:  # a request beside Streamlit's pages
+        return asked_language()
+    return best_of(context.context_info.locale if context.context_info else None)
+
+
+decide_by(_language)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=60)

@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision_greenhouse.backend.language import decimal_words
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import (
     daily_growth_words,
     day_words,
+    grade_words,
     interval_words,
     length_words,
     metres_words,
     row_name,
+    side_words,
 )
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, round_figures
 
@@ -90,8 +94,9 @@ def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
     for column in FIELDS:
         cell = column.cell(getattr(record, column.si_name, None), column.digits)
         if column.type == "number" and cell is not None and not column.name.startswith("box_"):
-            value = f"{cell:g} {column.unit}".strip()
-            lines.append({"What": column.says[0].upper() + column.says[1:], "Value": value})
+            value = f"{decimal_words(f'{cell:g}')} {column.unit}".strip()
+            says = _(column.says)
+            lines.append({_("What"): says[0].upper() + says[1:], _("Value"): value})
     return lines
 
 
@@ -127,7 +132,7 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
 
 def row_and_side(view: DetectionSummary) -> str:
     """Return the map's name for the row and side of a fruit."""
-    return row_name(view.row) + (f", {view.side}" if view.side else "")
+    return row_name(view.row) + (f", {side_words(view.side)}" if view.side else "")
 
 
 def last_of_day(rounds: Iterable[RoundSummary]) -> list[tuple[str, RoundSummary]]:
@@ -150,7 +155,7 @@ def change_words(fruit: FruitChange, units: Units) -> list[str]:
         f"{row_and_side(view)}, {metres_words(view.along_m)}",
         " → ".join(lengths),
         "" if growth is None else daily_growth_words(growth, units),
-        "picked" if view.picked_s is not None else "",
+        _("picked") if view.picked_s is not None else "",
     ]
 
 
@@ -181,9 +186,9 @@ def length_days(views: Iterable[DetectionSummary], units: Units) -> list[dict[st
 
 def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
     """Return the map's text on a fruit: its place, length and class."""
-    grade_words = [graded.grades[view.key].words] if view.key in graded.grades else []
+    grades = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
     place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
-    return ", ".join([f"{place}: {length_words(view.record, units)}", *grade_words])
+    return ", ".join([f"{place}: {length_words(view.record, units)}", *grades])
 
 
 def _mark_of(view: DetectionSummary) -> str:

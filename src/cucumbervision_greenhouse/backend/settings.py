@@ -16,6 +16,7 @@ from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.agronomy.picking import Rates
+from cucumbervision_greenhouse.backend.language import number_words
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
@@ -68,7 +69,7 @@ class Units:
     def text(self, length_m: float | None) -> str:
         """Return a length with its unit."""
         value = self.value(length_m)
-        return "–" if value is None else f"{value:.{self.digits}f} {self.name}"
+        return "–" if value is None else f"{number_words(value, self.digits)} {self.name}"
 
 
 Share = Annotated[float, Field(ge=0.05, le=0.95)]
@@ -94,6 +95,8 @@ class Settings(BaseModel):
         Name of the crop profile.
     unit : {'cm', 'in'}
         What lengths are shown in.
+    language : {'', 'en', 'nl', 'es'}
+        Language of the pages; empty for that of each browser.
     burst : int
         Frames fused to one capture.
     confidence : float
@@ -122,6 +125,7 @@ class Settings(BaseModel):
 
     profile: str = "long-cucumber"
     unit: Literal["cm", "in"] = "cm"
+    language: Literal["", "en", "nl", "es"] = ""
     burst: Annotated[int, Field(ge=1, le=15)] = 5
     confidence: Share = DEFAULT_CONFIDENCE
     input_sizes: Annotated[tuple[InputSize, ...], Field(max_length=2)] = ()

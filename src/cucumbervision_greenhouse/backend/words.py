@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import re
-import time
-from datetime import date
+from datetime import date, datetime
 from itertools import chain, count
 from typing import TYPE_CHECKING, TypeVar
 
-from cucumbervision.agronomy.classes import UNDECIDED, choice_words, class_name
-from cucumbervision.measurement.flags import flag_remarks
+from cucumbervision.agronomy.classes import UNDECIDED, WITHOUT_CLASS
+from cucumbervision.agronomy.grades import GradeStatus
+from cucumbervision.measurement.flags import FLAGS
 from cucumbervision.names import readable
-from cucumbervision_greenhouse.agronomy.picking import hours_words
+from cucumbervision_greenhouse.backend.language import (
+    day_month_words,
+    marked,
+    moment_words,
+    ngettext,
+    number_words,
+)
+from cucumbervision_greenhouse.backend.language import gettext as _
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
+    from cucumbervision.agronomy.grades import Grade
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.agronomy.growth import Growth
     from cucumbervision_greenhouse.agronomy.picking import Pick, Span
@@ -112,10 +121,94 @@ def pick_words(pick: Pick) -> str:
     'undecided: class II or I'
     """
     if pick.name != UNDECIDED:
-        return class_name(pick.name)
+        return class_words(pick.name)
     if pick.fruit.at_least:
-        return f"{UNDECIDED} (only part of it is seen)"
-    return f"{UNDECIDED}: {choice_words(pick.possible)}"
+        return f"{_(UNDECIDED)} ({_('only part of it is seen')})"
+    return f"{_(UNDECIDED)}: {choice_words(pick.possible)}"
+
+
+# Names of the crops and classes that the program brings.
+_CROPS = (
+    marked("long greenhouse cucumber"),
+    marked("mini cucumber"),
+    marked("aubergine, elongated"),
+    marked("courgette"),
+    marked("green bean"),
+)
+
+
+def class_words(name: str) -> str:
+    """Return the name of a class for people, in the language that is shown.
+
+    Examples
+    --------
+    >>> class_words("I"), class_words("too long")
+    ('class I', 'too long')
+    """
+    return _(name) if name in WITHOUT_CLASS else _("class {name}").format(name=name)
+
+
+def label_words(label: str) -> str:
+    """Return the label of a grade in the language that is shown.
+
+    Examples
+    --------
+    >>> label_words("class I"), label_words("too long")
+    ('class I', 'too long')
+    """
+    return class_words(label.removeprefix("class "))
+
+
+def choice_words(names: Iterable[str]) -> str:
+    """Return several classes for people.
+
+    Examples
+    --------
+    >>> choice_words(("too short", "II", "I", "too long"))
+    'too short, class II, I or too long'
+    """
+    words: list[str] = []
+    is_class = False
+    for name in names:
+        follows = is_class  # 'class' once before a run of classes
+        is_class = name not in WITHOUT_CLASS
+        words.append(name if follows and is_class else class_words(name))
+    ends = filter(None, (", ".join(words[:-1]), *words[-1:]))
+    return _(" or ").join(ends)
+
+
+# Reasons that the core gives for a class; those of a crop profile of one's own stay as they are.
+_REASONS = (
+    marked("by length"),
+    marked("practically straight"),
+    marked("slightly crooked"),
+    marked("crooked"),
+    marked("too thin"),
+    marked("too light"),
+    marked("short for its weight"),
+    marked("such a length cannot be"),
+    marked("no centreline length"),
+    marked("no thread length"),
+    marked("no chord length"),
+    marked("only part of it is seen"),
+    marked("the length is uncertain"),
+)
+
+
+def grade_words(graded: Grade) -> str:
+    """Return a class with its reason, as `Grade.words` does in English.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.grades import Grade
+    >>> grade_words(Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I")))
+    'undecided: class II or I'
+    """
+    name = class_words(graded.name)
+    if graded.reason:
+        return f"{name} ({', '.join(map(_, graded.reason.split(', ')))})"
+    is_choice = graded.verdict is GradeStatus.UNDECIDED
+    return f"{name}: {choice_words(graded.possible)}" if is_choice else name
 
 
 def length_words(record: DetectionRecord, units: Units) -> str:
@@ -130,8 +223,9 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     'at least 24.1 cm'
     """
     if record.length_m is None:
-        return "not measured"
-    return ("at least " if record.at_least else "") + units.text(record.length_m)
+        return _("not measured")
+    length = units.text(record.length_m)
+    return _("at least {length}").format(length=length) if record.at_least else length
 
 
 def interval_words(record: DetectionRecord, units: Units) -> str | None:
@@ -149,7 +243,10 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     length = record.length
     if length is None or record.at_least or not (length.low_m and length.high_m):
         return None
-    return f"{units.value(length.low_m):.{units.digits}f} to {units.text(length.high_m)}"
+    return _("{low} to {high}").format(
+        low=number_words(units.value(length.low_m) or 0.0, units.digits),
+        high=units.text(length.high_m),
+    )
 
 
 def daily_growth_words(growth_m_per_day: float | None, units: Units) -> str:
@@ -162,7 +259,7 @@ def daily_growth_words(growth_m_per_day: float | None, units: Units) -> str:
     ('1.8 cm a day', '–')
     """
     growth = units.text(growth_m_per_day)
-    return growth if growth_m_per_day is None else f"{growth} a day"
+    return growth if growth_m_per_day is None else _("{growth} a day").format(growth=growth)
 
 
 def kind_words(kind: str | None) -> str:
@@ -173,11 +270,11 @@ def kind_words(kind: str | None) -> str:
     >>> kind_words("centreline"), kind_words(None)
     ('Length along the middle', 'Length')
     """
-    return "Length" + {
-        "centreline": " along the middle",
-        "thread": " over the outer side",
-        "chord": " straight from end to end",
-    }.get(kind or "", "")
+    return {
+        "centreline": _("Length along the middle"),
+        "thread": _("Length over the outer side"),
+        "chord": _("Length straight from end to end"),
+    }.get(kind or "", _("Length"))
 
 
 def metres_words(along_m: float | None) -> str:
@@ -188,7 +285,7 @@ def metres_words(along_m: float | None) -> str:
     >>> metres_words(1.204), metres_words(-0.12)
     ('1.20 m', '0.00 m')
     """
-    return f"{max(along_m or 0.0, 0.0):.2f} m"
+    return f"{number_words(max(along_m or 0.0, 0.0), 2)} m"
 
 
 def height_words(record: DetectionRecord, units: Units) -> str:
@@ -205,19 +302,31 @@ def height_words(record: DetectionRecord, units: Units) -> str:
         return ""
     height = units.value(abs(record.centre_y_m)) or 0.0
     if round(height) == 0:
-        return "as high as the camera"
-    return f"{height:.0f} {units.name} {'below' if record.centre_y_m > 0 else 'above'} the camera"
+        return _("as high as the camera")
+    below, above = _("{height} below the camera"), _("{height} above the camera")
+    words = below if record.centre_y_m > 0 else above
+    return words.format(height=f"{height:.0f} {units.name}")
 
 
-def counted(number: int, singular: str, many: str) -> str:
-    """Return a number with its word.
+def counted(number: int, singular: str, plural: str, **parts: object) -> str:
+    """Return a number within its words, in the language that is shown.
+
+    Parameters
+    ----------
+    number : int
+        The number, which `{n}` in the words stands for; without `{n}` it comes first.
+    singular, plural : str
+        The words for 1 and for any other number, in English.
+    **parts
+        What other placeholders of the words stand for.
 
     Examples
     --------
-    >>> counted(1, "stop", "stops"), counted(2, "stop", "stops")
-    ('1 stop', '2 stops')
+    >>> counted(1, "stop", "stops"), counted(2, "{n} stops of {all}", "{n} stops of {all}", all=3)
+    ('1 stop', '2 stops of 3')
     """
-    return f"{number} {singular if number == 1 else many}"
+    words = ngettext(singular, plural, number)
+    return (words if "{n}" in words else f"{{n}} {words}").format(n=number, **parts)
 
 
 def round_day(at_s: float) -> str:
@@ -228,7 +337,7 @@ def round_day(at_s: float) -> str:
     >>> len(round_day(1_700_000_000.0))
     17
     """
-    return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+    return moment_words(datetime.fromtimestamp(at_s))
 
 
 def day_words(at_s: float) -> str:
@@ -239,7 +348,7 @@ def day_words(at_s: float) -> str:
     >>> day_words(1_700_000_000.0)
     'Tue 14 Nov'
     """
-    return time.strftime("%a %-d %b", time.localtime(at_s))
+    return day_month_words(date.fromtimestamp(at_s))
 
 
 def date_words(at_s: float, now_s: float) -> str:
@@ -252,35 +361,35 @@ def date_words(at_s: float, now_s: float) -> str:
     ['Mon 13 Nov', 'today', 'tomorrow', 'Thu 16 Nov']
     """
     day, today = (date.fromtimestamp(moment_s) for moment_s in (at_s, now_s))
-    return {0: "today", 1: "tomorrow"}.get((day - today).days, day_words(at_s))
+    return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_words(at_s))
 
 
 def round_name(round_summary: RoundSummary) -> str:
     """Return a round's name in a list: its name, house, day and number of stops."""
     house = f", {round_summary.record.house}" if round_summary.record.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
-    name, day = round_summary.record.name or "Round", round_day(round_summary.walked_s)
+    name, day = round_summary.record.name or _("Round"), round_day(round_summary.walked_s)
     return f"{name}{house} · {day} · {stops}"
 
 
 _ACTIONS = {
-    "accept": "accepted",
-    "reject": "not a fruit",
-    "clear": "no longer accepted, nor marked as no fruit",
-    "pick": "picked",
-    "unpick": "not picked",
-    "correct": "the new outline",
-    "add": "the fruit that was added",
-    "merge": "same fruit",
-    "unmerge": "different fruit",
-    "link-growth": "same fruit on two days",
-    "unlink-growth": "different fruit on two days",
-    "place-stop": "the stop's new place or name",
-    "delete-stop": "the stop was deleted",
-    "take-back-stop": "the last stop was taken back",
-    "rename-round": "the round's new name",
-    "move-round": "the round's new house",
-    "delete-round": "the round was deleted",
+    "accept": marked("accepted"),
+    "reject": marked("not a fruit"),
+    "clear": marked("no longer accepted, nor marked as no fruit"),
+    "pick": marked("picked"),
+    "unpick": marked("not picked"),
+    "correct": marked("the new outline"),
+    "add": marked("the fruit that was added"),
+    "merge": marked("same fruit"),
+    "unmerge": marked("different fruit"),
+    "link-growth": marked("same fruit on two days"),
+    "unlink-growth": marked("different fruit on two days"),
+    "place-stop": marked("the stop's new place or name"),
+    "delete-stop": marked("the stop was deleted"),
+    "take-back-stop": marked("the last stop was taken back"),
+    "rename-round": marked("the round's new name"),
+    "move-round": marked("the round's new house"),
+    "delete-round": marked("the round was deleted"),
 }
 
 
@@ -295,18 +404,32 @@ def action_words(action: LogEntry) -> str:
     >>> action_words(LogEntry(7, 0.0, "ana", "pick", None, ("a", "b")))
     'picked (2 fruit)'
     """
-    words, number = _ACTIONS.get(action.kind, action.kind), len(action.fruit)
-    return f"{words} ({number} fruit)" if action.kind == "pick" and number > 1 else words
+    words, number = _(_ACTIONS.get(action.kind, action.kind)), len(action.fruit)
+    if action.kind == "pick" and number > 1:
+        return f"{words} ({counted(number, '{n} fruit', '{n} fruit')})"
+    return words
+
+
+def taken_back(action: LogEntry) -> str:
+    """Return what is said of an action that was undone.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.views import LogEntry
+    >>> taken_back(LogEntry(7, 0.0, "ana", "reject", None, ("a",)))
+    'Taken back: not a fruit'
+    """
+    return _("Taken back: {action}").format(action=action_words(action))
 
 
 def added_words(*, doubtful: bool) -> str:
     """Return the outcome of adding a fruit in words."""
     if doubtful:
-        return (
+        return _(
             "Added, but it does not look like a fruit. It is not on the pick list until someone "
             "accepts it. 'Undo' removes it."
         )
-    return "Added to the round. 'Undo' removes it."
+    return _("Added to the round. 'Undo' removes it.")
 
 
 def remarks(record: DetectionRecord, units: Units) -> str:
@@ -321,8 +444,12 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """
-    is_bound = record.at_least and record.length_m is not None
-    return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
+    meanings = [FLAGS.get(code) for code in record.flags.split()]  # type: ignore[call-overload]
+    remarks = dict.fromkeys(_(x.remark) for x in meanings if x is not None and x.remark)
+    words = "; ".join(remarks)
+    if not (record.at_least and record.length_m is not None):
+        return words
+    return f"{words or _('partly hidden')}: {length_words(record, units)}"
 
 
 def stop_name(stop: Stop | StopSummary) -> str:
@@ -334,9 +461,21 @@ def stop_name(stop: Stop | StopSummary) -> str:
     >>> stop_name(Stop("3", "left", 1.2, 4))
     'Stop 4: row 3, left, 1.20 m'
     """
-    position = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
-    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, position)))
-    return f"{step_words(stop.step)}: {where or 'no place given'}"
+    position = "" if stop.position_m is None else metres_words(stop.position_m)
+    row = _("row {row}").format(row=stop.row) if stop.row else ""
+    where = ", ".join(filter(None, (row, side_words(stop.side), position)))
+    return f"{step_words(stop.step)}: {where or _('no place given')}"
+
+
+def side_words(side: str | None) -> str:
+    """Return the side of a row for people; a name that the program does not give stays.
+
+    Examples
+    --------
+    >>> side_words("left"), side_words("aisle"), side_words(None)
+    ('left', 'aisle', '')
+    """
+    return {"left": _("left"), "right": _("right")}.get(side or "", side or "")
 
 
 def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
@@ -364,7 +503,7 @@ def step_words(step: int | None) -> str:
     >>> step_words(0), step_words(None)
     ('Stop 0', 'Stop')
     """
-    return "Stop" if step is None else f"Stop {step}"
+    return _("Stop") if step is None else _("Stop {number}").format(number=step)
 
 
 def row_name(row: str | None) -> str:
@@ -375,7 +514,7 @@ def row_name(row: str | None) -> str:
     >>> row_name("3"), row_name("")
     ('Row 3', 'Row ?')
     """
-    return f"Row {row or '?'}"
+    return _("Row {row}").format(row=row or "?")
 
 
 def count_words(report: RowCounts) -> str:
@@ -389,14 +528,23 @@ def count_words(report: RowCounts) -> str:
     '3 fruit found'
     """
     if report.fruit == 0:
-        return "no fruit found"
+        return _("no fruit found")
     lower, upper = (
         report.fruit - len(report.count.view_counts) + end for end in report.count.interval()
     )
     if lower == upper == report.fruit:
-        return f"{report.fruit} fruit found"
-    range_words = f"{lower} to {upper}" if lower < upper else f"{lower}"
-    return f"{report.fruit} seen, about {report.expected:.0f} real ({range_words})"
+        return counted(report.fruit, "{n} fruit found", "{n} fruit found")
+    range_words = f"{lower}"
+    if lower < upper:
+        range_words = _("{low} to {high}").format(low=lower, high=upper)
+    expected = f"{report.expected:.0f}"
+    return counted(
+        report.fruit,
+        "{n} seen, about {expected} real ({range})",
+        "{n} seen, about {expected} real ({range})",
+        expected=expected,
+        range=range_words,
+    )
 
 
 def span_words(span: Span) -> str:
@@ -411,35 +559,84 @@ def span_words(span: Span) -> str:
     if span.high < 0.5:
         return "–"
     if span.expected < 0.5:
-        return f"0 to {span.high:.0f}"
+        return _("{low} to {high}").format(low=0, high=f"{span.high:.0f}")
     words = f"{span.expected:.0f}"
-    return words if span.low == span.high else f"{words} ({span.low:.0f} to {span.high:.0f})"
+    if span.low == span.high:
+        return words
+    ends = _("{low} to {high}").format(low=f"{span.low:.0f}", high=f"{span.high:.0f}")
+    return f"{words} ({ends})"
 
 
-def growth_words(growth: Growth) -> str:
+def growth_words(growth: Growth, units: Units) -> str:
     """Return the growth that a forecast expects of its house in words, and where it comes from.
 
     Examples
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
+    >>> from cucumbervision_greenhouse.backend.settings import Units
     >>> prior = GrowthPrior.of(load_profile("long-cucumber"))
-    >>> growth_words(fit_growth([], prior))
+    >>> growth_words(fit_growth([], prior), Units("cm"))
     'Expected growth: 3.0 cm a day (2.0 to 4.0), by the crop profile, as no fruit was seen on two
     days (2 to 4 cm a day: the CucumberVision paper, ...).'
-    >>> growth_words(fit_growth([Link("a", "1", 0, 0.2, 0.003, 2, 0.28, 0.003)], prior))
-    'Expected growth: 3.6 cm a day (2.9 to 4.2), by 1 fruit seen on several days and the crop
+    >>> links = [Link("a", "1", 0, 0.2, 0.003, 2, 0.28, 0.003)]
+    >>> growth_words(fit_growth(links, prior), Units("in"))
+    'Expected growth: 1.41 in a day (1.15 to 1.67), by 1 fruit seen on several days and the crop
     profile.'
     """
-    cm = [
-        100 * max(growth.mean_m + z * growth.mean_sd_m, 0.0) for z in (-_FORECAST_Z, 0, _FORECAST_Z)
-    ]
-    words = f"Expected growth: {cm[1]:.1f} cm a day ({cm[0]:.1f} to {cm[2]:.1f}), by "
-    count = len({link.fruit_id for link in growth.links})
-    if count:
-        return f"{words}{count} fruit seen on several days and the crop profile."
+    low, mean, high = (
+        max(growth.mean_m + z * growth.mean_sd_m, 0.0) for z in (-_FORECAST_Z, 0, _FORECAST_Z)
+    )
+    parts = {
+        "growth": units.text(mean),
+        "low": number_words(units.value(low) or 0.0, units.digits),
+        "high": number_words(units.value(high) or 0.0, units.digits),
+    }
+    if count := len({link.fruit_id for link in growth.links}):
+        return counted(
+            count,
+            "Expected growth: {growth} a day ({low} to {high}), by {n} fruit seen on several days "
+            "and the crop profile.",
+            "Expected growth: {growth} a day ({low} to {high}), by {n} fruit seen on several days "
+            "and the crop profile.",
+            **parts,
+        )
     source = f" ({growth.prior.source})" if growth.prior.source else ""
-    return f"{words}the crop profile, as no fruit was seen on two days{source}."
+    words = _(
+        "Expected growth: {growth} a day ({low} to {high}), by the crop profile, as no fruit was "
+        "seen on two days{source}."
+    )
+    return words.format(**parts, source=source)
+
+
+def hours_words(hours: float) -> str:
+    """Return hours of work; less than 1.5 hours as minutes, rounded up.
+
+    Examples
+    --------
+    >>> hours_words(0.31), hours_words(3.24)
+    ('19 min', '3.2 h')
+    """
+    if hours >= 1.5:
+        return _("{hours} h").format(hours=number_words(hours, 1))
+    return f"{math.ceil(60 * hours - 1e-9):d} min"
+
+
+def age_words(days: int) -> str:
+    """Return an age in days as text.
+
+    Examples
+    --------
+    >>> age_words(0), age_words(1), age_words(4), age_words(400)
+    ('of today', 'of yesterday', '4 days old', '1 year old')
+    """
+    if days < 2:
+        return _("of yesterday") if days == 1 else _("of today")
+    if days < 60:
+        return counted(days, "{n} day old", "{n} days old")
+    if days < 365:
+        return counted(days // 30, "{n} month old", "{n} months old")
+    return counted(days // 365, "{n} year old", "{n} years old")
 
 
 def hours_span_words(span: Span) -> str:
@@ -452,4 +649,6 @@ def hours_span_words(span: Span) -> str:
     ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
     """
     lower, expected, upper = map(hours_words, (span.low, span.expected, span.high))
-    return expected if lower == upper else f"{expected} ({lower} to {upper})"
+    if lower == upper:
+        return expected
+    return f"{expected} ({_('{low} to {high}').format(low=lower, high=upper)})"

@@ -11,6 +11,8 @@ import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
 from cucumbervision_greenhouse.backend import tasks
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 # Streamlit drops the input of a closed page; these values are kept for its return.
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
-_WITH_FRUIT = ("Today", "Results")  # keyboard focus goes to their lists at once
+_WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
 _STYLE = Path(__file__).with_name("static") / "pages.css"
 
@@ -61,21 +63,21 @@ def main() -> None:
 
 def _pages() -> list[StreamlitPage]:
     draw = [
-        ("Today", today.page, ":material/today:"),
-        ("Capture", _leave_for_capture, ":material/photo_camera:"),
-        ("Upload", upload.page, ":material/upload:"),
-        ("Results", results.page, ":material/straighten:"),
-        ("Row map", row_map.page, ":material/map:"),
-        ("Days", days.page, ":material/date_range:"),
-        ("Forecast", forecast.page, ":material/calendar_month:"),
-        ("Accuracy", accuracy.page, ":material/target:"),
-        ("Settings", settings.page, ":material/settings:"),
-        ("About", about.page, ":material/info:"),
+        (marked("Today"), today.page, ":material/today:"),
+        (marked("Capture"), _leave_for_capture, ":material/photo_camera:"),
+        (marked("Upload"), upload.page, ":material/upload:"),
+        (marked("Results"), results.page, ":material/straighten:"),
+        (marked("Row map"), row_map.page, ":material/map:"),
+        (marked("Days"), days.page, ":material/date_range:"),
+        (marked("Forecast"), forecast.page, ":material/calendar_month:"),
+        (marked("Accuracy"), accuracy.page, ":material/target:"),
+        (marked("Settings"), settings.page, ":material/settings:"),
+        (marked("About"), about.page, ":material/info:"),
     ]
     return [
         st.Page(
             page,
-            title=title,
+            title=_(title),
             icon=icon,
             url_path=title.split()[-1].lower(),
             default=page is today.page,
@@ -90,8 +92,8 @@ def _leave_for_capture() -> None:
 
 
 def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
-    if chosen.title in _WITH_FRUIT:
-        st.html('<a class="skip" href="#list">To the fruit</a>')
+    if chosen.url_path in _WITH_FRUIT:
+        st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
     with st.container(horizontal=True, key="nav", gap="small"):
         for page in pages[:-1]:
             st.page_link(page, label=page.title, query_params=page_elements.here())
@@ -116,7 +118,9 @@ def keep_inputs() -> None:
 def footer(about_page: StreamlitPage) -> None:
     """Draw the link to the licence and the source (AGPL-3.0, section 13)."""
     with st.container(key="about", horizontal_alignment="right"):
-        st.page_link(about_page, label="About", query_params=page_elements.here(), width="content")
+        st.page_link(
+            about_page, label=_("About"), query_params=page_elements.here(), width="content"
+        )
 
 
 def _check_guard() -> None:

@@ -14,7 +14,9 @@ from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
-from cucumbervision_greenhouse.backend.words import date_words
+from cucumbervision_greenhouse.backend.language import decimal_words
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.words import class_words, date_words, label_words
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
@@ -52,7 +54,7 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     other_names = [name for name in OTHER_COLORS if name in present]
     greens = [CLASS_GREENS[min(k, len(CLASS_GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
-        domain=[*classes, *other_names],
+        domain=[label_words(name) for name in (*classes, *other_names)],
         range=[*greens, *(OTHER_COLORS[name] for name in other_names)],
     )
 
@@ -72,7 +74,7 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     # Counted here, so that the browser gets a few dozen bars whatever the number of fruit.
     counted = Counter((math.floor(line["length"] / step), line["class"]) for line in lines)
     table = [
-        {"from": k * step, "to": (k + 1) * step, "class": name, "fruit": number}
+        {"from": k * step, "to": (k + 1) * step, "class": label_words(name), "fruit": number}
         for (k, name), number in sorted(counted.items())
     ]
     bars = (
@@ -82,13 +84,16 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
             x=alt.X(
                 "from:Q",
                 bin="binned",
-                title=f"Length [{units.name}]",
+                title=_("Length [{unit}]").format(unit=units.name),
                 scale=alt.Scale(zero=False),
             ),
             x2=alt.X2("to:Q"),
-            y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
+            y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(tickMinStep=1, format="d")),
             color=_color_of_class(x["class"] for x in lines),
-            tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
+            tooltip=[
+                alt.Tooltip("fruit:Q", title=_("Fruit")),
+                alt.Tooltip("class:N", title=_("Class")),
+            ],
         )
     )
     spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
@@ -138,23 +143,27 @@ def map_picture(
         }
         layer["shapes"].append(mark)
     grid = {
-        name: [(place(axis, value), f"{value:g} m") for value in _round_values(*ends[axis])]
+        name: [
+            (place(axis, value), f"{decimal_words(f'{value:g}')} m")
+            for value in _round_values(*ends[axis])
+        ]
         for name, axis in (("across", "along"), ("up", "height"))
     }
     return list(layers.values()), grid
 
 
 def _class(name: str) -> tuple[str, str]:
-    return name, class_color(name)
+    return label_words(name), class_color(name)
 
 
 def _length_step(length: float | None, units: Units) -> tuple[str, str]:
     """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
     if length is None:
-        return "not measured", OTHER_COLORS["not measured"]
+        return _("not measured"), OTHER_COLORS["not measured"]
     step = 5 if units.name == "cm" else 2
     number = int(length // step)
-    name = f"{number * step} to {(number + 1) * step} {units.name}"
+    high = f"{(number + 1) * step} {units.name}"
+    name = _("{low} to {high}").format(low=number * step, high=high)
     return name, _STEP_COLORS[min(max(number - 1, 0), len(_STEP_COLORS) - 1)]
 
 
@@ -189,7 +198,7 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     lines = [
         {
             "day": forecast_day(prediction, day),
-            "class": class_name(prediction.classes[k]),
+            "class": class_words(prediction.classes[k]),
             "from": day - 0.4 + n * share,
             "to": day - 0.4 + (n + 0.85) * share,
             "middle": day - 0.4 + (n + 0.425) * share,
@@ -213,17 +222,17 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
     base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
-        x=alt.X("from:Q", title="Day", axis=axis, scale=ends),
+        x=alt.X("from:Q", title=_("Day"), axis=axis, scale=ends),
         x2=alt.X2("to:Q"),
-        y=alt.Y("expected:Q", title="Fruit"),
+        y=alt.Y("expected:Q", title=_("Fruit")),
         y2=alt.Y2("floor:Q"),
         color=_color_of_class(names),
         tooltip=[
-            alt.Tooltip("day:N", title="Day"),
-            alt.Tooltip("class:N", title="Class"),
-            alt.Tooltip("expected:Q", title="Expected", format=".0f"),
-            alt.Tooltip("low:Q", title="Likely from", format=".0f"),
-            alt.Tooltip("high:Q", title="to", format=".0f"),
+            alt.Tooltip("day:N", title=_("Day")),
+            alt.Tooltip("class:N", title=_("Class")),
+            alt.Tooltip("expected:Q", title=_("Expected"), format=".0f"),
+            alt.Tooltip("low:Q", title=_("Likely from"), format=".0f"),
+            alt.Tooltip("high:Q", title=_("to"), format=".0f"),
         ],
     )
     whiskers = base.mark_rule(strokeWidth=2, color="#222").encode(
@@ -242,18 +251,20 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
         'day' (ISO 8601), 'class' and 'fruit'.
     """
     days = {line["day"] for line in lines}
+    names = [line["class"] for line in lines]
+    lines = [{**line, "class": label_words(line["class"])} for line in lines]
     axis = alt.Axis(format="%a %-d %b" if len(days) <= _WEEKDAYS else "%-d %b", labelOverlap=True)
     chart: alt.Chart = (
         alt.Chart(_data(lines))
         .mark_bar()
         .encode(
             x=alt.X("day:T", timeUnit="yearmonthdate", title=None, axis=axis),
-            y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(format="d")),
-            color=_color_of_class(line["class"] for line in lines),
+            y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(format="d")),
+            color=_color_of_class(names),
             tooltip=[
-                alt.Tooltip("day:T", title="Day", format="%a %-d %b %Y"),
-                alt.Tooltip("class:N", title="Class"),
-                alt.Tooltip("fruit:Q", title="Fruit"),
+                alt.Tooltip("day:T", title=_("Day"), format="%a %-d %b %Y"),
+                alt.Tooltip("class:N", title=_("Class")),
+                alt.Tooltip("fruit:Q", title=_("Fruit")),
             ],
         )
         .properties(height=260)
@@ -271,14 +282,14 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     units : Units
         Unit of the lengths.
     """
-    title = f"Length [{units.name}]"
+    title = _("Length [{unit}]").format(unit=units.name)
     axis = alt.Axis(format="%a %-d %b", tickCount="day", labelOverlap=True)
     base = alt.Chart(_data(lines)).encode(x=alt.X("at:T", title=None, axis=axis))
     point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
     points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
         y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
         tooltip=[
-            alt.Tooltip("at:T", title="At", format="%a %-d %b %H:%M"),
+            alt.Tooltip("at:T", title=_("At"), format="%a %-d %b %H:%M"),
             alt.Tooltip("length:Q", title=title),
         ],
     )

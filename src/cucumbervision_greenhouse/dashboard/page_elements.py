@@ -11,10 +11,18 @@ import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse.agronomy.picking import hours_words
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
-from cucumbervision_greenhouse.backend.words import action_words, plain, sentence, step_words
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import language, page_text
+from cucumbervision_greenhouse.backend.words import (
+    counted,
+    hours_words,
+    plain,
+    sentence,
+    step_words,
+    taken_back,
+)
 from cucumbervision_greenhouse.dashboard.round_choice import choose_round, missing_round
 
 if TYPE_CHECKING:
@@ -65,9 +73,9 @@ def draw_undo(round_key: str) -> None:
         except CucumberVisionError as error:
             st.session_state["fault"] = str(error)
         else:
-            st.toast(plain(f"Taken back: {action_words(action)}"), icon=":material/undo:")
+            st.toast(plain(taken_back(action)), icon=":material/undo:")
 
-    button(st, "Undo", "undo", undo)
+    button(st, _("Undo"), "undo", undo)
     if fault := st.session_state.pop("fault", None):
         st.warning(sentence(fault), icon=":material/error:")
 
@@ -122,7 +130,11 @@ def pictures(
         for view in views:
             with st.container(width=_PICTURE_PX):
                 if (cut := round_caches.cutout_of(view, joint)) is not None:
-                    st.image(cut, width="stretch", alt=f"Fruit at {step_words(view.step).lower()}")
+                    st.image(
+                        cut,
+                        width="stretch",
+                        alt=_("Fruit at {stop}").format(stop=step_words(view.step).lower()),
+                    )
                 st.caption(words(view))
                 if act is not None:
                     act(view)
@@ -139,7 +151,7 @@ def choose_page(items: Sequence[Any], key: str, size: int) -> None:
     pages = _pages(items, size)
     if pages > 1:
         st.session_state[key] = min(st.session_state.get(key, 1), pages)
-        st.number_input(f"Page of {pages}", 1, pages, key=key)
+        st.number_input(_("Page of {pages}").format(pages=pages), 1, pages, key=key)
 
 
 def _pages(items: Sequence[Any], size: int) -> int:
@@ -154,11 +166,14 @@ def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
         round_summary = choose_round()
         if missing := missing_round():
             st.warning(
-                f"There is no round '{plain(missing[:40])}'. Choose one above, or start a new one.",
+                _("There is no round '{name}'. Choose one above, or start a new one.").format(
+                    name=plain(missing[:40])
+                ),
                 icon=":material/search_off:",
             )
         elif round_summary is None:
-            st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
+            words = _("There is no round yet. Start one with 'New round'.")
+            st.info(words, icon=":material/flag:")
         else:
             draw(round_summary)
 
@@ -196,7 +211,8 @@ def work_words(work: PickWork) -> str:
     '14 min and 6 crates'
     """
     crates = sum(work.crates.values())
-    return f"{hours_words(work.hours)} and {crates} {'crate' if crates == 1 else 'crates'}"
+    hours = hours_words(work.hours)
+    return counted(crates, "{hours} and {n} crate", "{hours} and {n} crates", hours=hours)
 
 
 def name_in_address(name: str, value: str | None) -> None:
@@ -273,14 +289,20 @@ def go(address: str) -> None:
 _MARKS = ("ruler", "point", "box", "stroke")
 
 
-@st.cache_resource(show_spinner=False)
 def component(name: str) -> Any:
-    """Return a component made of the files of that name in `static`."""
+    """Return a component made of the files of that name in `static`, in the language shown."""
+    return _component(name, language())
+
+
+@st.cache_resource(show_spinner=False)
+def _component(name: str, code: str) -> Any:
     folder = PICTURE_FILES if name == "picture" else Path(__file__).with_name("static")
     html, css, js = (
-        (folder / f"{name}.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+        page_text((folder / f"{name}.{kind}").read_text(encoding="utf-8"))
+        for kind in ("html", "css", "js")
     )
-    return st.components.v2.component(f"cucumbervision_{name}", html=html, css=css, js=js)
+    name = f"cucumbervision_{name}_{code}"
+    return st.components.v2.component(name, html=html, css=css, js=js)
 
 
 def picture(

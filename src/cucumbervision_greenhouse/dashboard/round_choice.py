@@ -10,6 +10,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
 from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import counted, plain, round_name, sentence
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import RoundSummary
 
 _MISSING = "missing_round"
-_NEW_HOUSE = "New house …"
+_NEW_HOUSE = "\n"  # no house has such a name
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
@@ -41,11 +42,11 @@ def choose_round() -> RoundSummary | None:
     with st.container(key="rounds"):
         chosen, new, change = st.columns([6, 2, 1], vertical_alignment="center")
     key = chosen.selectbox(
-        "Round",
+        _("Round"),
         list(rounds),
         format_func=label,
         key="round",
-        placeholder="Choose a round" if rounds else "No round yet",
+        placeholder=_("Choose a round") if rounds else _("No round yet"),
         label_visibility="collapsed",
     )
     round_summary = rounds.get(key) if key else None
@@ -55,9 +56,10 @@ def choose_round() -> RoundSummary | None:
         st.query_params["round"] = st.session_state["named"] = round_summary.key
     # Popovers keep their state, so that an action inside closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
-    with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
+    with new.popover(_("New round"), icon=":material/add:", key=_BEGINNING, **tall):
         _begin()
-    with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
+    tall |= {"help": _("Rename or delete")}
+    with change.popover("", icon=":material/edit:", key=_CHANGING, **tall):
         _change(round_summary)
     return round_summary
 
@@ -68,20 +70,26 @@ def missing_round() -> str:
 
 
 def _begin() -> None:
-    st.text_input("Name", placeholder="Morning round", key="new_name")
+    st.text_input(_("Name"), placeholder=_("Morning round"), key="new_name")
     houses = resources.houses()
     house_choices = [*houses, _NEW_HOUSE]
     if houses:
-        st.selectbox("House", house_choices, key="known_house")
+        st.selectbox(
+            _("House"),
+            house_choices,
+            format_func=lambda house: _("New house …") if house == _NEW_HOUSE else house,
+            key="known_house",
+        )
     if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
-        st.text_input("New house" if houses else "House", placeholder="House 1", key="new_house")
+        label = _("New house") if houses else _("House")
+        st.text_input(label, placeholder=_("House 1"), key="new_house")
     titles = resources.crop_titles()
     usual = resources.settings().profile
     crop = st.selectbox(
-        "Crop",
+        _("Crop"),
         list(titles),
         index=list(titles).index(usual) if usual in titles else 0,
-        format_func=titles.__getitem__,
+        format_func=lambda name: _(titles[name]),
     )
 
     def begin() -> None:
@@ -96,11 +104,12 @@ def _begin() -> None:
             st.session_state["begin_fault"] = str(error)
             return
         if (same := same_house(house, houses)) != " ".join(house.split()):
-            st.toast(plain(f"The round is in the house '{same}', which is known by that name."))
+            words = _("The round is in the house '{house}', which is known by that name.")
+            st.toast(plain(words.format(house=same)))
         st.session_state["round"] = record.key
         st.session_state[_BEGINNING] = False
 
-    st.button("Start this round", type="primary", width="stretch", on_click=begin)
+    st.button(_("Start this round"), type="primary", width="stretch", on_click=begin)
     if fault := st.session_state.pop("begin_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
 
@@ -109,12 +118,13 @@ def _change(round_summary: RoundSummary | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
     if round_summary is not None:
-        st.caption(plain(f"Crop: {resources.profile_of(round_summary)[1].title}"))
+        title = _(resources.profile_of(round_summary)[1].title)
+        st.caption(plain(_("Crop: {title}").format(title=title)))
         name = st.text_input(
-            "Name of this round", round_summary.record.name, key=f"name_{round_summary.key}"
+            _("Name of this round"), round_summary.record.name, key=f"name_{round_summary.key}"
         )
         st.button(
-            "Rename",
+            _("Rename"),
             width="stretch",
             on_click=_do,
             args=(_rename, round_summary.key),
@@ -122,7 +132,7 @@ def _change(round_summary: RoundSummary | None) -> None:
         )
         _house(round_summary)
         st.button(
-            "Delete this round",
+            _("Delete this round"),
             icon=":material/delete:",
             width="stretch",
             on_click=_do,
@@ -130,7 +140,7 @@ def _change(round_summary: RoundSummary | None) -> None:
         )
     for gone in resources.store().rounds(deleted=True):
         st.button(
-            f"Restore: {plain(round_name(gone))}",
+            _("Restore: {round}").format(round=plain(round_name(gone))),
             icon=":material/undo:",
             width="stretch",
             key=f"back_{gone.key}",
@@ -142,15 +152,17 @@ def _change(round_summary: RoundSummary | None) -> None:
 def _house(round_summary: RoundSummary) -> None:
     """Draw the house of a round: the round moves, or the house gets another name or is merged."""
     key, house = round_summary.key, round_summary.record.house
-    typed = " ".join(st.text_input("House", house, key=f"house_{key}").split())
+    typed = " ".join(st.text_input(_("House"), house, key=f"house_{key}").split())
     if typed == house:
         return
     of_house = [x.key for x in resources.rounds() if x.record.house == house]
     known = same_house(typed, [name for name in resources.houses() if name != house])
     merged = known in resources.houses()
-    words = f"Merge the house with '{known}'" if merged else "Rename the house"
-    number = counted(len(of_house), "round", "rounds")
-    for label, keys in (("Move this round", [key]), (f"{plain(words)} ({number})", of_house)):
+    words = _("Rename the house")
+    if merged:
+        words = _("Merge the house with '{house}'").format(house=known)
+    words = f"{plain(words)} ({counted(len(of_house), '{n} round', '{n} rounds')})"
+    for label, keys in ((_("Move this round"), [key]), (words, of_house)):
         if house or keys == [key]:  # rounds without a house are not of one house
             act = partial(_move, keys)
             st.button(label, width="stretch", on_click=_do, args=(act, typed))

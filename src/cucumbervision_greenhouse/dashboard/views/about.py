@@ -6,6 +6,7 @@ import streamlit as st
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 
@@ -13,17 +14,19 @@ from cucumbervision_greenhouse.dashboard import page_elements
 def page() -> None:
     """Draw the page: the offer of the source that the AGPL-3.0, section 13, asks for."""
     offer = source_offer()
-    st.subheader("About")
-    st.write(
-        f"CucumberVision {__version__} measures greenhouse cucumbers. Its licence is {LICENCE}: "
+    st.subheader(_("About"))
+    words = _(
+        "CucumberVision {version} measures greenhouse cucumbers. Its licence is {licence}: "
         "everyone who uses it over a network may have its source."
     )
+    st.write(words.format(version=__version__, licence=LICENCE))
     if offer.startswith("http"):
-        st.link_button("Source code", offer, icon=":material/code:")
+        st.link_button(_("Source code"), offer, icon=":material/code:")
     else:
-        st.write(f"Source code: {plain(offer)}")
-    with st.expander("Details", icon=":material/list:"):
+        st.write(_("Source code: {offer}").format(offer=plain(offer)))
+    with st.expander(_("Details"), icon=":material/list:"):
         lines = [
-            {"Package": name, "Version": version} for name, version in installed_versions().items()
+            {_("Package"): name, _("Version"): version}
+            for name, version in installed_versions().items()
         ]
         page_elements.table(lines)

@@ -9,10 +9,13 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend import round_tables as tables
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.words import (
     counted,
     daily_growth_words,
     day_words,
+    label_words,
     plain,
     row_name,
 )
@@ -30,6 +33,13 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import RoundSummary
 
 _WEEK, _SEASON = 7, 200  # rounds in the chart
+_CHANGES = {
+    Change.STAYED: marked("Seen on both days"),
+    Change.PICKED: marked("Picked"),
+    Change.GONE: marked("Not seen again"),
+    Change.NEW: marked("New"),
+    Change.NOT_WALKED: marked("Not walked"),
+}
 
 
 @page_elements.of_round
@@ -38,11 +48,13 @@ def page(round_summary: RoundSummary) -> None:
     earlier = {x.key: x for x in earlier_rounds(resources.store(), round_summary.key)}
     if not round_summary.fruit or not earlier:
         st.info(
-            "Nothing to compare yet: this house has no fruit of an earlier day. Walk it again on "
-            "another day, and this page shows what grew, what was picked and what is new.",
+            _(
+                "Nothing to compare yet: this house has no fruit of an earlier day. Walk it again "
+                "on another day, and this page shows what grew, what was picked and what is new."
+            ),
             icon=":material/date_range:",
         )
-        page_elements.link("capture", "Capture")
+        page_elements.link("capture", _("Capture"))
         return
     before = earlier[_choose_day(earlier)]
     comparison = round_caches.comparison_of(before, round_summary)
@@ -63,7 +75,7 @@ def _choose_day(earlier: dict[str, RoundSummary]) -> str:
     if st.session_state.get("compared_with") not in earlier:
         named = st.query_params.get("day")
         st.session_state["compared_with"] = named if named in earlier else next(iter(earlier))
-    key = st.selectbox("Compare with", list(earlier), format_func=label, key="compared_with")
+    key = st.selectbox(_("Compare with"), list(earlier), format_func=label, key="compared_with")
     page_elements.name_in_address("day", key)
     return str(key)
 
@@ -74,51 +86,66 @@ def _keys(fruit: FruitChange) -> list[str]:
 
 def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) -> None:
     metrics: dict[str, int | str] = {
-        f"On {day_words(before.walked_s)}": counts.before,
-        "Picked": counts.picked,
-        "Not seen again": counts.gone,
-        "New": counts.new,
-        f"On {day_words(after.walked_s)}": counts.after,
-        "Growth": daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+        _("On {day}").format(day=day_words(before.walked_s)): counts.before,
+        _("Picked"): counts.picked,
+        _("Not seen again"): counts.gone,
+        _("New"): counts.new,
+        _("On {day}").format(day=day_words(after.walked_s)): counts.after,
+        _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
     with st.container(horizontal=True):
         for label, value in metrics.items():
             st.metric(label, value, width="content")
     if counts.gone and counts.new and not counts.stayed:
         st.warning(
-            "No fruit of one day could be told to be one of the other: 'not seen again' and 'new' "
-            "may be the same fruit. 'Row map' tells which are the same.",
+            _(
+                "No fruit of one day could be told to be one of the other: 'not seen again' and "
+                "'new' may be the same fruit. 'Row map' tells which are the same."
+            ),
             icon=":material/link_off:",
         )
-    words = (
+    words = _(
         "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
         "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "
         "both days."
     )
     if counts.returned:
-        fruit = counted(counts.returned, "fruit was", "fruit were")
-        words = f"{fruit} ticked off as picked and seen again all the same. {words}"
-    if counts.unsure:
-        words = (
-            f"{counts.unsure} of the {counts.stayed} fruit seen on both days may be two: places "
-            f"and sizes fit, but not for sure. {words}"
+        returned = counted(
+            counts.returned,
+            "{n} fruit was ticked off as picked and seen again all the same.",
+            "{n} fruit were ticked off as picked and seen again all the same.",
         )
+        words = f"{returned} {words}"
+    if counts.unsure:
+        unsure = counted(
+            counts.unsure,
+            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
+            "for sure.",
+            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
+            "for sure.",
+            all=counts.stayed,
+        )
+        words = f"{unsure} {words}"
     if counts.not_walked:
-        fruit = counted(counts.not_walked, "fruit hangs", "fruit hang")
-        words = f"{fruit} where only one of the two rounds went: not compared. {words}"
+        apart = counted(
+            counts.not_walked,
+            "{n} fruit hangs where only one of the two rounds went: not compared.",
+            "{n} fruit hang where only one of the two rounds went: not compared.",
+        )
+        words = f"{apart} {words}"
     st.caption(words)
 
 
 def _rows(comparison: DayComparison) -> None:
     lines = [
         {
-            "Row": row_name(row),
-            "Before": counts.before,
-            "Picked": counts.picked,
-            "Not seen again": counts.gone,
-            "New": counts.new,
-            "Now": counts.after,
-            "Growth": daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+            _("Row"): row_name(row),
+            _("Before"): counts.before,
+            _("Picked"): counts.picked,
+            _("Not seen again"): counts.gone,
+            _("New"): counts.new,
+            _("Now"): counts.after,
+            _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
         }
         for row, counts in comparison.by_row().items()
     ]
@@ -138,10 +165,10 @@ def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummar
     page_elements.table(
         [
             {
-                "Class": name,
-                "Before": first[name],
-                "Now": last[name],
-                "Change": f"{last[name] - first[name]:+d}",
+                _("Class"): label_words(name),
+                _("Before"): first[name],
+                _("Now"): last[name],
+                _("Change"): f"{last[name] - first[name]:+d}",
             }
             for name in sorted({*first, *last})
         ]
@@ -150,10 +177,10 @@ def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummar
 
 def _each_fruit(comparison: DayComparison) -> None:
     kinds = [change for change in Change if comparison.of(change)]
-    label = label_options("change", {kind: str(kind).capitalize() for kind in kinds})
+    label = label_options("change", {kind: _(_CHANGES[kind]) for kind in kinds})
     if st.session_state.get("change") not in kinds:
         st.session_state["change"] = kinds[0]
-    kind = st.segmented_control("Fruit", kinds, format_func=label, key="change", required=True)
+    kind = st.segmented_control(_("Fruit"), kinds, format_func=label, key="change", required=True)
     changes = comparison.of(kind or kinds[0])
     units = resources.settings().units
     lines = []
@@ -164,8 +191,10 @@ def _each_fruit(comparison: DayComparison) -> None:
             lines.append(
                 {"key": view.key, "picture": picture, "says": tables.change_words(fruit, units)}
             )
-    words = f"{counted(len(changes), 'fruit', 'fruit')}: tap one to see its days"
-    page_elements.fruit_list("days_list", "Fruit of both days", lines, words)
+    words = counted(
+        len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
+    )
+    page_elements.fruit_list("days_list", _("Fruit of both days"), lines, words)
     page_elements.choose_page(changes, "days_page", round_caches.LINES)
 
 
@@ -174,34 +203,41 @@ def _fruit_days(round_summary: RoundSummary, key: str) -> None:
     units = resources.settings().units
     views = round_caches.fruit_days_of(round_summary, key)
     page_elements.button(
-        st, "All fruit", "arrow_back", page_elements.name_in_address, "fruit", None
+        st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
     )
-    st.subheader(f"{row_name(views[-1].row)}: {counted(len(views), 'day', 'days')}")
+    st.subheader(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
     page_elements.pictures(views, lambda view: "  \n".join(tables.day_lines(view, units)))
     chart_lines = tables.length_days(views, units)
     if len(chart_lines) > 1:
         st.altair_chart(charts.growth_chart(chart_lines, units))
-        st.caption("Length on each day, with its 90 % interval where one is given.")
+        st.caption(_("Length on each day, with its 90 % interval where one is given."))
     if views[-1].round_key == round_summary.key:
-        page_elements.link("results", "Open this fruit", fruit=views[-1].key)
+        page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
 
 
 def _trend(round_summary: RoundSummary, rounds: list[RoundSummary]) -> None:
     """Draw the fruit on the plant by day, when it is asked for: a season takes long to read."""
     icon = ":material/bar_chart:"
-    name = plain(round_summary.record.house or "this house")
-    section = st.expander(f"All days of {name}", icon=icon, key="trend", on_change="rerun")
+    title = _("All days of this house")
+    if house := round_summary.record.house:
+        title = _("All days of {house}").format(house=plain(house))
+    section = st.expander(title, icon=icon, key="trend", on_change="rerun")
     if not section.open:
         return
-    spans = {"Last 7 days": _WEEK, "Season": _SEASON}
+    spans = {_WEEK: _("Last 7 days"), _SEASON: _("Season")}
     span = section.segmented_control(
-        "Days", list(spans), key="trend_span", default="Last 7 days", required=True
+        _("Days"),
+        list(spans),
+        format_func=spans.__getitem__,
+        key="trend_span",
+        default=_WEEK,
+        required=True,
     )
-    days = tables.last_of_day(rounds)[: spans[span or "Last 7 days"]]
+    days = tables.last_of_day(rounds)[: span or _WEEK]
     lines = [
         {"day": day, "class": label, "fruit": number}
         for day, x in days
         for label, number in round_caches.class_counts_of(x).items()
     ]
     section.altair_chart(charts.trend_chart(lines))
-    section.caption("Fruit that the last round of each day showed, by class.")
+    section.caption(_("Fruit that the last round of each day showed, by class."))

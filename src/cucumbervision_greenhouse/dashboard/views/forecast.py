@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.classes import UNDECIDED, class_name, class_of
+from cucumbervision.agronomy.classes import UNDECIDED, class_of
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import (
+    age_words,
+    class_words,
     counted,
     growth_words,
     hours_span_words,
@@ -25,7 +28,7 @@ from cucumbervision_greenhouse.dashboard.charts import (
     forecast_chart,
     forecast_day,
 )
-from cucumbervision_greenhouse.rounds.forecasting import Age, age_of, age_words
+from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
@@ -38,12 +41,12 @@ def page(round_summary: RoundSummary) -> None:
     prediction = round_caches.forecast_of(round_summary)
     if not prediction.fruit:
         st.info(
-            "Nothing to forecast: this round has no measured fruit left on the plant.",
+            _("Nothing to forecast: this round has no measured fruit left on the plant."),
             icon=":material/calendar_month:",
         )
         return
     _age(round_summary)
-    days, work = st.tabs(["Next days", "Work and crates"])
+    days, work = st.tabs([_("Next days"), _("Work and crates")])
     with days:
         _days(prediction)
     with work:
@@ -54,44 +57,55 @@ def _age(round_summary: RoundSummary) -> None:
     walked = round_summary.walked_s
     days, age = age_of(walked, time.time())
     if age is not Age.FRESH:
-        useless = age is Age.USELESS
-        holds = "for the day of the walk" if useless else "only if nothing was picked since"
-        st.warning(
-            f"This round is {age_words(days)} (walked on {round_day(walked)}): the forecast is "
-            f"valid {holds}. Walk again.",
-            icon=":material/history:",
+        words = _(
+            "This round is {age} (walked on {when}): the forecast is valid only if nothing was "
+            "picked since. Walk again."
         )
-    page_elements.link("today", "Today's pick list")
+        if age is Age.USELESS:
+            words = _(
+                "This round is {age} (walked on {when}): the forecast is valid for the day of the "
+                "walk. Walk again."
+            )
+        st.warning(
+            words.format(age=age_words(days), when=round_day(walked)), icon=":material/history:"
+        )
+    page_elements.link("today", _("Today's pick list"))
 
 
 def _days(prediction: Forecast) -> None:
     first = [
-        f"{class_name(name)} {forecast_day(prediction, day)}"
+        f"{class_words(name)} {forecast_day(prediction, day)}"
         for name, day in first_days(prediction).items()
     ]
     if first:
-        st.markdown(f"**First fruit ready**: {plain(', '.join(first))}")
-    st.markdown("**Fruit in each class if nothing is picked**, with the likely range")
+        st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
+    st.markdown(_("**Fruit in each class if nothing is picked**, with the likely range"))
     st.altair_chart(forecast_chart(prediction))
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():
-        line = {"Day": forecast_day(prediction, day)}
+        line = {_("Day"): forecast_day(prediction, day)}
         for k in expected_classes(prediction):
-            suffix = "" if prediction.complete[day, k] else " or more"
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
             words = span_words(count)
-            line[class_name(prediction.classes[k])] = words if words == "–" else f"{words}{suffix}"
+            if words != "–" and not prediction.complete[day, k]:
+                words = _("{fruit} or more").format(fruit=words)
+            line[class_words(prediction.classes[k])] = words
         lines.append(line)
     page_elements.table(lines)
     undecided = sum(class_of(possible) == UNDECIDED for possible in prediction.possible)
-    words = "'Or more': fruit too small to be detected today are not counted."
+    words = _("'Or more': fruit too small to be detected today are not counted.")
     if undecided:
-        fruit = counted(undecided, "undecided fruit is", "undecided fruit are")
-        words = f"Today {fruit} in no class, and in the ranges. {words}"
+        today = counted(
+            undecided,
+            "Today {n} undecided fruit is in no class, and in the ranges.",
+            "Today {n} undecided fruit are in no class, and in the ranges.",
+        )
+        words = f"{today} {words}"
     st.caption(words)
-    with st.expander("Details", icon=":material/list:"):
-        st.caption(f"Ranges are 80 % intervals. {plain(growth_words(prediction.growth))}")
+    with st.expander(_("Details"), icon=":material/list:"):
+        growth = growth_words(prediction.growth, resources.settings().units)
+        st.caption(f"{_('Ranges are 80 % intervals.')} {plain(growth)}")
 
 
 def _work(prediction: Forecast) -> None:
@@ -99,22 +113,27 @@ def _work(prediction: Forecast) -> None:
     per_hour, per_row, per_crate = st.columns(3)
     resources.change_settings(
         fruit_per_hour=per_hour.number_input(
-            "Fruit picked in an hour", 1.0, 5000.0, saved.fruit_per_hour, 10.0
+            _("Fruit picked in an hour"), 1.0, 5000.0, saved.fruit_per_hour, 10.0
         ),
         minutes_per_row=per_row.number_input(
-            "Minutes for each row", 0.0, 120.0, saved.minutes_per_row, 0.5
+            _("Minutes for each row"), 0.0, 120.0, saved.minutes_per_row, 0.5
         ),
-        fruit_per_crate=per_crate.number_input("Fruit in a crate", 1, 500, saved.fruit_per_crate),
+        fruit_per_crate=per_crate.number_input(
+            _("Fruit in a crate"), 1, 500, saved.fruit_per_crate
+        ),
     )
     lines = [
         {
-            "Day": forecast_day(prediction, day.day),
-            "Fruit": span_words(day.fruit),
-            "Work": hours_span_words(day.hours),
-            **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},
+            _("Day"): forecast_day(prediction, day.day),
+            _("Fruit"): span_words(day.fruit),
+            _("Work"): hours_span_words(day.hours),
+            **{
+                _("Crates {name}").format(name=name): span_words(n)
+                for name, n in day.crates.items()
+            },
         }
         for day in plan_work(prediction, resources.settings().rates)
         if day.fruit.high >= 1
     ]
     page_elements.table(lines)
-    st.caption("If every ready fruit is picked every day. Hours for one person.")
+    st.caption(_("If every ready fruit is picked every day. Hours for one person."))

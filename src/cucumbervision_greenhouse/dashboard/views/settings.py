@@ -10,17 +10,25 @@ from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision_greenhouse.backend import cameras, resources
+from cucumbervision_greenhouse.backend.language import DRAFTS, LANGUAGES, marked
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
 from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.views import calibrations, crop_form
 
 _FINDERS = {
-    "auto": "A capture's own masks, else networks",
-    "models": "Networks",
-    "dataset": "A capture's own masks",
+    "auto": marked("A capture's own masks, else networks"),
+    "models": marked("Networks"),
+    "dataset": marked("A capture's own masks"),
 }
 
+
+_LENGTHS = {
+    LengthDefinition.CENTRELINE: marked("Centreline"),
+    LengthDefinition.THREAD: marked("Thread"),
+    LengthDefinition.CHORD: marked("Chord"),
+}
 
 _INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -34,20 +42,21 @@ def page() -> None:
     with measuring:
         _measuring()
         _calibration()
-    with st.expander("Details: networks and method", icon=":material/list:"):
+    with st.expander(_("Details: networks and method"), icon=":material/list:"):
         _other_calibration()
         _how()
         _models()
-    st.caption(f"Store: {plain(resources.store().name)}")
+    st.caption(_("Store: {name}").format(name=plain(resources.store().name)))
 
 
 def _crop() -> None:
-    st.subheader("Crop and units")
+    st.subheader(_("Crop and units"))
     saved = resources.settings()
+    _language()
     unit = st.segmented_control(
-        "Lengths in",
+        _("Lengths in"),
         ["cm", "in"],
-        format_func={"cm": "Centimetres", "in": "Inches"}.__getitem__,
+        format_func={"cm": _("Centimetres"), "in": _("Inches")}.__getitem__,
         default=saved.unit,
         required=True,
     )
@@ -55,28 +64,49 @@ def _crop() -> None:
     crop_form.draw()
 
 
+def _language() -> None:
+    """Draw the choice of the language, which all pages show at once."""
+
+    def words(code: str) -> str:
+        if not code:
+            return _("As the browser")
+        # A reader of that language sees in it that its texts are a draft.
+        draft = {"nl": " (concept)", "es": " (borrador)"}
+        return LANGUAGES[code] + (draft[code] if code in DRAFTS else "")
+
+    def choose() -> None:
+        resources.change_settings(language=st.session_state["language"])
+
+    st.session_state["language"] = resources.settings().language
+    st.selectbox(
+        _("Language"), ["", *LANGUAGES], format_func=words, key="language", on_change=choose
+    )
+
+
 def _measuring() -> None:
-    st.subheader("Measuring")
+    st.subheader(_("Measuring"))
     saved = resources.settings()
     lengths = list(LengthDefinition)
     length = st.segmented_control(
-        "Length definition",
+        _("Length definition"),
         lengths,
-        format_func=lambda x: str(x).capitalize(),
+        format_func=lambda x: _(_LENGTHS[x]),
         default=saved.length,
         required=True,
-        help="Thread: over the outer side, as people measure by hand. Centreline: along the "
-        "middle. Chord: straight from end to end.",
+        help=_(
+            "Thread: over the outer side, as people measure by hand. Centreline: along the "
+            "middle. Chord: straight from end to end."
+        ),
     )
     finder = st.selectbox(
-        "Find fruit by",
+        _("Find fruit by"),
         list(_FINDERS),
         index=list(_FINDERS).index(saved.fruit_from),
-        format_func=_FINDERS.__getitem__,
+        format_func=lambda name: _(_FINDERS[name]),
     )
-    exact = st.toggle("Same lengths on every computer (slower)", saved.full_precision)
-    burst = st.number_input("Frames per photo", 1, 15, saved.burst)
-    limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, saved.upload_limit_mb, 100)
+    exact = st.toggle(_("Same lengths on every computer (slower)"), saved.full_precision)
+    burst = st.number_input(_("Frames per photo"), 1, 15, saved.burst)
+    limit_mb = st.number_input(_("Upload at most [MB]"), 1, 1_000_000, saved.upload_limit_mb, 100)
     resources.change_settings(
         length=length,
         fruit_from=finder,
@@ -87,19 +117,19 @@ def _measuring() -> None:
 
 
 def _calibration() -> None:
-    st.subheader("Calibration")
+    st.subheader(_("Calibration"))
     calibrations.draw_choice()
-    page_elements.link("accuracy", "Calibrate on 'Accuracy'")
+    page_elements.link("accuracy", _("Calibrate on 'Accuracy'"))
 
 
 def _other_calibration() -> None:
     """Draw a field for a calibration file from elsewhere."""
     saved = resources.settings().calibration
     calibration = st.text_input(
-        "Calibration file",
+        _("Calibration file"),
         saved,
-        placeholder="none",
-        help="As `cucumbervision calibrate` writes it.",
+        placeholder=_("none"),
+        help=_("As `cucumbervision calibrate` writes it."),
     ).strip()
     if calibration == saved:
         return
@@ -113,31 +143,35 @@ def _other_calibration() -> None:
         st.rerun()
 
 
-_EXPOSURES = {None: "Camera default", "automatic": "Automatic", "fixed": "Manual"}
+_EXPOSURES = {
+    None: marked("Camera default"),
+    "automatic": marked("Automatic"),
+    "fixed": marked("Manual"),
+}
 _USUAL_US = 8000.0  # a bright house
 
 
 def _camera() -> None:
     """Draw preset and exposure; the camera is opened again where they change."""
-    st.subheader("Camera")
+    st.subheader(_("Camera"))
     saved = resources.settings()
     preset = st.selectbox(
-        "Depth preset",
+        _("Depth preset"),
         PRESETS,
         PRESETS.index(saved.camera_preset),
-        format_func=lambda name: name.replace("-", " ") or "camera default",
+        format_func=lambda name: name.replace("-", " ") or _("Camera default"),
     )
     exposure = None if saved.exposure_us is None else "fixed" if saved.exposure_us else "automatic"
     chosen = st.selectbox(
-        "Exposure of the colour camera",
+        _("Exposure of the colour camera"),
         list(_EXPOSURES),
         list(_EXPOSURES).index(exposure),
-        format_func=_EXPOSURES.__getitem__,
+        format_func=lambda name: _(_EXPOSURES[name]),
     )
     exposure_us = None if chosen is None else 0.0
     if chosen == "fixed":
         usual = saved.exposure_us or _USUAL_US
-        exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
+        exposure_us = st.number_input(_("Microseconds"), *EXPOSURE_US, usual, 500.0, "%.0f")
     resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
     cameras.camera().configure(resources.settings().camera)
 
@@ -146,20 +180,23 @@ def _how() -> None:
     saved = resources.settings()
     resources.change_settings(
         confidence=st.number_input(
-            "Minimum confidence of a detection", 0.05, 0.95, saved.confidence, 0.05
+            _("Minimum confidence of a detection"), 0.05, 0.95, saved.confidence, 0.05
         ),
         input_sizes=tuple(
             st.pills(
-                "Network input size, pixels (long side); none: its own, two: both are merged",
+                _("Network input size, pixels (long side); none: its own, two: both are merged"),
                 sorted({*_INPUT_SIZES_PX, *saved.input_sizes}),
                 selection_mode="multi",
                 default=saved.input_sizes,
             )[-2:]
         ),
         selector=st.segmented_control(
-            "Choice of method",
+            _("Choice of method"),
             list(Selector),
-            format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
+            format_func={
+                Selector.BEST: _("Best"),
+                Selector.PAPER: _("As in the paper"),
+            }.__getitem__,
             default=saved.selector,
             required=True,
         )
@@ -170,27 +207,29 @@ def _how() -> None:
 def _models() -> None:
     registry = resources.registry()
     tasks = {
-        "segment": "finds fruit",
-        "pose": "finds end points",
-        "prompted-mask": "outlines fruit",
-        "ends": "finds the stem end",
-        "crops": "looks at each detection",
-        "look": "looks at each end",
+        "segment": _("finds fruit"),
+        "pose": _("finds end points"),
+        "prompted-mask": _("outlines fruit"),
+        "ends": _("finds the stem end"),
+        "crops": _("looks at each detection"),
+        "look": _("looks at each end"),
     }
     lines = [
         {
-            "Network": model.name,
-            "Does": tasks.get(model.task, model.task),
-            "Here": registry.state(model.name),
-            "Size": f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
-            "Licence": model.licence,
+            _("Network"): model.name,
+            _("Does"): tasks.get(model.task, model.task),
+            _("Here"): registry.state(model.name),
+            _("Size"): f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
+            _("Licence"): model.licence,
         }
         for model in registry.models
     ]
     page_elements.table(lines)
     if registry.default("segment") is None:
         st.info(
-            "This version comes without a detector of its own: fruit are found only in captures "
-            "that bring masks, as the bundled ones do.",
+            _(
+                "This version comes without a detector of its own: fruit are found only in "
+                "captures that bring masks, as the bundled ones do."
+            ),
             icon=":material/info:",
         )

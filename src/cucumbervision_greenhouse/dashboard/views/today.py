@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import time
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision.agronomy.classes import class_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked, ngettext
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.backend.words import (
+    age_words,
+    class_words,
     counted,
     height_words,
     length_words,
@@ -21,12 +24,13 @@ from cucumbervision_greenhouse.backend.words import (
     pick_words,
     plain,
     round_day,
+    side_words,
 )
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
-from cucumbervision_greenhouse.rounds.forecasting import Age, age_words
+from cucumbervision_greenhouse.rounds.forecasting import Age
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,7 +49,7 @@ def page(round_summary: RoundSummary) -> None:
     if not today.rows:
         return
     _ready(round_summary, today)
-    st.subheader("Pick list")
+    st.subheader(_("Pick list"))
     _picks(round_summary, today)
 
 
@@ -54,19 +58,31 @@ def _age(round_summary: RoundSummary, today: Today) -> None:
     if not round_summary.stops:
         return
     if today.age is Age.USELESS:
+        words = _(
+            "This round is {age} (walked on {when}): it is too old for today. Walk the house again "
+            "for today's list."
+        )
         st.warning(
-            f"This round is {age_words(today.age_days)} (walked on {walked}): it is "
-            "too old for today. Walk the house again for today's list.",
-            icon=":material/history:",
+            words.format(age=age_words(today.age_days), when=walked), icon=":material/history:"
         )
         return
-    ago = age_words(today.age_days).removeprefix("of ").replace(" old", " ago")
-    words = f"**Measured {ago}** (last stop {walked})."
+    words = _ago(today.age_days).format(when=walked)
     if today.age_days:
-        words += " Lengths include the growth expected since then."
+        words += " " + _("Lengths include the growth expected since then.")
     (st.warning if today.age is Age.OLD else st.markdown)(words)
     if is_demonstration(round_summary.key):
-        st.info("A computer-made example.", icon=":material/draw:")
+        st.info(_("A computer-made example."), icon=":material/draw:")
+
+
+def _ago(days: int) -> str:
+    if days < 2:
+        today = _("**Measured today** (last stop {when}).")
+        return _("**Measured yesterday** (last stop {when}).") if days else today
+    return ngettext(
+        "**Measured {n} day ago** (last stop {when}).",
+        "**Measured {n} days ago** (last stop {when}).",
+        days,
+    ).replace("{n}", str(days))
 
 
 def _next(round_summary: RoundSummary, today: Today) -> None:
@@ -76,27 +92,31 @@ def _next(round_summary: RoundSummary, today: Today) -> None:
     if progress.waiting:
         tasks.wake()
     if not round_summary.stops and progress.first_words:
-        steps.append((progress.first_words, "capture", "Capture"))
+        steps.append((progress.first_words, "capture", _("Capture")))
     elif progress.waiting:
-        words = counted(progress.waiting, "capture is", "captures are")
-        steps.append((f"{words} still being measured.", "capture", "Capture"))
-    if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
-        st.info("The example is being measured; its fruit appear here.")
-    elif not round_summary.stops and not progress.first_words:
-        steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
-    elif round_summary.stops and today.age is not Age.FRESH:
-        steps.append(("Start a new round and walk again.", "capture", "Capture"))
-    elif round_summary.stops and not today.rows and not progress.waiting:
-        steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
-    if unsure := len(doubtful(round_caches.content_of(round_summary).views)):
-        steps.append(
-            (
-                f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with low "
-                "confidence. Please check.",
-                "map",
-                "Row map",
-            )
+        words = counted(
+            progress.waiting,
+            "{n} capture is still being measured.",
+            "{n} captures are still being measured.",
         )
+        steps.append((words, "capture", _("Capture")))
+    if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
+        st.info(_("The example is being measured; its fruit appear here."))
+    elif not round_summary.stops and not progress.first_words:
+        words = _("This round has no stops yet. Start walking a row.")
+        steps.append((words, "capture", _("Capture")))
+    elif round_summary.stops and today.age is not Age.FRESH:
+        steps.append((_("Start a new round and walk again."), "capture", _("Capture")))
+    elif round_summary.stops and not today.rows and not progress.waiting:
+        words = _("No fruit is ready today. The forecast shows when.")
+        steps.append((words, "forecast", _("Forecast")))
+    if unsure := len(doubtful(round_caches.content_of(round_summary).views)):
+        words = counted(
+            unsure,
+            "{n} fruit was seen only once, with low confidence. Please check.",
+            "{n} fruit were seen only once, with low confidence. Please check.",
+        )
+        steps.append((words, "map", _("Row map")))
     for words, target, label in steps:
         says, go = st.columns([3, 1], vertical_alignment="center")
         says.markdown(f":material/arrow_forward: {words}")
@@ -109,32 +129,48 @@ def _ready(round_summary: RoundSummary, today: Today) -> None:
     today = today.left(_picked(round_summary, today))
     ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
     names = work_of(today.of(PickKind.READY)).by_class
-    metrics = [("Ready today", ready), *((class_name(n), k) for n, k in sorted(names.items()))]
+    metrics = [(_("Ready today"), ready)]
+    metrics += [(class_words(name), number) for name, number in sorted(names.items())]
     other_kinds = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
-    labels = {name: class_name(name) for name in sorted(names)}
+    labels = {name: class_words(name) for name in sorted(names)}
     for kind, count in other_kinds:
         if count:
-            labels[str(kind)] = kind.capitalize()
-            metrics.append((kind.capitalize(), count))
+            labels[str(kind)] = _(_KINDS[kind])
+            metrics.append((labels[str(kind)], count))
     with st.container(horizontal=True):
         for label, value in metrics:
             st.metric(plain(label), value, width="content")
     lines = []
     for row, counts_of_row in today.by_class().items():
         counts = {label: counts_of_row.get(name) or "" for name, label in labels.items()}
-        lines.append({"Row": row or "not named", **counts, "All": sum(counts_of_row.values())})
+        total = sum(counts_of_row.values())
+        lines.append({_("Row"): row or _("not named"), **counts, _("All"): total})
     if len(lines) > 1:
         page_elements.table(lines)
     crop = resources.profile_of(round_summary)[1].title
-    words = f"Classes of {crop}. {counted(ready, 'fruit is', 'fruit are')} left in the list below."
+    words = counted(
+        ready,
+        "Classes of {crop}. {n} fruit is left in the list below.",
+        "Classes of {crop}. {n} fruit are left in the list below.",
+        crop=_(crop),
+    )
     if undecided:
-        words += f" {undecided} more may be ready: their class is undecided."
+        words += " " + counted(
+            undecided,
+            "{n} more may be ready: its class is undecided.",
+            "{n} more may be ready: their class is undecided.",
+        )
     st.caption(plain(words))
 
 
+_KINDS = {PickKind.UNDECIDED: marked("May be ready"), PickKind.TOO_LONG: marked("Too long")}
 _SAID = {
-    PickKind.UNDECIDED: "**May be ready**: the length is not known well enough for one class",
-    PickKind.TOO_LONG: "**Too long**: longer than every class; they slow the growth of others",
+    PickKind.UNDECIDED: marked(
+        "**May be ready**: the length is not known well enough for one class"
+    ),
+    PickKind.TOO_LONG: marked(
+        "**Too long**: longer than every class; they slow the growth of others"
+    ),
 }
 
 
@@ -147,14 +183,16 @@ def _picks(round_summary: RoundSummary, today: Today) -> None:
         done = {
             name: sum(_is_picked(p, picked) for p in row_picks) for name, row_picks in ready.items()
         }
-        counts = {row: f"{plain(row or 'no row')}: {done[row]}/{len(ready[row])}" for row in rows}
+        counts = {
+            row: f"{plain(row or _('no row'))}: {done[row]}/{len(ready[row])}" for row in rows
+        }
         label = label_options("pick_row", counts)
         if st.session_state.get("pick_row") not in rows:
             named = st.query_params.get("row")
-            page_elements.say_missing("row", rows, "Nothing is ready in row '{}' today.")
+            page_elements.say_missing("row", rows, _("Nothing is ready in row '{}' today."))
             st.session_state["pick_row"] = named if named in rows else next(iter(rows))
         name = st.segmented_control(
-            "Row, in the order of the walk",
+            _("Row, in the order of the walk"),
             list(rows),
             format_func=label,
             key="pick_row",
@@ -162,16 +200,19 @@ def _picks(round_summary: RoundSummary, today: Today) -> None:
         )
         row = rows[name or next(iter(rows))]
         page_elements.name_in_address("row", row.row)
-        total = f"{sum(done.values())} of {sum(map(len, ready.values()))} in all rows"
-        for kind, words in zip(PickKind, (total, "look at them", "take them off"), strict=True):
+        total = _("{done} of {all} in all rows").format(
+            done=sum(done.values()), all=sum(map(len, ready.values()))
+        )
+        says = (total, _("look at them"), _("take them off"))
+        for kind, words in zip(PickKind, says, strict=True):
             picks = row.of(kind)
             if not picks:
                 continue
             if explanation := _SAID.get(kind):
-                st.markdown(explanation)
+                st.markdown(_(explanation))
             lines = _lines(round_summary, picks, picked, today.simulated)
             key = f"picks_{kind}_{round_summary.key}_{row.row}"
-            page_elements.fruit_list(key, "Fruit to pick", lines, words, partial(_keep, key))
+            page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
         _all_picked(row, picked)
         _work(today, picked)
 
@@ -198,11 +239,11 @@ def _lines(
         key = pick.fruit.fruit_id
         view = views.get(key)
         says = [
-            f"{metres_words(pick.fruit.position_m)} {pick.fruit.side}".strip(),
+            f"{metres_words(pick.fruit.position_m)} {side_words(pick.fruit.side)}".strip(),
             "" if view is None else length_words(view.record, units),
             pick_words(pick),
             "" if view is None else height_words(view.record, units),
-            "computer-made" if key in simulated else "",
+            _("computer-made") if key in simulated else "",
         ]
         picture = None if view is None else round_caches.thumbnail_of(view)
         picked_now = _is_picked(pick, picked)
@@ -226,28 +267,34 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
     ready = row.of(PickKind.READY)
     unpicked = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
 
-    @st.dialog("All picked?")
+    @st.dialog(_("All picked?"))
     def _ask() -> None:
-        st.write(f"{len(unpicked)} fruit of row {plain(row.row)} will be marked as picked.")
+        words = counted(
+            len(unpicked),
+            "{n} fruit of row {row} will be marked as picked.",
+            "{n} fruit of row {row} will be marked as picked.",
+            row=plain(row.row),
+        )
+        st.write(words)
         yes, no = st.columns(2)
-        if yes.button("Yes, all are picked", type="primary", width="stretch"):
+        if yes.button(_("Yes, all are picked"), type="primary", width="stretch"):
             st.session_state["picked_all"] = resources.store().pick(unpicked)
             st.rerun()
-        if no.button("No", width="stretch"):
+        if no.button(_("No"), width="stretch"):
             st.rerun()
 
     with st.container(key="noprint"):
         mark, undo = st.columns(2)
         if mark.button(
-            f"All of row {plain(row.row)} are picked",
+            _("All of row {row} are picked").format(row=plain(row.row)),
             icon=":material/done_all:",
             width="stretch",
             disabled=not unpicked,
         ):
             _ask()
         number = st.session_state.get("picked_all")
-        button(undo, "Undo 'all picked'", "undo", _undo, number, disabled=number is None)
-        st.caption("Tap a fruit when it is picked. Tap again to undo.")
+        button(undo, _("Undo 'all picked'"), "undo", _undo, number, disabled=number is None)
+        st.caption(_("Tap a fruit when it is picked. Tap again to undo."))
 
 
 def _undo(number: int) -> None:
@@ -261,7 +308,7 @@ def _undo(number: int) -> None:
 def _work(today: Today, picked: set[str]) -> None:
     if today.forecast is None:
         return
-    clock = time.strftime("%H:%M")
     unpicked = today.left(picked).of(PickKind.READY)
     words = page_elements.work_words(work_of(unpicked, resources.settings().rates))
-    st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {clock}.")
+    says = _("About {work} at your rates ('Forecast', 'Work and crates'). It is {clock}.")
+    st.caption(says.format(work=words, clock=f"{datetime.now():%H:%M}"))

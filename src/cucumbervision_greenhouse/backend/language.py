@@ -1,0 +1,197 @@
+"""The language of the pages: their texts from catalogues, numbers and dates as it writes them.
+
+A text is written in English where it is shown, inside `_` (or `ngettext`, `counted`), and is its
+own key in `locale/*.po`. `scripts/catalogue` collects the texts and compiles the catalogues.
+"""
+
+from __future__ import annotations
+
+import gettext as catalogues
+import json
+import re
+from contextvars import ContextVar
+from datetime import date, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+LANGUAGES = {"en": "English", "nl": "Nederlands", "es": "Español"}
+"""Languages of the pages by their codes; English is the source."""
+
+DRAFTS = frozenset({"nl", "es"})
+"""Languages whose texts no grower has checked."""
+
+LOCALE = Path(__file__).with_name("locale")
+_IN_PAGES = re.compile(r'_\(("(?:[^"\\]|\\.)*")\)')  # in JavaScript and HTML
+
+_asked: ContextVar[str] = ContextVar("asked_language", default="")
+_deciding: list[Callable[[], str]] = [_asked.get]
+
+
+def language() -> str:
+    """Return the code of the language that is shown now.
+
+    Examples
+    --------
+    >>> language() in LANGUAGES
+    True
+    """
+    chosen = _deciding[0]()
+    return chosen if chosen in LANGUAGES else "en"
+
+
+def decide_by(decide: Callable[[], str]) -> None:
+    """Set what decides on the language: a code, or an empty text for English."""
+    _deciding[0] = decide
+
+
+def ask_for(languages: str | None) -> None:
+    """Remember the languages that a browser asks for, for the texts of its request."""
+    _asked.set(best_of(languages))
+
+
+def asked_language() -> str:
+    """Return the language that the browser of this request asked for; empty for none."""
+    return _asked.get()
+
+
+@lru_cache(maxsize=64)
+def best_of(languages: str | None) -> str:
+    """Return the first of a browser's languages that there is; empty for none of them.
+
+    Parameters
+    ----------
+    languages : str, optional
+        As in the header Accept-Language, or one tag.
+
+    Examples
+    --------
+    >>> best_of("fr-BE, nl;q=0.8, en;q=0.9"), best_of("es-MX"), best_of("fr"), best_of(None)
+    ('en', 'es', '', '')
+    """
+
+    def wish(part: str) -> float:
+        quality = re.search(r";\s*q=([\d.]+)", part)
+        return -float(quality[1]) if quality else -1.0
+
+    parts = sorted((languages or "").split(","), key=wish)
+    codes = (re.split(r"[-_;]", part.strip().lower())[0] for part in parts)
+    return next((code for code in codes if code in LANGUAGES), "")
+
+
+@lru_cache(maxsize=len(LANGUAGES))
+def catalogue(code: str) -> catalogues.NullTranslations:
+    """Return the compiled catalogue of a language; English has none."""
+    path = LOCALE / f"{code}.mo"
+    if not path.is_file():
+        return catalogues.NullTranslations()
+    with path.open("rb") as file:
+        return catalogues.GNUTranslations(file)
+
+
+def gettext(text: str) -> str:
+    """Return a text in the language that is shown.
+
+    Examples
+    --------
+    >>> gettext("Row"), gettext("")
+    ('Row', '')
+    """
+    return catalogue(language()).gettext(text) if text else text
+
+
+def ngettext(singular: str, plural: str, number: int) -> str:
+    """Return the form of a text for a number, in the language that is shown.
+
+    Examples
+    --------
+    >>> ngettext("{n} stop", "{n} stops", 2).format(n=2)
+    '2 stops'
+    """
+    return catalogue(language()).ngettext(singular, plural, number)
+
+
+def marked(text: str) -> str:
+    """Return a text as it is; it is translated where it is shown."""
+    return text
+
+
+def page_text(source: str) -> str:
+    """Return a file of a page, HTML or JavaScript, with its `_("texts")` in the language shown.
+
+    Examples
+    --------
+    >>> page_text('say(_("Undo"))')
+    'say("Undo")'
+    """
+
+    def translated(match: re.Match[str]) -> str:
+        words = json.dumps(gettext(json.loads(match[1])), ensure_ascii=False)
+        return words.replace("</", "<\\/")
+
+    return _IN_PAGES.sub(translated, source)
+
+
+def texts_of(source: str) -> list[str]:
+    """Return the texts that `page_text` replaces.
+
+    Examples
+    --------
+    >>> texts_of('say(_("Undo"), f_(1))')
+    ['Undo']
+    """
+    return [json.loads(text) for text in _IN_PAGES.findall(source)]
+
+
+def number_words(value: float, digits: int = 0) -> str:
+    """Return a number with its decimals as the language writes it.
+
+    Examples
+    --------
+    >>> number_words(25.32, 1)
+    '25.3'
+    """
+    return decimal_words(f"{value:.{digits}f}")
+
+
+def decimal_words(digits: str) -> str:
+    """Return a number that is written with a point with the language's decimal mark.
+
+    Examples
+    --------
+    >>> decimal_words("0.25")
+    '0.25'
+    """
+    return digits if language() == "en" else digits.replace(".", ",")
+
+
+def day_month_words(day: date, *, weekday: bool = True) -> str:
+    """Return a date with its weekday, without the year.
+
+    Examples
+    --------
+    >>> day_month_words(date(2023, 11, 14)), day_month_words(date(2023, 11, 4), weekday=False)
+    ('Tue 14 Nov', '4 Nov')
+    """
+    return _date(day, "EEE d MMM" if weekday else "d MMM")
+
+
+def moment_words(moment: datetime) -> str:
+    """Return a date with its year and the time of day.
+
+    Examples
+    --------
+    >>> moment_words(datetime(2023, 11, 4, 9, 5))
+    '04 Nov 2023 09:05'
+    """
+    return _date(moment, "dd MMM y HH:mm")
+
+
+def _date(moment: date, pattern: str) -> str:
+    from babel.dates import format_date, format_datetime
+
+    write = format_datetime if isinstance(moment, datetime) else format_date
+    return write(moment, pattern, locale="en_GB" if language() == "en" else language())

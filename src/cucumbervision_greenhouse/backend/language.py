@@ -12,6 +12,7 @@ import re
 from contextvars import ContextVar
 from datetime import date, datetime
 from functools import lru_cache
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ DRAFTS = frozenset({"nl", "es"})
 """Languages whose texts no grower has checked."""
 
 LOCALE = Path(__file__).with_name("locale")
-_IN_PAGES = re.compile(r'_\(("(?:[^"\\]|\\.)*")\)')  # in JavaScript and HTML
+_IN_PAGES = re.compile(r'(=?)(?<![\w.])_\(("(?:[^"\\]|\\.)*")\)')  # in JavaScript and HTML
 
 _asked: ContextVar[str] = ContextVar("asked_language", default="")
 _deciding: list[Callable[[], str]] = [_asked.get]
@@ -119,18 +120,29 @@ def marked(text: str) -> str:
     return text
 
 
-def page_text(source: str) -> str:
-    """Return a file of a page, HTML or JavaScript, with its `_("texts")` in the language shown.
+def page_text(source: str, kind: str) -> str:
+    """Return a file of a page with its `_("texts")` in the language shown.
+
+    Parameters
+    ----------
+    source : str
+        What the file holds.
+    kind : {'js', 'html', 'css'}
+        In HTML a text is escaped, and quoted only after `=`.
 
     Examples
     --------
-    >>> page_text('say(_("Undo"))')
+    >>> page_text('say(_("Undo"))', "js")
     'say("Undo")'
+    >>> page_text('<p title=_("Undo")>_("Row")</p>', "html")
+    '<p title="Undo">Row</p>'
     """
 
     def translated(match: re.Match[str]) -> str:
-        words = json.dumps(gettext(json.loads(match[1])), ensure_ascii=False)
-        return words.replace("</", "<\\/")
+        words = gettext(json.loads(match[2]))
+        if kind == "html":
+            return f'="{escape(words)}"' if match[1] else escape(words)
+        return match[1] + json.dumps(words, ensure_ascii=False)
 
     return _IN_PAGES.sub(translated, source)
 
@@ -140,10 +152,10 @@ def texts_of(source: str) -> list[str]:
 
     Examples
     --------
-    >>> texts_of('say(_("Undo"), f_(1))')
+    >>> texts_of('say(_("Undo"), f_("Row"))')
     ['Undo']
     """
-    return [json.loads(text) for text in _IN_PAGES.findall(source)]
+    return [json.loads(text) for _, text in _IN_PAGES.findall(source)]
 
 
 def number_words(value: float, digits: int = 0) -> str:

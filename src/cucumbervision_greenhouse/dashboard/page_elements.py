@@ -298,7 +298,7 @@ def component(name: str) -> Any:
 def _component(name: str, code: str) -> Any:
     folder = PICTURE_FILES if name == "picture" else Path(__file__).with_name("static")
     html, css, js = (
-        page_text((folder / f"{name}.{kind}").read_text(encoding="utf-8"))
+        page_text((folder / f"{name}.{kind}").read_text(encoding="utf-8"), kind)
         for kind in ("html", "css", "js")
     )
     name = f"cucumbervision_{name}_{code}"

@@ -37,3 +37,15 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
     ]  # 25 and 20 cm
     shown = {metric.label: metric.value for metric in app("results").metric}
     assert shown["Mean length"].endswith(" in")
+
+
+def test_the_language_is_chosen_and_kept(house: Path) -> None:
+    test = app("settings")
+    [box] = [box for box in test.selectbox if box.label == "Language"]
+    assert box.options == ["As the browser", "English", "Nederlands (concept)", "Español (borrador)"]
+    box.select("nl").run()
+    assert not test.exception
+    assert resources.settings().language == "nl"
+    assert [subheader.value for subheader in test.subheader][:2] == ["Gewas en eenheden", "Camera"]
+    next(box for box in test.selectbox if box.label == "Taal").select("").run()
+    assert test.subheader[0].value == "Crop and units"

@@ -79,7 +79,8 @@ def bare_texts(path: Path) -> Iterator[str]:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             marked.add(node.value)  # a docstring
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and node not in marked and TEXT.search(str(node.value)):
+        is_text = isinstance(node, ast.Constant) and TEXT.search(f"{node.value or ''}")
+        if isinstance(node, ast.Constant) and is_text and node not in marked:
             yield f"{path.name}:{node.lineno}: {node.value!r}"
 
 

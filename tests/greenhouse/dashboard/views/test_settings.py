@@ -42,7 +42,12 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
 def test_the_language_is_chosen_and_kept(house: Path) -> None:
     test = app("settings")
     [box] = [box for box in test.selectbox if box.label == "Language"]
-    assert box.options == ["As the browser", "English", "Nederlands (concept)", "Español (borrador)"]
+    assert box.options == [
+        "As the browser",
+        "English",
+        "Nederlands (concept)",
+        "Español (borrador)",
+    ]
     box.select("nl").run()
     assert not test.exception
     assert resources.settings().language == "nl"

@@ -78,10 +78,10 @@ def bare_texts(path: Path) -> Iterator[str]:
                 marked.update(x for part in [*node.args, *node.keywords] for x in ast.walk(part))
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             marked.add(node.value)  # a docstring
-    for node in ast.walk(tree):
-        is_text = isinstance(node, ast.Constant) and TEXT.search(f"{node.value or ''}")
-        if isinstance(node, ast.Constant) and is_text and node not in marked:
-            yield f"{path.name}:{node.lineno}: {node.value!r}"
+    constants = [x for x in ast.walk(tree) if isinstance(x, ast.Constant) and x not in marked]
+    for text in constants:
+        if isinstance(text.value, str) and TEXT.search(text.value):
+            yield f"{path.name}:{text.lineno}: {text.value!r}"
 
 
 @pytest.mark.parametrize("name", DONE)

@@ -51,7 +51,9 @@ for _further in installed(_COMMANDS):
 
 def _show_version(is_asked: bool) -> None:
     if is_asked:
-        typer.echo(f"cucumbervision {__version__}")
+        from cucumbervision.geometry.tube_kernel import kernel_name
+
+        typer.echo(f"cucumbervision {__version__} (kernel: {kernel_name()})")
         raise typer.Exit
 
 

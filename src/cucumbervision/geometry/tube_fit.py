@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry import tube_kernel
 from cucumbervision.geometry.tube import BALLS, TubeShape, bases
 from cucumbervision.geometry.tube_evidence import (
     BODY,
@@ -19,6 +20,7 @@ from cucumbervision.geometry.tube_evidence import (
     point_readings,
     ray_readings,
 )
+from cucumbervision.geometry.tube_gaps import gaps_of
 from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 
 if TYPE_CHECKING:
@@ -131,6 +133,20 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
     """
+    fit = tube_kernel.fitted(evidence, guess)
+    if fit is None:
+        return _fit_by_numpy(evidence, guess)
+    return TubeFitting(
+        TubeShape(fit.bend_m, fit.width_m),
+        fit.covariance,
+        gaps_of(fit.points),
+        gaps_of(fit.rays),
+        (bool(fit.ends_seen[0]), bool(fit.ends_seen[1])),
+        float(fit.misfit[0]),
+    )
+
+
+def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     shape, nuisance = guess, np.zeros(SLIPS + evidence.waves)
     scatter, hold = (1.0, 1.0), end_hold((True, True))
     anchors = guess.balls(2)[0]

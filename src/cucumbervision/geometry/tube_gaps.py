@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry import tube_kernel
 from cucumbervision.geometry.tube import BALLS, TubeShape, bases
+from cucumbervision.geometry.tube_kernel import FINE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_FINE = 1024  # positions along the curve to which a nearest ball is rounded
+    from cucumbervision.geometry.tube_kernel import Contacts
+
 _GRAZING = 0.2  # the cosine below which a ray only grazes the body
 _MISSED_M = 100.0
 
@@ -48,6 +51,12 @@ class Gaps:
     width_basis: NDArray[np.float64]
     centres_m: NDArray[np.float64]
     share: NDArray[np.float64]
+
+
+def gaps_of(found: Contacts) -> Gaps:
+    """Return the gaps that the compiled kernel found."""
+    bend, width = (table.take(found.index, axis=0) for table in bases(FINE + 1))
+    return Gaps(found.gap_m, found.away, bend, width, found.centres_m, found.index / FINE)
 
 
 def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps:
@@ -81,6 +90,8 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
     >>> bool(abs(gaps(shape, touching, rays=True).gap_m[0]) < 1e-9)
     True
     """
+    if (found := tube_kernel.gaps(shape, readings, rays=rays)) is not None:
+        return gaps_of(found)
     centres, radii = shape.balls()
     distance = readings @ centres.T
     squared = np.einsum("ij,ij->i", centres, centres)
@@ -101,7 +112,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
         away = centre - readings
     norm = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
     away /= norm[:, None]
-    return Gaps(norm - width @ shape.width_m, away, bend, width, centre, index / _FINE)
+    return Gaps(norm - width @ shape.width_m, away, bend, width, centre, index / FINE)
 
 
 def depth_gaps(
@@ -135,6 +146,8 @@ def depth_gaps(
     >>> contacts.gap_m.round(6).tolist(), facing.round(6).tolist()
     ([0.01], [1.0])
     """
+    if (found := tube_kernel.depth_gaps(shape, rays, far_m)) is not None:
+        return gaps_of(found), found.facing
     centres, radii = shape.balls()
     nearest, first = _entered(rays, centres, radii)
     # Between the balls the place is found by the entry point's distance, which stays smooth where
@@ -156,8 +169,8 @@ def depth_gaps(
         points = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
         gap[missed], away[missed], centre[missed] = points.gap_m, points.away, points.centres_m
         bend[missed], width[missed] = points.bend_basis, points.width_basis
-        index[missed] = np.rint(points.share * _FINE)
-    return Gaps(gap, away, bend, width, centre, index / _FINE), facing
+        index[missed] = np.rint(points.share * FINE)
+    return Gaps(gap, away, bend, width, centre, index / FINE), facing
 
 
 def _entered(
@@ -178,9 +191,9 @@ def _entered(
 def _ball_at(
     shape: TubeShape, ball: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    # Index among _FINE positions, bases of centre and radius, and centre, at a fractional ball.
-    index = np.rint(ball * (_FINE / (BALLS - 1))).astype(np.intp)
-    bend, width = (table.take(index, axis=0) for table in bases(_FINE + 1))
+    # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
+    index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
+    bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
     return index, bend, width, bend @ shape.bend_m
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.about import installed_versions, software
+from cucumbervision.geometry.tube_kernel import kernel_name
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.files import cell_value, json_value, write_csv
 from cucumbervision.pipeline.fields import FIELDS
@@ -302,6 +303,7 @@ def provenance_of(
         "models": [model for model in models if "package" not in model],
         "plugins": [model for model in models if "package" in model],
         "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
+        "kernel": kernel_name(),
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.about import installed_versions, software
-from cucumbervision.geometry.tube_kernel import kernel_name
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.files import cell_value, json_value, write_csv
+from cucumbervision.geometry.tube_kernel import kernel_name
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Boundary, Failure
 

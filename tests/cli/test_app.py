@@ -112,4 +112,6 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_version(run: Run) -> None:
-    assert run("--version").stdout.startswith("cucumbervision 0.")
+    said = run("--version").stdout
+    assert said.startswith("cucumbervision 0.")
+    assert said.endswith((" (kernel: compiled)\n", " (kernel: numpy)\n"))

@@ -14,6 +14,7 @@ from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.geometry import tube_kernel
 from cucumbervision.geometry.tube import TubeShape, guess_shape
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
@@ -379,6 +380,27 @@ def test_a_length_does_not_hang_on_the_guess(
     moves = [moves_cm(one, monkeypatch) for one in fruit + fruit_of(example_captures())]
     assert sum(map(bool, moves)) >= 15
     assert max(max(by, default=0.0) for by in moves) < 0.01
+
+
+def between_kernels_cm(fruit: Seen) -> float:
+    """How far apart the lengths of the compiled kernel and of NumPy are."""
+    compiled = fitted(measure_m6(*fruit))[0].centreline_m
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tube_kernel, "library", lambda: None)
+        return 100 * abs(compiled - fitted(measure_m6(*fruit))[0].centreline_m)
+
+
+@pytest.mark.skipif(tube_kernel.library() is None, reason="the kernel is not compiled here")
+def test_both_kernels_give_the_same_lengths(camera: Intrinsics) -> None:
+    fruit = [(*noisy(drawn(seed), camera, seed), camera) for seed in range(12)]
+    assert max(map(between_kernels_cm, fruit + fruit_of(example_captures()))) < 0.01
+
+
+@pytest.mark.skipif(tube_kernel.library() is None, reason="the kernel is not compiled here")
+@pytest.mark.realdata
+def test_both_kernels_give_real_frames_the_same_lengths(shared_data: Path) -> None:
+    frames = fruit_of(shared_data / "rgbd" / "carrot_realsense_1280")
+    assert max(map(between_kernels_cm, frames)) < 0.01
 
 
 @pytest.mark.realdata

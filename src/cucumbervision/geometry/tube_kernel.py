@@ -20,8 +20,6 @@ import numpy as np
 from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, bases
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from cucumbervision.geometry.tube import TubeShape
@@ -63,6 +61,7 @@ def library() -> Any:
     except OSError:
         return None
     loaded.source_hash.restype = ctypes.c_char_p
+    loaded.misfit.restype = loaded.scatter.restype = ctypes.c_double
     return loaded if loaded.source_hash().decode() == source_hash() else None
 
 
@@ -166,7 +165,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Cont
         return None
     found = Contacts.empty(len(readings))
     given = _numbers(readings, len(readings), 3)
-    _call("gaps", _bases(), _shape(shape), len(given), given, rays, found.struct)
+    call("gaps", _bases(), _shape(shape), len(given), given, rays, found.struct)
     return found
 
 
@@ -178,14 +177,13 @@ def depth_gaps(
         return None
     found, count = Contacts.empty(len(rays)), len(rays)
     given, far = _numbers(rays, count, 3), _numbers(far_m, count)
-    _call("depth_gaps", _bases(), _shape(shape), count, given, far, found.struct)
+    call("depth_gaps", _bases(), _shape(shape), count, given, far, found.struct)
     return found
 
 
-def _call(name: str, *values: Any) -> int:
-    # Structs and arrays by their address, integers as 64 bits, floats as doubles.
-    function: Callable[..., int] = getattr(library(), name)
-    return function(*(_argument(value) for value in values))
+def call(name: str, *values: Any) -> Any:
+    """Call a function of kernel.h: structs and arrays by their addresses, then int64 and double."""
+    return getattr(library(), name)(*(_argument(value) for value in values))
 
 
 def _argument(value: Any) -> Any:
@@ -209,7 +207,7 @@ class Fit:
 
     def __init__(self, evidence: Evidence, guess: TubeShape) -> None:
         count, waves = len(evidence.points_m), evidence.waves
-        self.shape, self.seen = _shape(guess), _evidence(evidence)
+        self.bases, self.shape, self.seen = _bases(), _shape(guess), _evidence(evidence)
         self.bend_m, self.width_m = self.shape.arrays
         self.points, self.rays = Contacts.empty(count), Contacts.empty(len(evidence.rays))
         self.readings = self.points.struct, self.rays.struct
@@ -227,7 +225,7 @@ class Fit:
         """Fit as `tube_fit.fit_shape`; False without a solution."""
         results = (self.covariance, self.ends_seen, self.misfit)
         moved = (self.shape, self.nuisance, *self.readings, self.sums)
-        return bool(_call("fit_shape", _bases(), self.seen, *moved, *results))
+        return bool(call("fit_shape", self.bases, self.seen, *moved, *results))
 
 
 def _evidence(evidence: Evidence) -> _Evidence:

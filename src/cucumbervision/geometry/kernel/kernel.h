@@ -86,7 +86,7 @@ double length_m(const struct balls *at);
 
 /* tube_gaps.py */
 void gaps(const struct bases *bases, const struct shape *shape, int64_t count, const double *readings,
-          int rays, struct readings *found);
+          int64_t rays, struct readings *found);
 void depth_gaps(const struct bases *bases, const struct shape *shape, int64_t count, const double *rays,
                 const double *far_m, struct readings *found);
 

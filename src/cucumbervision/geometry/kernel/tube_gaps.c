@@ -131,7 +131,7 @@ static void measure(const struct bases *bases, const struct shape *shape, const 
 }
 
 void gaps(const struct bases *bases, const struct shape *shape, int64_t count, const double *readings,
-          int rays, struct readings *found) {
+          int64_t rays, struct readings *found) {
     struct balls at;
     balls(bases, shape, &at);
     for (int64_t first = 0; first < count; first += BLOCK) {

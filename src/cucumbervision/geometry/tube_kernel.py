@@ -128,9 +128,9 @@ class Contacts:
     @classmethod
     def empty(cls, count: int) -> Contacts:
         """Return room for the contacts of so many readings."""
-        one, three = ((count,), (count, 3))
-        shapes = (one, three, three, one, one)
-        return cls(*(np.empty(shape) for shape in shapes), np.empty(count, np.int64))
+        gap_m, facing, sd_m = np.empty((3, count))
+        away, centres_m = np.empty((2, count, 3))
+        return cls(gap_m, away, centres_m, facing, sd_m, np.empty(count, np.int64))
 
     @property
     def struct(self) -> _Readings:

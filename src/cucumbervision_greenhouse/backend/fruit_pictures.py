@@ -41,7 +41,7 @@ OTHER_COLORS = {
     "too short": "#56B4E9",
     "too long": "#D55E00",
     "undecided": "#999999",
-    "not measured": "#555555",
+    "not measured": "#767676",
 }
 """Colours of what has no class."""
 

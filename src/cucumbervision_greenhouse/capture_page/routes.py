@@ -23,6 +23,7 @@ from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
+from cucumbervision_greenhouse.backend.theme import font_file, style_sheet
 from cucumbervision_greenhouse.capture_page import state
 from cucumbervision_greenhouse.capture_page.preview import preview
 from cucumbervision_greenhouse.capture_page.shutter import Press, Shutter
@@ -187,8 +188,11 @@ async def _capture_page(_: Request) -> Response:
 async def _static(request: Request) -> Response:
     """Answer with a file of the package's folder, and of no other."""
     name = request.path_params["name"]
-    path = (PICTURE_FILES if name.startswith("picture.") else _STATIC) / name
-    if path.parent not in {PICTURE_FILES, _STATIC} or not path.is_file():
+    if name == "theme.css":
+        return Response(style_sheet(), media_type="text/css", headers={"cache-control": "no-cache"})
+    shared = name.startswith(("picture.", "theme."))
+    path = font_file() if name == "font.woff2" else (PICTURE_FILES if shared else _STATIC) / name
+    if path.parent not in {PICTURE_FILES, _STATIC, font_file().parent} or not path.is_file():
         raise HTTPException(404)
     # A service worker must lie at or above the address of the page that it caches.
     headers = {"cache-control": "no-cache", "service-worker-allowed": "/capture"}

@@ -69,6 +69,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "houses": resources.houses(),
         "round": round_summary.key if round_summary else "",
         "missing": bool(round_key) and round_summary is None,
+        "house": round_summary.record.house if round_summary else "",
         "home": home,
         "source": source,
         "place": asdict(place),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
@@ -10,7 +11,7 @@ from urllib.parse import urlencode
 import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.backend import tasks
+from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.words import plain
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
-_STYLE = Path(__file__).with_name("static") / "pages.css"
+_STYLE, _HEAD = (Path(__file__).with_name("static") / name for name in ("pages.css", "head.html"))
 
 
 def main() -> None:
@@ -94,9 +95,25 @@ def _leave_for_capture() -> None:
 def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
     if chosen.url_path in _WITH_FRUIT:
         st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
-    with st.container(horizontal=True, key="nav", gap="small"):
-        for page in pages[:-1]:
-            st.page_link(page, label=page.title, query_params=page_elements.here())
+    st.set_page_config(page_title=f"{chosen.title} · CucumberVision")
+    with st.container(key="head", horizontal=True):
+        st.html(_head(chosen.title), width="content")
+        with st.container(horizontal=True, key="nav", gap="small"):
+            for page in pages[:-1]:
+                st.page_link(page, label=page.title, query_params=page_elements.here())
+
+
+def _head(title: str) -> str:
+    """Return the top of a page: the program, the house that is open, the choice of colours."""
+    opened = st.session_state.get("round")
+    houses = [x.record.house for x in resources.rounds() if opened in (None, x.key)]
+    parts = {
+        "home": escape(f"/?{urlencode(page_elements.here())}"),
+        "house": escape(next(iter(houses), "")),
+        "title": escape(title),
+        "colors": escape(_("Light or dark colours")),
+    }
+    return _HEAD.read_text(encoding="utf-8").format(**parts)
 
 
 def read_address() -> None:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import altair as alt
 import numpy as np
 import pyarrow as pa
+import streamlit as st
 from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
 from cucumbervision_greenhouse.backend.language import decimal_words
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.theme import ink
 from cucumbervision_greenhouse.backend.words import class_words, date_words, label_words
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
@@ -62,6 +64,11 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
 _BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has space for it
 
 
+def _ink() -> str:
+    """Return the colour of lines that are seen in the viewer's theme."""
+    return ink(st.context.theme.type)
+
+
 def _color_of_class(names: Iterable[str]) -> alt.Color:
     return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
 
@@ -99,10 +106,10 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
     band = (
         alt.Chart(spread)
-        .mark_rect(opacity=0.12, color="#000")
+        .mark_rect(opacity=0.12, color=_ink())
         .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
     )
-    line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x=alt.X("mean:Q"))
+    line = alt.Chart(spread).mark_rule(color=_ink(), strokeWidth=2).encode(x=alt.X("mean:Q"))
     chart: alt.LayerChart = (band + bars + line).properties(height=260)
     return chart
 
@@ -235,7 +242,7 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
             alt.Tooltip("high:Q", title=_("to"), format=".0f"),
         ],
     )
-    whiskers = base.mark_rule(strokeWidth=2, color="#222").encode(
+    whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(
         x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
     )
     chart: alt.LayerChart = (bars + whiskers).properties(height=320)
@@ -293,7 +300,7 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
             alt.Tooltip("length:Q", title=title),
         ],
     )
-    whiskers = base.mark_rule(color="#222").encode(y=alt.Y("low:Q", title=title), y2="high:Q")
+    whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
     chart: alt.LayerChart = (whiskers + points).properties(height=220)
     return chart
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import wraps
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
@@ -172,12 +173,39 @@ def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
                 icon=":material/search_off:",
             )
         elif round_summary is None:
-            words = _("There is no round yet. Start one with 'New round'.")
-            st.info(words, icon=":material/flag:")
+            first_steps(begun=False)
         else:
             draw(round_summary)
 
     return page
+
+
+def first_steps(*, begun: bool) -> None:
+    """Draw the steps to a house's first list, where there is nothing else to show.
+
+    Parameters
+    ----------
+    begun : bool
+        Whether its round is begun, which is the first step.
+    """
+    missing = _("This round has no stops yet.") if begun else _("There is no round yet.")
+    st.markdown(f"**{missing}** {_('Three steps to its first list:')}")
+    steps = (
+        (_("Start a round"), _("'New round' above: a name, the house and its crop.")),
+        (_("Photograph a row"), _("Walk with the camera, or upload photos of another one.")),
+        (_("See what is ready"), _("Fruit by class and row, with the list to pick from.")),
+    )
+    lines = [
+        f"<li{' class=done' if begun and not k else ''}><b>{escape(name)}</b>{escape(words)}</li>"
+        for k, (name, words) in enumerate(steps)
+    ]
+    st.html(f'<ol class="steps">{"".join(lines)}</ol>')
+    if begun:
+        capture, upload = st.columns(2)
+        with capture:
+            link("capture", _("Capture"))
+        with upload:
+            link("upload", _("Upload"))
 
 
 def link(page: str, label: str, **parts: str) -> None:

@@ -93,7 +93,10 @@ def _index() -> str:
     Otherwise it tries addresses below the page's first, which fail in the console.
     """
     text = (Path(streamlit.__file__).parent / "static/index.html").read_text(encoding="utf-8")
-    told = "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"
+    told = (
+        "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"
+        '<link rel="stylesheet" href="/capture/theme.css"><script src="/capture/theme.js"></script>'
+    )
     title = "<title>CucumberVision</title>"
     return text.replace("<title>Streamlit</title>", title).replace("<head>", f"<head>{told}", 1)
 

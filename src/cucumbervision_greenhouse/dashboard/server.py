@@ -15,6 +15,7 @@ from cucumbervision_greenhouse.backend.settings import (
     REPLAY_VARIABLE,
     STORE_VARIABLE,
 )
+from cucumbervision_greenhouse.backend.theme import streamlit_options
 
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
 _APP = Path(__file__).with_name("guarded_app.py")
@@ -53,8 +54,7 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "browser.serverAddress": address,
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "none",
-        "theme.primaryColor": "#1B7837",
-        "theme.baseFontSize": 17,
+        **streamlit_options(),
     }
     return ["run", str(_APP), *(f"--{name}={value}" for name, value in options.items())]
 

@@ -88,7 +88,7 @@ def test_classes_are_green_and_the_others_not() -> None:
 
 
 def test_the_element_of_both_applications_has_its_files() -> None:
-    assert {path.name for path in PICTURE_FILES.iterdir()} == {
+    assert {path.name for path in PICTURE_FILES.glob("picture.*")} == {
         "picture.css",
         "picture.html",
         "picture.js",

@@ -40,6 +40,9 @@ PAGES = {
     "about": ("/about", "Source code"),
 }
 LEAST_PX = 40
+DARK = "rgb(18, 22, 20)"  # #121614
+BACKGROUND = """(color) =>
+  getComputedStyle(document.querySelector('.stApp') || document.body).backgroundColor === color"""
 
 # What reaches beyond the screen, words that end in '…', and what is too small for a thumb.
 LOOK = """(least) => {
@@ -229,6 +232,7 @@ def test_a_page_is_for_everybody(
         page.locator("svg.view").first.wait_for()
     page.locator('[data-testid="stSkeleton"]').first.wait_for(state="hidden")
     page.wait_for_timeout(1500)
+    assert page.locator("h1").count() == 1
     if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
         # Streamlit's pages scroll within: as high as all that is on them.
         within = "(document.querySelector('.stMain') || document.body).scrollHeight"
@@ -236,15 +240,19 @@ def test_a_page_is_for_everybody(
         page.wait_for_timeout(1000)
         page.screenshot(path=Path(folder) / f"{name}-{size}.png")
         page.set_viewport_size({"width": width, "height": height})
-    rules = Axe().run(page).response["violations"]
-    grave = [
-        f"{rule['id']}: {node['target']} {node['html'][:200]} {node['failureSummary']}"
-        for rule in rules
-        if rule["impact"] in ("serious", "critical")
-        for node in rule["nodes"]
-    ]
+    faults = []
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme)
+        background = DARK if theme == "dark" else "rgb(255, 255, 255)"
+        page.wait_for_function(BACKGROUND, arg=background)
+        page.wait_for_timeout(1000)
+        faults += [
+            f"{theme} {rule['id']}: {node['target']} {node['html'][:200]} {node['failureSummary']}"
+            for rule in Axe().run(page).response["violations"]
+            for node in rule["nodes"]
+        ]
     seen = page.evaluate(LOOK, LEAST_PX)
     page.context.close()
-    assert grave == []
+    assert faults == []
     assert said == []
     assert seen == {"cut": [], "small": []}

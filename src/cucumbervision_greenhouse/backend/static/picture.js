@@ -44,9 +44,9 @@ function make(name, attributes, parent) {
   return node;
 }
 
-function text(svg, words, x, y, size, anchor = "start", ink = "#fff", edge = "#000") {
+function text(svg, words, x, y, size, anchor = "start") {
   const node = make("text", {
-    x, y, "font-size": size, "font-family": "sans-serif", fill: ink, stroke: edge,
+    x, y, "font-size": size, "font-family": "sans-serif", fill: "#fff", stroke: "#000",
     "stroke-width": size / 5, "stroke-linejoin": "round", "font-weight": 600, "paint-order": "stroke", "text-anchor": anchor,
   }, svg);
   node.textContent = words;
@@ -88,20 +88,20 @@ function drawMark(svg, shape, color, px, isOpen) {
   const picked = shape.mark === "picked", r = (picked ? 0.8 : 1) * MARK_PX * px;
   const node = make("path", {
     d: MARKS[shape.mark](...shape.points, r), "data-key": shape.key, fill: color, "fill-opacity": shape.once ? 0.15 : 0.85,
-    stroke: isOpen ? "#000" : color, "stroke-width": (picked ? 7 : 2.5) * px, "pointer-events": "all",
+    stroke: color, class: isOpen ? "open" : "", "stroke-width": (picked ? 7 : 2.5) * px, "pointer-events": "all",
   }, svg);
   make("title", {}, node).textContent = shape.says;
 }
 
 function drawGrid(svg, grid, { x, y, w, h }, px) {
-  const line = { stroke: "#d0d5d1", "stroke-width": px };
+  const line = { "stroke-width": px };
   for (const [at, words] of grid.across) {
     make("line", { x1: at, x2: at, y1: y, y2: y + h, ...line }, svg);
-    text(svg, words, at, y + h - 4 * px, 13 * px, "middle", "#22262e", "#fff");
+    text(svg, words, at, y + h - 4 * px, 13 * px, "middle");
   }
   for (const [at, words] of grid.up) {
     make("line", { x1: x, x2: x + w, y1: at, y2: at, ...line }, svg);
-    text(svg, words, x + 3 * px, at - 3 * px, 13 * px, "start", "#22262e", "#fff");
+    text(svg, words, x + 3 * px, at - 3 * px, 13 * px);
   }
 }
 

@@ -66,7 +66,7 @@ function showWalk(walk) {
   if (`${own.round} ${walk.source} ${walk.home}` !== own.watched) {
     own.watched = `${own.round} ${walk.source} ${walk.home}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
-    for (const link of document.querySelectorAll("nav a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
+    for (const link of document.querySelectorAll("a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
     watchNews();
     watchPreview();
   }
@@ -91,6 +91,7 @@ function showWalk(walk) {
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
+  $("house-name").textContent = walk.house;
   show($("doubts"), walk.doubts.length ? `Check the data of this round. ${walk.doubts.join(". ")}.` : "");
   drawLast(walk.last, walk.first);
   drawUndo();

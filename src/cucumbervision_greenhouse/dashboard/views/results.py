@@ -94,7 +94,7 @@ def _empty(round_summary: RoundSummary) -> None:
     elif round_summary.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
     else:
-        st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
+        page_elements.first_steps(begun=True)
 
 
 def _classes(round_summary: RoundSummary, graded: GradedRound) -> None:

@@ -103,8 +103,7 @@ def _next(round_summary: RoundSummary, today: Today) -> None:
     if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
         st.info(_("The example is being measured; its fruit appear here."))
     elif not round_summary.stops and not progress.first_words:
-        words = _("This round has no stops yet. Start walking a row.")
-        steps.append((words, "capture", _("Capture")))
+        page_elements.first_steps(begun=True)
     elif round_summary.stops and today.age is not Age.FRESH:
         steps.append((_("Start a new round and walk again."), "capture", _("Capture")))
     elif round_summary.stops and not today.rows and not progress.waiting:

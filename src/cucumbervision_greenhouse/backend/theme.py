@@ -59,6 +59,7 @@ def streamlit_options() -> dict[str, str | int]:
         "theme.font": _FONT,
         "theme.baseFontSize": 17,
         "theme.baseRadius": "8px",
+        "theme.headingFontSizes": "2rem,1.5rem,1.25rem,1.1rem,1rem,1rem",
     }
     colors = {
         f"theme.{theme}.{name}": color

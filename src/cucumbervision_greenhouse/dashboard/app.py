@@ -93,7 +93,7 @@ def _leave_for_capture() -> None:
 
 
 def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
-    if chosen.url_path in _WITH_FRUIT:
+    if chosen.url_path in _WITH_FRUIT and "fruit" not in st.query_params:
         st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
     st.set_page_config(page_title=f"{chosen.title} · CucumberVision")
     with st.container(key="head", horizontal=True):

@@ -47,7 +47,7 @@ export default function (component) {
     field.setAttribute("aria-invalid", String(field.value.trim() !== "" && !(value >= data.least && value <= data.most)));
   };
   const head = root.querySelector("thead tr"), body = root.querySelector("tbody");
-  if (!head.children.length) for (const [words, name] of [["", ""], [FIELDS[0], ""], [FIELDS[1], ""], ["Program", ""], ["At", "less"], ["Row", "less"]]) add(head, "th", words, name);
+  if (!head.children.length) for (const [words, name] of [["", ""], [FIELDS[0], ""], [FIELDS[1], ""], ["Program", ""], ["At", "less"], ["Row", "less"]]) add(head, words ? "th" : "td", words, name);
   own.lines = data.lines.map((line) => {
     const made = own.made.get(line.key) || makeLine(line, own);
     own.made.set(line.key, made);

@@ -14,7 +14,7 @@ from cucumbervision_greenhouse.dashboard import page_elements
 def page() -> None:
     """Draw the page: the offer of the source that the AGPL-3.0, section 13, asks for."""
     offer = source_offer()
-    st.subheader(_("About"))
+    st.header(_("About"))
     words = _(
         "CucumberVision {version} measures greenhouse cucumbers. Its licence is {licence}: "
         "everyone who uses it over a network may have its source."

@@ -151,11 +151,11 @@ def _scores(round_summary: RoundSummary, path: Path) -> None:
     )
     truth = read_truth(path)
     own_truth: OwnTruth = evaluate_lengths(measured, truth)
-    st.subheader("Errors")
+    st.header("Errors")
     st.markdown(f"**{plain(bias_words(own_truth, resources.settings().units))}**")
     with st.expander("Details: errors by method", icon=":material/list:"):
         _methods(own_truth)
-    st.subheader("Calibrate this site")
+    st.header("Calibrate this site")
     calibrations.draw_own_fruit(measured, truth)
 
 

@@ -205,7 +205,7 @@ def _fruit_days(round_summary: RoundSummary, key: str) -> None:
     page_elements.button(
         st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
     )
-    st.subheader(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
+    st.header(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
     page_elements.pictures(views, lambda view: "  \n".join(tables.day_lines(view, units)))
     chart_lines = tables.length_days(views, units)
     if len(chart_lines) > 1:

@@ -50,7 +50,7 @@ def page() -> None:
 
 
 def _crop() -> None:
-    st.subheader(_("Crop and units"))
+    st.header(_("Crop and units"))
     saved = resources.settings()
     _language()
     unit = st.segmented_control(
@@ -84,7 +84,7 @@ def _language() -> None:
 
 
 def _measuring() -> None:
-    st.subheader(_("Measuring"))
+    st.header(_("Measuring"))
     saved = resources.settings()
     lengths = list(LengthDefinition)
     length = st.segmented_control(
@@ -117,7 +117,7 @@ def _measuring() -> None:
 
 
 def _calibration() -> None:
-    st.subheader(_("Calibration"))
+    st.header(_("Calibration"))
     calibrations.draw_choice()
     page_elements.link("accuracy", _("Calibrate on 'Accuracy'"))
 
@@ -153,7 +153,7 @@ _USUAL_US = 8000.0  # a bright house
 
 def _camera() -> None:
     """Draw preset and exposure; the camera is opened again where they change."""
-    st.subheader(_("Camera"))
+    st.header(_("Camera"))
     saved = resources.settings()
     preset = st.selectbox(
         _("Depth preset"),

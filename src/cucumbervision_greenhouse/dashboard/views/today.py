@@ -49,7 +49,7 @@ def page(round_summary: RoundSummary) -> None:
     if not today.rows:
         return
     _ready(round_summary, today)
-    st.subheader(_("Pick list"))
+    st.header(_("Pick list"))
     _picks(round_summary, today)
 
 

@@ -51,6 +51,6 @@ def test_the_language_is_chosen_and_kept(house: Path) -> None:
     box.select("nl").run()
     assert not test.exception
     assert resources.settings().language == "nl"
-    assert [subheader.value for subheader in test.subheader][:2] == ["Gewas en eenheden", "Camera"]
+    assert [subheader.value for subheader in test.header][:2] == ["Gewas en eenheden", "Camera"]
     next(box for box in test.selectbox if box.label == "Taal").select("").run()
-    assert test.subheader[0].value == "Crop and units"
+    assert test.header[0].value == "Crop and units"

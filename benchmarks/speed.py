@@ -23,11 +23,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from statistics import median
 from typing import Any
 
@@ -46,7 +47,6 @@ from cucumbervision.errors import MissingExtraError
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import MethodName
-from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
@@ -55,6 +55,7 @@ from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
+from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
@@ -80,26 +81,77 @@ LIMITS = {
 }
 
 
-class NetworkClock:
-    """Adds up the time inside all networks, by wrapping `Network.run`."""
+READING, WRITING = "reading", "rows and journal"
+STAGES = {
+    "networks": ("perception.runtime:Network.run",),
+    READING: ("pipeline.run:FolderWorker.read",),
+    "pictures decoded": ("capture.readers.native:_read_frame", "capture.readers.native:read_masks"),
+    "a burst's motion": ("capture.motion:moved_px",),
+    "a burst's median and sharpness": ("capture.frames:fuse_burst",),
+    "network inputs": ("perception.resize:Letterbox.as_input",),
+    "detector's masks": ("perception.resize:Letterbox.mask_back",),
+    "second look's crops": ("perception.crops:CropClassifier.rescore",),
+    "stem ends' strips": ("perception.ends:EndClassifier.log_odds",),
+    "depth vote": ("perception.depth_vote:with_depth_votes",),
+    "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
+    "each fruit once": ("perception.networks:each_fruit_once",),
+    "SAM's prompts and masks": ("perception.sam:Sam.segment",),
+    "flower": ("instances.masks:without_flower",),
+    "keypoints placed": ("perception.keypoint_axis:place_keypoints",),
+    "M6": ("measurement.m6:measure_m6",),
+    "M1 to M5": ("measurement.methods:run_methods",),
+    "doubts of depth": ("measurement.depth_doubts:depth_doubts",),
+    "pose": ("measurement.pose:fruit_pose",),
+    "intervals": ("measurement.selector:with_length",),
+    "look at ends": ("measurement.end_looks:with_end_looks",),
+    "traits": ("measurement.trait_values:with_traits",),
+    "overlay": ("pipeline.run:FolderWorker.draw",),
+    WRITING: ("pipeline.run:FolderWorker.make",),
+}
+"""Functions of the package by stage; a stage's time is without the stages that it calls."""
 
-    def __init__(self) -> None:
+OUTSIDE = (
+    *(READING, "pictures decoded", "a burst's motion", "a burst's median and sharpness"),
+    *("overlay", WRITING),
+)
+"""Stages that read or write files, and fuse what was read."""
+
+
+class StageClock:
+    """Adds up the processor time of `STAGES`, by wrapping their functions; one to a process."""
+
+    def __init__(self, now_s: Callable[[], float] = time.process_time) -> None:
+        self._now_s = now_s
+        self._inside_s = [0.0]  # in the stages called by each that runs
         self.start()
-        run = runtimes.Network.run
-
-        def timed(network: runtimes.Network, feeds: Any) -> Any:
-            clock_s, processor_s = time.perf_counter(), time.process_time()
-            try:
-                return run(network, feeds)
-            finally:
-                self.clock_s += time.perf_counter() - clock_s
-                self.processor_s += time.process_time() - processor_s
-
-        setattr(runtimes.Network, "run", timed)  # noqa: B010
+        for stage, paths in STAGES.items():
+            for path in paths:
+                self._wrap(stage, path)
 
     def start(self) -> None:
-        """Set both sums to zero."""
-        self.clock_s = self.processor_s = 0.0
+        """Set all sums to zero."""
+        self.taken_s = dict.fromkeys(STAGES, 0.0)
+
+    def _wrap(self, stage: str, path: str) -> None:
+        module, _, place = path.partition(":")
+        owner_name, _, name = place.rpartition(".")
+        owner = resolve_name(f"cucumbervision.{module}" + (f":{owner_name}" if owner_name else ""))
+        function = getattr(owner, name)
+
+        def timed(*given: Any, **options: Any) -> Any:
+            begun = self._now_s()
+            self._inside_s.append(0.0)
+            try:
+                return function(*given, **options)
+            finally:
+                taken_s = self._now_s() - begun
+                self.taken_s[stage] += taken_s - self._inside_s.pop()
+                self._inside_s[-1] += taken_s
+
+        setattr(owner, name, timed)
+        for user in [m for key, m in sys.modules.items() if key.startswith("cucumbervision")]:
+            for known in [key for key, value in vars(user).items() if value is function]:
+                setattr(user, known, timed)
 
 
 @dataclass(frozen=True)
@@ -155,32 +207,51 @@ def pace(
     return (at[-1] - at[skip - 1]) / (count - skip)
 
 
-def processor_ms(rounds: int) -> tuple[float, float]:
-    """Return a capture's processor time in its networks, and in all else from reading to drawing.
+def stage_ms(
+    clock: StageClock, tasks: Sequence[Callable[[], object]], rounds: int
+) -> dict[str, float]:
+    """Return the median processor time of a task by stage, and of the rest; tasks take turns.
 
-    Each step waits for the one before, so that nobody else's work falls into the networks' time;
+    Each step waits for the one before, so that nobody else's work falls into a stage's time;
     what else runs on the machine matters little.
     """
-    inside, beyond, clock = [], [], NetworkClock()
-    with tempfile.TemporaryDirectory() as tmp:
-        worker = FolderWorker(Measurer(MODELS), OutputFolder(Path(tmp)))
-        captures = list_captures([example_captures()], MODELS.reading)
-        tasks = [Task(**vars(one)) for one in captures if isinstance(one, Listed)]
-        for turn in range(rounds + 1):
-            clock.start()
-            begun = time.process_time()
-            for task in tasks:
-                worker(task)
-            busy_s, networks_s = time.process_time() - begun, clock.processor_s
-            if turn:
-                inside.append(1e3 * networks_s / len(tasks))
-                beyond.append(1e3 * (busy_s - networks_s) / len(tasks))
-    return median(inside), median(beyond)
+    turns = []
+    for _ in range(rounds + 1):
+        clock.start()
+        begun = time.process_time()
+        for task in tasks:
+            task()
+        taken_s = {**clock.taken_s, "rest": time.process_time() - begun}
+        taken_s["rest"] -= sum(clock.taken_s.values())
+        turns.append({stage: 1e3 * seconds / len(tasks) for stage, seconds in taken_s.items()})
+    return {stage: median(turn[stage] for turn in turns[1:]) for stage in turns[0]}
+
+
+def by_stage(label: str, stages: dict[str, float]) -> list[Figure]:
+    """Return the lines of `stage_ms`, and the share beyond the networks without files."""
+    inside_ms = stages["networks"]
+    beyond_ms = sum(stages.values()) - inside_ms
+    lean_ms = beyond_ms - sum(stages[stage] for stage in OUTSIDE)
+    return [
+        Figure(f"{label}: processor time in the networks", inside_ms, "ms"),
+        Figure(f"{label}: processor time beyond them", beyond_ms, "ms"),
+        Figure(
+            f"{label}: the same but for files, of the networks'",
+            100 * lean_ms / inside_ms,
+            "%",
+            "<= 15",
+        ),
+        *(
+            Figure(f"{label}: {stage}", value, "ms")
+            for stage, value in sorted(stages.items(), key=lambda pair: -pair[1])
+            if stage != "networks" and value >= 0.05
+        ),
+    ]
 
 
 def pipeline(quick: bool) -> list[Figure]:
     """Compare the whole pipeline with its networks' own times, when nothing runs beside them."""
-    count, clock = 9 if quick else 30, NetworkClock()
+    count, clock = 9 if quick else 30, StageClock(time.perf_counter)
     captures = [ref.load() for ref in open_source(example_captures())]
     alone = Measurer(MODELS)
 
@@ -188,7 +259,7 @@ def pipeline(quick: bool) -> list[Figure]:
         clock.start()
         for capture in captures:
             alone.detect(capture)
-        return clock.clock_s / len(captures)
+        return clock.taken_s["networks"] / len(captures)
 
     networks_s()
     # Before and after, since a shared machine changes its mind.
@@ -206,12 +277,17 @@ def pipeline(quick: bool) -> list[Figure]:
 
 def processor(quick: bool) -> list[Figure]:
     """Compare the processor time of a capture beyond its networks with that within them."""
-    inside_ms, beyond_ms = processor_ms(2 if quick else 9)
-    return [
-        Figure("processor time of a capture in its networks", inside_ms, "ms"),
-        Figure("processor time of a capture beyond them", beyond_ms, "ms"),
-        Figure("processor time beyond, of that within", 100 * beyond_ms / inside_ms, "%", "<= 8"),
-    ]
+    rounds = 2 if quick else 9
+    captures = list_captures([example_captures()], MODELS.reading)
+    listed = [one for one in captures if isinstance(one, Listed)]
+    clock, stream = StageClock(), FruitStream.fast(MODELS)
+    frames = [one.ref.load() for one in listed]
+    with tempfile.TemporaryDirectory() as tmp:
+        worker = FolderWorker(Measurer(MODELS), OutputFolder(Path(tmp)))
+        tasks = [partial(worker, Task(**vars(one))) for one in listed]
+        of_capture = stage_ms(clock, tasks, rounds)
+    of_frame = stage_ms(clock, [partial(stream.take, frame) for frame in frames], rounds)
+    return by_stage("measure", of_capture) + by_stage("stream --fast", of_frame)
 
 
 _START = """

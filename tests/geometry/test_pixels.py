@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cucumbervision.geometry.pixels import depth_across, outline_cracks, valid_median
+from cucumbervision.geometry.pixels import depth_across, outline_cracks, quick_median, valid_median
 
 
 def test_an_even_count_gives_the_mean_of_the_two_middle_values() -> None:
@@ -13,6 +13,15 @@ def test_an_even_count_gives_the_mean_of_the_two_middle_values() -> None:
     valid = np.array([[True], [True], [True], [False]])
     assert valid_median(values, valid).tolist() == [2.0]
     assert valid_median(values[:3], valid[:3] & (values[:3] != 2.0)).tolist() == [2.5]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=12))
+def test_the_quick_median_is_numpys(values: list[float]) -> None:
+    exact = np.array(values)
+    for array in (exact, exact.astype(np.float32)):
+        middle = quick_median(array)
+        assert (middle, middle.dtype) == (np.median(array), array.dtype)
 
 
 def test_no_valid_value_gives_nan() -> None:

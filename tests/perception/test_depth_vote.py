@@ -15,6 +15,7 @@ from cucumbervision.perception.depth_vote import (
     FEATURES,
     DepthShape,
     DepthVote,
+    _half_width_px,
     depth_shape,
     read_depth_vote,
     with_depth_votes,
@@ -50,6 +51,12 @@ def test_shape_of_a_hanging_cylinder() -> None:
     # The standard deviation of 1 - sqrt(1 - x^2) about its value in the middle, over the width.
     x = np.linspace(-1, 1, 2001)
     assert shape.relief == pytest.approx(np.std(1 - np.sqrt(1 - x**2)), abs=0.03)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 20, 21, 100])
+def test_a_slices_half_width_is_numpys_percentile(count: int) -> None:
+    side_px = np.random.default_rng(count).uniform(0, 40, count)
+    assert _half_width_px(side_px) == pytest.approx(np.percentile(side_px, 95), rel=1e-12)
 
 
 def test_readings_behind_the_body_are_counted() -> None:

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import MissingExtraError, ModelError
-from cucumbervision.perception.runtime import Network, _openvino_core, open_network
+from cucumbervision.perception.runtime import (
+    Network,
+    _openvino_core,
+    open_network,
+    open_networks,
+)
 
 onnx = pytest.importorskip("onnx")
 
@@ -254,6 +259,20 @@ def test_two_threads_may_load_the_first_networks_of_a_process(tmp_path: Path) ->
         "print(len(list(ThreadPoolExecutor(4).map(load, range(4)))))\n"
     )
     assert printed_alone(code, tmp_path / "tiny.onnx", tmp_path) == "4"
+
+
+@pytest.mark.parametrize("runtime", ["auto", "onnxruntime"])
+def test_several_files_are_loaded_as_each_alone(runtime: str, tmp_path: Path) -> None:
+    files = [tmp_path / "a.onnx", tmp_path / "b.onnx"]
+    for file in files:
+        file.write_bytes(scaled_sum())
+    alone = open_network(files[0], runtime, verified=True)
+    for file, network in zip(files, open_networks(files, runtime), strict=True):
+        assert (network.source, network.runtime) == (str(file), alone.runtime)
+        assert (network.inputs, network.outputs) == (alone.inputs, alone.outputs)
+    files[1].write_bytes(b"no network")
+    with pytest.raises(ModelError, match=r"b\.onnx"):
+        open_networks(files, runtime)
 
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:

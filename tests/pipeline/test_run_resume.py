@@ -141,6 +141,21 @@ def test_a_picture_that_is_gone_is_drawn_again(run: Watched) -> None:
     assert picture.exists()
 
 
+def test_a_picture_of_another_kind_is_drawn_and_none_is_not_missed(run: Watched) -> None:
+    run()
+    run(OPTIONS, BatchOptions(overlays="jpg"))
+    assert run.measured == list(NAMES)
+    assert (run.out / "overlays" / f"{NAMES[2]}.jpg").read_bytes().startswith(b"\xff\xd8")
+    for path in (run.out / "overlays").iterdir():
+        path.unlink()
+    run(OPTIONS, BatchOptions(overlays="none"))
+    assert run.measured == []
+    run(replace(OPTIONS, methods=(MethodName.M3,)), BatchOptions(overlays="none"))
+    run(replace(OPTIONS, methods=(MethodName.M3,)), BatchOptions(overlays="none"))
+    assert run.measured == []
+    assert not list((run.out / "overlays").iterdir())
+
+
 def test_options_touch_what_they_had_a_part_in(run: Watched) -> None:
     run()
     run(replace(OPTIONS, confidence=0.9, prompt="box"))  # no network looked at these

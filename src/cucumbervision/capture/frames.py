@@ -315,8 +315,8 @@ def fuse_burst(
     if len(colors) == 1:
         return FusedBurst(colors[0], median_depth(depths_m))
     best = int(np.argmax([sharpness(c) for c in colors]))
-    moved = moved_px(colors[best], colors)
-    moved[best] = 0.0
+    moved = moved_px(colors[best], [*colors[:best], *colors[best + 1 :]])
+    moved.insert(best, 0.0)
     still = [d for d, by in zip(depths_m, moved, strict=True) if by <= still_px(colors[best])]
     return FusedBurst(
         color=colors[best],

@@ -13,6 +13,33 @@ _STEPS_PX = np.array([0.5, 1.5, 2.5, 3.5])  # how far across an outline its dept
 _GREY = 114  # outside a picture, as the padding of network inputs
 
 
+def quick_median(values: NDArray[np.floating[Any]]) -> np.floating[Any]:
+    """Return the median of a few numbers in a fifth of the time of `numpy.median`.
+
+    Parameters
+    ----------
+    values : ndarray of float, shape (N,)
+        At least one, none of them NaN.
+
+    Returns
+    -------
+    float
+        The dtype of `values`.
+
+    Examples
+    --------
+    >>> float(quick_median(np.array([4.0, 1.0, 3.0]))), float(quick_median(np.array([4.0, 1.0])))
+    (3.0, 2.5)
+    """
+    half = len(values) // 2
+    if len(values) % 2:
+        middle: np.floating[Any] = np.partition(values, half)[half]
+        return middle
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
+    mean: np.floating[Any] = (low + high) / values.dtype.type(2)
+    return mean
+
+
 def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) -> NDArray[Any]:
     """Return the median along an axis over the valid entries only.
 
@@ -148,12 +175,10 @@ def sample_color(
     import cv2
 
     height, width = color_rgb.shape[:2]
-    first_px = np.clip(np.floor(points_px.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(
-        int
-    )
-    end_px = np.clip(np.ceil(points_px.max(axis=(0, 1))) + 3, first_px + 1, (width, height)).astype(
-        int
-    )
+    along = points_px[..., 0], points_px[..., 1]  # a plane each: both at once take several times
+    least, most = np.array([(plane.min(), plane.max()) for plane in along]).T
+    first_px = np.clip(np.floor(least) - 2, 0, (width - 1, height - 1)).astype(int)
+    end_px = np.clip(np.ceil(most) + 3, first_px + 1, (width, height)).astype(int)
     part = color_rgb[first_px[1] : end_px[1], first_px[0] : end_px[0]]
     before = np.array([part.shape[1], part.shape[0]])
     after = before

@@ -327,6 +327,8 @@ def without_flower(mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8]) -> NDA
     scaled = np.ascontiguousarray(color_rgb[window]).astype(np.float32) / 255
     redness = cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)[..., 1]
     redder = inside & (redness > np.median(redness[inside]) + _FLOWER_REDNESS)
+    if not redder.any():
+        return mask
     square = np.ones((3, 3), np.uint8)
     opened = cv2.morphologyEx(redder.astype(np.uint8), cv2.MORPH_OPEN, square)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(opened)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.pixels import quick_median
 from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_window
 from cucumbervision.measurement.flags import Flag
 
@@ -70,22 +71,25 @@ def depth_doubts(
     >>> depth_doubts(np.where(mask, 0.1, 0.4).astype(np.float32), mask, 600.0)
     (<Flag.DEPTH_TOO_NEAR: 'depth-too-near'>,)
     """
-    readings = depth_m[mask & (depth_m > 0)]
+    window = mask_window(mask)
+    if window is None:
+        return ()
+    readings = depth_m[window][mask[window] & (depth_m[window] > 0)]
     if readings.size < _MIN_READINGS:
         return ()
-    body = _Body.of(depth_m, mask, float(np.median(readings)), focal_px)
+    body = _Body.of(depth_m, mask, float(quick_median(readings)), focal_px)
     doubts = {
         Flag.DEPTH_TOO_NEAR: body.distance_m < _NEAREST_M,
         Flag.DEPTH_HOLLOW: _is_hollow(body),
         Flag.DEPTH_GAP: _has_gap(body),
-        Flag.DEPTH_UNALIGNED: _is_flat(body) or _is_beside(body),
+        Flag.DEPTH_UNALIGNED: _is_flat(body) or _is_beside(depth_m, mask, body),
     }
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A fruit in a window of the picture, extended by the shorter side of the fruit.
+    """A fruit in a window of the picture, extended by the ring that defines the plane.
 
     Distances from the outline, inside and outside, are in pixels.
     """
@@ -107,16 +111,22 @@ class _Body:
         distance_m: float,
         focal_px: float,
     ) -> _Body:
-        x1, y1, x2, y2 = box_of_mask(mask)
-        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
-        depth_m, mask = depth_m[part], mask[part]
-        inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1]
+        tight = mask_window(mask)
+        if tight is None:
+            raise ValueError("the mask is empty")
+        inside_px = distances_inside(np.pad(mask[tight], 1))[1:-1, 1:-1]
         radius_px = float(inside_px.max())
+        part = mask_window(mask, int(_PLANE[1] * radius_px) + 2) or tight
+        depth_m, mask = depth_m[part], mask[part]
+        around = [
+            (inner.start - outer.start, outer.stop - inner.stop)
+            for inner, outer in zip(tight, part, strict=True)
+        ]
         return cls(
             depth_m,
             mask,
             valid_depth(depth_m),
-            inside_px,
+            np.pad(inside_px, around),
             distances_inside(~mask),
             radius_px,
             radius_px * distance_m / focal_px,
@@ -131,7 +141,7 @@ def _is_hollow(body: _Body) -> bool:
     flank = body.depth_m[body.read & (share >= _FLANK[0]) & (share <= _FLANK[1])]
     if min(middle.size, flank.size) < _MIN_READINGS:
         return False
-    depth_behind_m = float(np.median(middle) - np.median(flank))
+    depth_behind_m = float(quick_median(middle) - quick_median(flank))
     error_m = np.hypot(_median_error(middle), _median_error(flank))
     if depth_behind_m <= max(_HOLLOW * body.radius_m, _NOISE_SD * error_m):
         return False
@@ -227,53 +237,61 @@ def _is_flat(body: _Body) -> bool:
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < _MIN_READINGS:
         return False
-    spacing = max(1, np.count_nonzero(around) // _PLANE_READINGS)
-    places, z_m = _with_one(around)[::spacing], body.depth_m[around][::spacing]
+    spacing = max(1, int(np.count_nonzero(around)) // _PLANE_READINGS)
+    places, z_m = _with_one(around, spacing), body.depth_m[around][::spacing]
     fits = np.ones(len(z_m), bool)
     for _ in range(_PLANE_STEPS):
         plane = np.linalg.lstsq(places[fits], z_m[fits], rcond=None)[0]
         gap_m = z_m - places @ plane
         around_sd_m = _robust_sd(gap_m[fits])
-        fits = np.abs(gap_m - np.median(gap_m[fits])) <= 3.0 * around_sd_m + 1e-4
+        fits = np.abs(gap_m - quick_median(gap_m[fits])) <= 3.0 * around_sd_m + 1e-4
     ahead_m = body.depth_m[middle] - _with_one(middle) @ plane
     spread_m = max(around_sd_m, _robust_sd(ahead_m))
-    stands_out_m = abs(float(np.median(ahead_m)))
+    stands_out_m = abs(float(quick_median(ahead_m)))
     return stands_out_m < _STANDS_OUT * body.radius_m and spread_m < _ROUGH * body.radius_m
 
 
-def _with_one(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the homogeneous coordinates (u, v, 1) of a mask's pixels."""
-    v, u = np.nonzero(mask)
+def _with_one(mask: NDArray[np.bool_], spacing: int = 1) -> NDArray[np.float64]:
+    """Return the homogeneous coordinates (u, v, 1) of a mask's pixels, or of every so manieth."""
+    v, u = (places[::spacing] for places in np.nonzero(mask))
     return np.stack([u, v, np.ones(len(u))], axis=1).astype(np.float64)
 
 
 def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return 1.4826 * float(quick_median(np.abs(values - quick_median(values))))
 
 
-def _is_beside(body: _Body) -> bool:
+def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Body) -> bool:
     """Return whether the mask fits the depth much better at a shifted position.
+
+    It is shifted in a window that extends the fruit by its shorter side.
 
     The score of a position is the mean inside the mask minus the mean around it, where near
     readings count +1 and far ones -1; it is 2 for a free-standing fruit.
     """
     import cv2
 
-    steps = round(body.radius_px)
-    reach = cv2.dilate(body.mask.astype(np.uint8), np.ones((3, 3)), iterations=steps) > 0
-    readings_m = body.depth_m[body.read & reach]
+    x1, y1, x2, y2 = box_of_mask(mask)
+    part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
+    depth_m, mask = depth_m[part], mask[part]
+    read, side_px = valid_depth(depth_m), 2 * round(body.radius_px) + 1
+    # A sum over squares is a dilation whose time does not grow with the square.
+    sums = cv2.boxFilter(
+        mask.astype(np.uint8), -1, (side_px, side_px), normalize=False, borderType=0
+    )
+    readings_m = depth_m[read & (sums > 0)]
     if readings_m.size < _MIN_READINGS:
         return False
     near_m = float(np.percentile(readings_m, _NEAREST_PERCENT))
     # Radii at the nearest distance, because the distance at the mask may be that of another object.
     limit_m = near_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
-    behind = np.where(body.read, np.where(body.depth_m < limit_m, 1.0, -1.0), 0.0)
+    behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     # Six pixels per radius are enough to find the best position.
     scale = min(1.0, _RADIUS_PX / body.radius_px)
-    size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
+    size = [max(1, round(n * scale)) for n in mask.shape[::-1]]
     values, is_read, shape = (
         np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
-        for part in (behind, body.read, body.mask)
+        for part in (behind, read, mask)
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
     ring = np.clip(outer - inner, 0.0, 1.0)

@@ -158,6 +158,7 @@ _ENDS_OPEN = 0.5  # of `closed`: below it most of what lies beyond both ends is 
 _LEAST_MEASURED = 0.1  # minimum measured share of a fruit's length, by the evaluation of its ends
 
 
+@lru_cache(maxsize=4)  # each definition of one tube's length asks, before and after the look
 def tube_features(measurement: Measurement) -> dict[str, float]:
     """Return the features of an `IntervalModel` for an M6 measurement.
 

@@ -221,12 +221,9 @@ def with_tubes_ends(
     ends : callable
         Returns the log-odds of the direction, as `EndClassifier.log_odds`.
     """
-    points, path = instance.keypoints, None if tube is None else tube.path_m
-    if points is None or path is None or (path[:, 2] <= 0).any():
-        return instance
-    line = capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
-    (odds,) = ends(capture.color, [line])
-    if odds is None:
+    points, line = instance.keypoints, tube_line_px(instance, tube, capture)
+    (odds,) = (None,) if line is None else ends(capture.color, [line])
+    if points is None or line is None or odds is None:
         return instance
     line = line if odds >= 0 else line[::-1]
     straight, crossed = (
@@ -235,6 +232,24 @@ def with_tubes_ends(
     )
     points = points[::-1].copy() if crossed < straight else points
     return replace(instance, keypoints=points, end_confidence=float(expit(abs(odds))))
+
+
+def tube_line_px(
+    instance: Instance, tube: Measurement | None, capture: Capture
+) -> NDArray[np.float64] | None:
+    """Return the line in the picture along which `with_tubes_ends` asks for the ends.
+
+    Parameters as those of `with_tubes_ends`.
+
+    Returns
+    -------
+    ndarray of float64, shape (K, 2), or None
+        u, v along the tube's axis, as many as keypoints; None without keypoints or tube.
+    """
+    points, path = instance.keypoints, None if tube is None else tube.path_m
+    if points is None or path is None or (path[:, 2] <= 0).any():
+        return None
+    return capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
 
 
 def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.instances.masks import box_of_mask, mask_window
 from cucumbervision.measurement.trait_values import TableTrait, TraitValue
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ _LEAST_CHROMA = 8.0  # of a colour: below it hue is the noise of grey
 _LIGHTNESS = (10.0, 97.0)
 _SATURATED = 250  # of 255: the sensor's own limit changes hue
 _RIM_PX = 2  # where colours of fruit and background mix
+_RIM = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
 _LEAST_PX = 200
 _LEAST_JUDGED = 0.5  # share of the skin whose colour can be judged
 _SURROUNDINGS = 0.5  # of the box's size, on each side
@@ -70,32 +71,46 @@ def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Trait
     >>> yellow_share(np.full_like(picture, 128), mask).reason
     'no-colour'
     """
-    if not mask.any():
+    window = mask_window(mask)
+    if window is None:
         return TraitValue(None, "too-few-pixels")
-    part = _around(mask)
-    color, fruit = color_rgb[part], mask[part]
-    size = 2 * _RIM_PX + 1
-    padded = cv2.copyMakeBorder(fruit.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-    skin = cv2.erode(padded, np.ones((size, size), np.uint8))[1:-1, 1:-1] > 0
+    padded = cv2.copyMakeBorder(mask[window].astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    skin = cv2.erode(padded, _RIM)[1:-1, 1:-1] > 0
     if np.count_nonzero(skin) < _LEAST_PX:
         return TraitValue(None, "too-few-pixels")
-    lightness, chroma, hue_deg = _lightness_chroma_hue(color)
+    faults, yellow = _judge(color_rgb[window][skin])
+    judged = ~np.logical_or.reduce([*faults.values()])
+    if judged.mean() < _LEAST_JUDGED:
+        return TraitValue(None, max(faults, key=lambda fault: faults[fault].mean()))
+    share = float(yellow[judged].mean())
+    if share > _DOUBTED and _is_yellow_light(color_rgb, mask):
+        return TraitValue(None, "yellow-light")
+    return TraitValue(share)
+
+
+def _judge(
+    colors_rgb: NDArray[np.uint8],
+) -> tuple[dict[str, NDArray[np.bool_]], NDArray[np.bool_]]:
+    """Return why colours, shape (N, 3), cannot be judged, by reason, and which have yellow hue."""
+    lightness, chroma, hue_deg = _lightness_chroma_hue(colors_rgb)
     faults = {
-        "overexposed": (color.max(axis=2) >= _SATURATED) | (lightness > _LIGHTNESS[1]),
+        "overexposed": (colors_rgb.max(axis=1) >= _SATURATED) | (lightness > _LIGHTNESS[1]),
         "too-dark": lightness < _LIGHTNESS[0],
         "no-colour": chroma < _LEAST_CHROMA,
     }
+    return faults, (hue_deg >= YELLOW_DEG[0]) & (hue_deg <= YELLOW_DEG[1])
+
+
+def _is_yellow_light(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> bool:
+    """Return whether the surroundings of a fruit are yellow, too."""
+    part = _around(mask)
+    color, fruit = color_rgb[part], mask[part]
+    faults, yellow = _judge(color[cv2.dilate(fruit.astype(np.uint8), _RIM) == 0])
     judged = ~np.logical_or.reduce([*faults.values()])
-    if judged[skin].mean() < _LEAST_JUDGED:
-        return TraitValue(None, max(faults, key=lambda fault: faults[fault][skin].mean()))
-    yellow = judged & (hue_deg >= YELLOW_DEG[0]) & (hue_deg <= YELLOW_DEG[1])
-    share = float(yellow[skin & judged].mean())
-    outside = judged & ~cv2.dilate(fruit.astype(np.uint8), np.ones((size, size))).astype(bool)
-    if np.count_nonzero(outside) >= _LEAST_PX and share > _DOUBTED:
-        judged_share = np.count_nonzero(outside) / np.count_nonzero(~fruit)
-        if judged_share * float(yellow[outside].mean()) > _CAST:
-            return TraitValue(None, "yellow-light")
-    return TraitValue(share)
+    if np.count_nonzero(judged) < _LEAST_PX:
+        return False
+    share_judged = np.count_nonzero(judged) / np.count_nonzero(~fruit)
+    return bool(share_judged * float(yellow[judged].mean()) > _CAST)
 
 
 def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -107,11 +122,11 @@ def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _lightness_chroma_hue(
-    color_rgb: NDArray[np.uint8],
+    colors_rgb: NDArray[np.uint8],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return lightness 0 to 100, chroma, and hue in degrees of CIELAB, each of shape (H, W)."""
-    lab = cv2.cvtColor(color_rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-    lightness, a, b = (lab[..., channel].astype(np.float32) for channel in range(3))
+    """Return lightness 0 to 100, chroma, and hue in degrees of CIELAB, each of shape (N,)."""
+    lab = cv2.cvtColor(colors_rgb[:, None].astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    lightness, a, b = (lab[:, 0, channel].astype(np.float32) for channel in range(3))
     hue_deg = np.rad2deg(np.arctan2(b, a))
     return lightness, np.hypot(a, b).astype(np.float32), hue_deg.astype(np.float32)
 

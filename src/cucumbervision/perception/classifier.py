@@ -94,6 +94,7 @@ class PictureClassifier(SmallNetwork):
         ndarray of float64, shape (N,)
         """
         batch = np.concatenate([pictures, mirrored])
-        planes = batch.transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
+        planes = np.empty((len(batch), 3, *batch.shape[1:3]), np.float32)
+        np.divide(batch.transpose(0, 3, 1, 2), np.float32(255), out=planes, dtype=np.float32)
         (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
         return np.asarray(answer.reshape(2, -1).mean(axis=0), np.float64)

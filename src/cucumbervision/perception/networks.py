@@ -21,6 +21,7 @@ from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
+from cucumbervision.perception.runtime import open_networks
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.protocols import Segmenter
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.instances.end_crops import EndCrop, EndLook
     from cucumbervision.instances.instance import Instance
+    from cucumbervision.perception.runtime import Network
 
 
 class Detectors:
@@ -332,6 +334,7 @@ class NetworkLoader:
         self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._with_ends: YoloDetector | None = None
+        self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
         self._begun: dict[str | None, Future[NetworkSegmenter]] = {}
@@ -398,8 +401,9 @@ class NetworkLoader:
             If a file is missing, damaged, or not a known kind of network.
         """
         path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
+        opened = self._opened.pop(path, None)
         network = YoloDetector(
-            path,
+            opened or path,
             self._runtime,
             self._confidence if confidence is None else confidence,
             full_precision=self._full_precision,
@@ -477,6 +481,10 @@ class NetworkLoader:
             )
         votes_by_pose = file is None and keypoints and pose_model is not None
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
+        if votes_by_pose and pose is None and segment_model is not None and pose_model is not None:
+            paths = [self.verify(model.name)["network"] for model in (segment_model, pose_model)]
+            networks = open_networks(paths, self._runtime, full_precision=self._full_precision)
+            self._opened = dict(zip(paths, networks, strict=True))
         chosen = segment_model.name if file is None and segment_model is not None else file or ""
         detector = self.yolo(chosen, least_confidence)
         if pose is None and votes_by_pose and pose_model is not None:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.pixels import quick_median
 from cucumbervision.instances.masks import box_of_mask, mask_pixels
 
 if TYPE_CHECKING:
@@ -75,10 +76,10 @@ def join_pieces_by_depth(
     >>> join_pieces_by_depth([upper_part], [weak], depth)[0].box.tolist()
     [19.5, 9.5, 39.5, 179.5]
     """
-    masks = [
-        instance.detector_mask for instance in (*fruit, *weak) if instance.detector_mask is not None
-    ]
-    cover = np.logical_or.reduce(masks) if masks else np.zeros(depth_m.shape, bool)
+    cover = np.zeros(depth_m.shape, bool)
+    for instance in (*fruit, *weak):
+        if instance.detector_mask is not None:
+            cover |= instance.detector_mask
     waiting = sorted(fruit, key=_area, reverse=True)
     done: list[Instance] = []
     while waiting:
@@ -205,12 +206,13 @@ def _continuation(
     body = _Body.of(mask, depth_m)
     if body is None:
         return None
+    edges = [_sections(body, side, cover, depth_m) for side in (-1, 1)]
+    outlines = [np.concatenate([pair[:, 0], pair[::-1, 1]]) for pair in edges if pair is not None]
+    if not outlines:
+        return None
     added = np.zeros(mask.shape, np.uint8)
-    for side in (-1, 1):
-        edges = _sections(body, side, cover, depth_m)
-        if edges is not None:
-            outline = np.concatenate([edges[:, 0], edges[::-1, 1]])
-            cv2.fillPoly(added, [np.rint(outline).astype(np.int32)], 1)
+    for outline in outlines:
+        cv2.fillPoly(added, [np.rint(outline).astype(np.int32)], 1)
     added_part = (added > 0) & cover & ~mask
     return added_part if added_part.any() else None
 
@@ -223,7 +225,8 @@ def _sections(
     place, position, ahead = body.end(side)
     step = max(girth / 8, 1.0)
     across = np.linspace(-_WIDE / 2, _WIDE / 2, 11)
-    middle, on_left, right = np.abs(across) < _WIDE / 5, across < -_WIDE / 3, across > _WIDE / 3
+    parts = np.abs(across) < _WIDE / 5, across < -_WIDE / 3, across > _WIDE / 3
+    sizes, (slope, base) = [np.count_nonzero(part) for part in parts], body.depth.tolist()
     edges: list[Any] = []
     last, seen_px, open_px, hidden_px, rounded_px = 0, 0.0, 0.0, 0.0, 0.0
     for _ in range(int((_LONGEST * girth - np.ptp(body.points[:, 0])) / step)):
@@ -234,12 +237,13 @@ def _sections(
             break
         edges.append(position + np.outer([-_ADDED_WIDE / 2, _ADDED_WIDE / 2], girth * aside))
         covered = cover[pixels[:, 1], pixels[:, 0]]
-        expected_m = float(np.polyval(body.depth, place))
-        farther_m = _farther(depth_m[pixels[:, 1], pixels[:, 0]], expected_m)
-        # At a bend, only one side may be open.
-        beside_share = max(covered[on_left].mean(), covered[right].mean())
-        rounded_px += step * (covered[middle].mean() - beside_share)
-        if covered.mean() >= _COVERED and abs(farther_m) <= _SAME_M:
+        farther_m = _farther(depth_m[pixels[:, 1], pixels[:, 0]], slope * place + base)
+        in_middle, *beside = (
+            np.count_nonzero(covered & part) / size for part, size in zip(parts, sizes, strict=True)
+        )
+        beside_share = max(beside)  # at a bend, only one side may be open
+        rounded_px += step * (in_middle - beside_share)
+        if np.count_nonzero(covered) >= _COVERED * len(covered) and abs(farther_m) <= _SAME_M:
             if rounded_px > _ROUNDED * girth:
                 break
             if beside_share == 1:
@@ -261,4 +265,4 @@ def _sections(
 def _farther(readings: NDArray[np.float32], expected_m: float) -> float:
     """Return how much farther a section is than expected; 0 with too few readings."""
     valid = readings[valid_depth(readings)]
-    return float(np.median(valid)) - expected_m if len(valid) > 2 else 0.0
+    return float(quick_median(valid)) - expected_m if len(valid) > 2 else 0.0

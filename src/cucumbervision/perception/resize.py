@@ -97,9 +97,13 @@ class Letterbox:
         ndarray of float32, shape (1, 3, input_height, input_width)
             0 to 1; red first.
         """
-        planes = np.ascontiguousarray(self.apply(color_rgb).transpose(2, 0, 1)[None])
-        # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
-        return np.divide(planes, np.float32(255), dtype=np.float32)
+        import cv2
+
+        planes = np.empty((1, 3, self.input_height, self.input_width), np.float32)
+        for levels, plane in zip(cv2.split(self.apply(color_rgb)), planes[0], strict=True):
+            # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
+            np.divide(levels, np.float32(255), out=plane, dtype=np.float32)
+        return planes
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Map boxes from the network's input to the picture, and clip them.

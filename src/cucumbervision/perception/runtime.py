@@ -13,9 +13,11 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -206,19 +208,47 @@ def open_network(
     if for_openvino and not verified:
         _check_graph(path, source)
     if runtime == "openvino":
-        return _open_openvino(path, source, full_precision)
-    if runtime != "auto":
-        return _open_onnxruntime(path, source, runtime, full_precision)
-    if not for_openvino:
-        return _open_onnxruntime(path, source, "onnxruntime", full_precision)
+        return _open_openvino({source: path}, full_precision)[0]
+    if runtime != "auto" or not for_openvino:
+        chosen = "onnxruntime" if runtime == "auto" else runtime
+        return _open_onnxruntime(path, source, chosen, full_precision, loops=loops)
     try:
-        return _open_openvino(path, source, full_precision)
+        return _open_openvino({source: path}, full_precision)[0]
     except ModelError as error:
         fault = error.message
     why = "; OpenVINO cannot load it"
     network = _open_onnxruntime(path, source, "onnxruntime", full_precision, why)
     _log.info("%s: %s, so ONNX Runtime runs it", source, fault)
     return network
+
+
+def open_networks(
+    paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
+) -> list[Network]:
+    """Load files whose hashes were verified, side by side where OpenVINO runs them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files, no two of them the same.
+    runtime, full_precision
+        As in `open_network`, whose errors it raises.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.registry import load_registry
+    >>> names = ("cucumber-ends", "cucumber-crops")
+    >>> files = [load_registry().resolve(name)["network"] for name in names]
+    >>> [network.inputs[0].shape[2:] for network in open_networks(files)]
+    [(64, 192), (96, 96)]
+    """
+    if runtime in ("auto", "openvino") and importlib.util.find_spec("openvino"):
+        # `open_network` takes another runtime, or says which file it is.
+        with suppress(ModelError):
+            return _open_openvino({str(path): path for path in paths}, full_precision)
+    return [
+        open_network(path, runtime, full_precision=full_precision, verified=True) for path in paths
+    ]
 
 
 def _inspected(network: bytes, source: str) -> bool:
@@ -318,6 +348,8 @@ def _open_onnxruntime(
     runtime: str,
     full_precision: bool,
     why: str = "",
+    *,
+    loops: bool = False,
 ) -> Network:
     ort = import_onnxruntime()
     wanted_providers = _PROVIDERS[runtime]
@@ -353,7 +385,9 @@ def _open_onnxruntime(
         metadata=MappingProxyType(metadata),
         runtime=f"onnxruntime ({provider}{why})",
         source=source,
-        compute=lambda feeds: _run_for(_LONGEST_RUN_S, ort, session, names, feeds),
+        compute=partial(_run_for, _LONGEST_RUN_S, ort, session, names)
+        if loops
+        else partial(session.run, names),
     )
 
 
@@ -389,26 +423,39 @@ def _openvino_core() -> Any:
     return import_openvino().Core()
 
 
-def _open_openvino(path: Path | bytes, source: str, full_precision: bool) -> Network:
+def _open_openvino(files: Mapping[str, Path | bytes], full_precision: bool) -> list[Network]:
+    """Load files, named for errors; they compile side by side, each mostly on one core."""
     settings: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
     if full_precision:
         settings["INFERENCE_PRECISION_HINT"] = "f32"
     if _most_threads is not None:
         settings["INFERENCE_NUM_THREADS"] = _most_threads
-    # One at a time, against a deadlock between Python's lock (held while reading a network's
-    # inputs) and OpenVINO's (held while compiling).
-    with _STARTING_OPENVINO:
+    # Nothing else meanwhile, against a deadlock between Python's lock (held while reading a
+    # network's inputs) and OpenVINO's (held while compiling).
+    with _STARTING_OPENVINO, ThreadPoolExecutor(len(files)) as pool:
         core = _openvino_core()
         try:
-            model = core.read_model(path if isinstance(path, bytes) else str(path))
-            metadata = _openvino_metadata(model)
-            compiled = core.compile_model(model, "CPU", settings)
-            precision = compiled.get_property("INFERENCE_PRECISION_HINT").to_string()
+            models = [
+                core.read_model(path if isinstance(path, bytes) else str(path))
+                for path in files.values()
+            ]
+            metadata = [_openvino_metadata(model) for model in models]
+            compiled = list(
+                pool.map(lambda model: core.compile_model(model, "CPU", settings), models)
+            )
+            return [
+                _openvino_network(network, data, source)
+                for network, data, source in zip(compiled, metadata, files, strict=True)
+            ]
         except Exception as error:
-            raise _unreadable(source, "OpenVINO", error) from error
-        request = compiled.create_infer_request()
-        inputs = tuple(_openvino_info(i) for i in compiled.inputs)
-        outputs = tuple(_openvino_info(o) for o in compiled.outputs)
+            raise _unreadable(", ".join(files), "OpenVINO", error) from error
+
+
+def _openvino_network(compiled: Any, metadata: Mapping[str, str], source: str) -> Network:
+    precision = compiled.get_property("INFERENCE_PRECISION_HINT").to_string()
+    request = compiled.create_infer_request()
+    inputs = tuple(_openvino_info(i) for i in compiled.inputs)
+    outputs = tuple(_openvino_info(o) for o in compiled.outputs)
 
     def compute(feeds: dict[str, Array]) -> list[Array]:
         request.infer(feeds, share_inputs=True)
@@ -418,7 +465,7 @@ def _open_openvino(path: Path | bytes, source: str, full_precision: bool) -> Net
     return Network(
         inputs=inputs,
         outputs=outputs,
-        metadata=MappingProxyType(metadata),
+        metadata=MappingProxyType(dict(metadata)),
         runtime=f"openvino ({precision})",
         source=source,
         compute=compute,

@@ -18,7 +18,7 @@ from cucumbervision.perception.input_sizes import (
     parse_input_sizes,
 )
 from cucumbervision.perception.resize import Letterbox, fit
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.runtime import Network, open_network
 from cucumbervision.perception.yolo_rows import (
     RowKind,
     choose_raw,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.crops import CropClassifier
     from cucumbervision.perception.ends import EndClassifier
-    from cucumbervision.perception.runtime import Network, TensorInfo
+    from cucumbervision.perception.runtime import TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""
@@ -282,8 +282,8 @@ class YoloDetector:
 
     Parameters
     ----------
-    path : Path, str or bytes
-        An ONNX file.
+    path : Path, str, bytes or Network
+        An ONNX file, or one that is loaded.
     runtime : str
         As for `open_network`.
     confidence : float
@@ -316,7 +316,7 @@ class YoloDetector:
 
     def __init__(
         self,
-        path: Path | str | bytes,
+        path: Path | str | bytes | Network,
         runtime: str = "auto",
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
@@ -325,8 +325,10 @@ class YoloDetector:
         *,
         verified: bool = False,
     ) -> None:
-        self._network = open_network(
-            path, runtime, full_precision=full_precision, verified=verified
+        self._network = (
+            path
+            if isinstance(path, Network)
+            else open_network(path, runtime, full_precision=full_precision, verified=verified)
         )
         self._most_fruit = most_fruit
         self.ends: EndClassifier | None = None
@@ -443,7 +445,9 @@ class YoloDetector:
     def _detect_mirrored(
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
     ) -> tuple[Instance, ...]:
-        flipped = np.ascontiguousarray(color_rgb[:, ::-1])
+        import cv2
+
+        flipped = np.asarray(cv2.flip(color_rgb, 1), np.uint8)  # a tenth of NumPy's time
         detections = self._detect_at(flipped, size_px, confidence)
         return tuple(mirrored(detection, color_rgb.shape[1]) for detection in detections)
 

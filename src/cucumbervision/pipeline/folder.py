@@ -188,8 +188,8 @@ class JournalRecord:
     models : list of dict
         The networks that were used.
     picture : str, optional
-        Its annotated picture in the output folder; None if it could not be written, so that the
-        capture counts as incomplete.
+        Its annotated picture in the output folder; empty if none was asked for, None if it could
+        not be written, so that the capture counts as incomplete.
     """
 
     place: str

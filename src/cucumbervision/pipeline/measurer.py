@@ -20,7 +20,7 @@ from cucumbervision.errors import (
 )
 from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.pose import FIRST_LINE
+from cucumbervision.measurement.pose import FIRST_LINE, EndJudge, tube_line_px
 from cucumbervision.measurement.result import (
     Choice,
     FruitMeasurement,
@@ -36,7 +36,7 @@ from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
@@ -356,13 +356,14 @@ class Measurer:
             Indices of the fruit to measure; all by default.
         """
         capture, detections = detected.capture, detected.detections
+        pairs = list(zip_longest(detections.instances, detections.tubes))
+        wanted = [k for k in range(len(pairs)) if chosen is None or k in chosen]
+        judges = dict(zip(wanted, self._judges(capture, [pairs[k] for k in wanted]), strict=True))
         measured = [
-            self._measured(capture, instance, tube)
-            if chosen is None or k in chosen
+            self._measured(capture, instance, tube, judges[k])
+            if k in judges
             else FruitMeasurement(instance, {}, None, Choice.WAITING)
-            for k, (instance, tube) in enumerate(
-                zip_longest(detections.instances, detections.tubes)
-            )
+            for k, (instance, tube) in enumerate(pairs)
         ]
         fruit = self._judged(capture, measured)
         for number in detections.clipped:
@@ -392,16 +393,36 @@ class Measurer:
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
     ) -> FruitMeasurement:
         """Measure one fruit of a capture with scaled depth; `tube` as in `Detections.tubes`."""
-        return self._judged(capture, [self._measured(capture, instance, tube)])[0]
+        (judge,) = self._judges(capture, [(instance, tube)])
+        return self._judged(capture, [self._measured(capture, instance, tube, judge)])[0]
+
+    def _judges(
+        self, capture: Capture, fruit: Sequence[tuple[Instance, Measurement | None]]
+    ) -> list[EndJudge | None]:
+        """Return for each fruit what tells its ends; of known tubes in one batch."""
+        network = None if self._finder is None else self._finder.networks.ends
+        if network is None:
+            return [None] * len(fruit)
+        # The order of the ends is not changed if the pose network has determined it.
+        asked = [instance.end_confidence is not None for instance, _ in fruit]
+        lines = [
+            tube_line_px(instance, tube, capture) if asks else None
+            for (instance, tube), asks in zip(fruit, asked, strict=True)
+        ]
+        odds = iter(network.log_odds(capture.color, [line for line in lines if line is not None]))
+        return [
+            None if not asks else network.log_odds if line is None else _known_odds(next(odds))
+            for asks, line in zip(asked, lines, strict=True)
+        ]
 
     def _measured(
-        self, capture: Capture, instance: Instance, tube: Measurement | None
+        self,
+        capture: Capture,
+        instance: Instance,
+        tube: Measurement | None,
+        judge: EndJudge | None,
     ) -> FruitMeasurement:
         options = self.options
-        judge = None
-        # The order of the ends is not changed if the pose network has determined it.
-        if self._finder is not None and instance.end_confidence is not None:
-            judge = self._finder.networks.ends
         return measure_fruit(
             capture,
             instance,
@@ -410,7 +431,7 @@ class Measurer:
             options.length,
             scale_known=self._scale_known,
             cut_beyond_m=options.cut_beyond_m,
-            ends=None if judge is None else judge.log_odds,
+            ends=judge,
             tube=tube,
         )
 
@@ -453,6 +474,11 @@ class Measurer:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only the options, so that another process loads its own networks."""
         return Measurer, (self.options, self._registry, self.plug_ins)
+
+
+def _known_odds(odds: float | None) -> EndJudge:
+    """Return a judge that has already looked along the one line that it will be asked."""
+    return lambda _color, _lines: [odds]
 
 
 def plugin_failures(measurer: Measurer) -> list[Failure]:

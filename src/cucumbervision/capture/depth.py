@@ -199,5 +199,7 @@ def _share_inside(raw: NDArray[Any], unit_m: float) -> float:
     first_step, last_step = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
     if raw.dtype.kind in "ui":  # comparing integers with integers is several times faster
         first_step, last_step = math.ceil(first_step), math.floor(last_step)
-    readings = int(np.count_nonzero((raw > 0) & np.isfinite(raw)))
+        readings = int(np.count_nonzero(raw > 0))
+    else:
+        readings = int(np.count_nonzero((raw > 0) & np.isfinite(raw)))
     return int(np.count_nonzero((raw >= first_step) & (raw <= last_step))) / max(readings, 1)

@@ -197,12 +197,16 @@ def mirrored(instance: Instance, width: int) -> Instance:
     return replace(
         instance,
         box=np.array([width - 1 - x2, y1, width - 1 - x1, y2]),
-        mask=None if mask is None else np.ascontiguousarray(mask[:, ::-1]),
-        detector_mask=None
-        if detector_mask is None
-        else np.ascontiguousarray(detector_mask[:, ::-1]),
+        mask=_flipped(mask),
+        detector_mask=_flipped(detector_mask),
         keypoints=None if points is None else points * [-1, 1, 1] + [width - 1, 0, 0],
     )
+
+
+def _flipped(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    import cv2
+
+    return None if mask is None else np.asarray(cv2.flip(mask.view(np.uint8), 1)).view(np.bool_)
 
 
 TRUSTED_SHARE = 0.5

@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE, MaskSource
-from cucumbervision.instances.masks import mask_pixels
+from cucumbervision.instances.masks import mask_pixels, mask_window
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.depth_doubts import depth_doubts
 from cucumbervision.measurement.flags import Flag
@@ -129,11 +129,12 @@ def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[
     # Each pixel belongs to its nearest part of the line, so that the other end of a bent fruit is
     # ignored.
     middles = (line[:-1] + line[1:]) / 2
-    nearest = ((middles**2).sum(axis=1) - 2 * pixels @ middles.T).argmin(axis=1)
+    away = (middles**2).sum(axis=1)[:, None] - 2 * middles @ pixels.T
+    nearest = away[0] <= away[1:].min(axis=0), away[-1] < away[:-1].min(axis=0)
     reaches = []
-    for tip, inner, part in ((0, 1, 0), (-1, -2, len(middles) - 1)):
+    for tip, inner, part in ((0, 1, 0), (-1, -2, -1)):
         ahead = (line[tip] - line[inner]) / np.linalg.norm(line[tip] - line[inner])
-        part_pixels = pixels[nearest == part]
+        part_pixels = pixels[nearest[part]]
         # Without a pixel near this part, the mask ends before it.
         reach = (
             float(((part_pixels - line[tip]) @ ahead).max())
@@ -470,7 +471,8 @@ def _depth_of(
         x1, y1, x2, y2 = box_pixels(box, capture.depth_m.shape)
         readings = capture.depth_m[y1:y2, x1:x2]
     else:
-        readings = capture.depth_m[mask]
+        window = mask_window(mask) or ...
+        readings = capture.depth_m[window][mask[window]]
     valid = readings[valid_depth(readings)]
     distance_m = float(np.median(valid)) if valid.size else None
     return distance_m, (valid.size / readings.size if readings.size else None)

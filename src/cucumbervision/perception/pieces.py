@@ -17,7 +17,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import quick_median
-from cucumbervision.instances.masks import box_of_mask, mask_pixels
+from cucumbervision.instances.masks import box_of_mask, mask_pixels, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,7 +142,7 @@ class _Body:
 
     Parameters
     ----------
-    points : ndarray of float64, shape (N, 2)
+    points : ndarray of float64, shape (2, N)
         Its pixels from their centre, along the axis and across.
     centre : ndarray of float64, shape (2,)
         u, v.
@@ -169,22 +169,24 @@ class _Body:
         centre = pixels.mean(axis=0)
         axis = np.linalg.eigh(np.cov((pixels - centre).T))[1][:, 1]
         axes = np.array([axis, [-axis[1], axis[0]]])
-        points = (pixels - centre) @ axes.T
-        counts = np.bincount((points[:, 0] - points[:, 0].min()).astype(int))
+        points = np.ascontiguousarray(((pixels - centre) @ axes.T).T)
+        counts = np.bincount((points[0] - points[0].min()).astype(int))
         girth_px = float(np.quantile(counts[counts > 0], 0.75))
-        readings = depth_m[mask]
+        window = mask_window(mask) or ...
+        readings = depth_m[window][mask[window]]
         is_read = valid_depth(readings)
         if is_read.any():
             is_read &= np.abs(readings - np.median(readings[is_read])) < _BODY_M
-        if np.count_nonzero(is_read) < _FEWEST or np.ptp(points[:, 0]) < _WIDE * girth_px:
+        if np.count_nonzero(is_read) < _FEWEST or np.ptp(points[0]) < _WIDE * girth_px:
             return None
-        positions_px, degree = points[is_read, 0], int(np.ptp(points[is_read, 0]) > 1.5 * girth_px)
+        positions_px = points[0, is_read]
+        degree = int(np.ptp(positions_px) > 1.5 * girth_px)
         depth = np.polyfit(positions_px, readings[is_read].astype(np.float64), degree)
         return cls(points, centre, axes, girth_px, np.pad(depth, (2 - len(depth), 0)))
 
     def end(self, side: int) -> tuple[float, Array, Array]:
         """Return the position of one end on the axis and in the picture, and its direction."""
-        along, across = side * self.points[:, 0], self.points[:, 1]
+        along, across = side * self.points[0], self.points[1]
         last = float(along.max())
         at_end = along > last - _NEAR * self.girth_px
         is_smooth = at_end & (along < last - _TORN * self.girth_px)
@@ -229,7 +231,7 @@ def _sections(
     sizes, (slope, base) = [np.count_nonzero(part) for part in parts], body.depth.tolist()
     edges: list[Any] = []
     last, seen_px, open_px, hidden_px, rounded_px = 0, 0.0, 0.0, 0.0, 0.0
-    for _ in range(int((_LONGEST * girth - np.ptp(body.points[:, 0])) / step)):
+    for _ in range(int((_LONGEST * girth - np.ptp(body.points[0])) / step)):
         place, position = place + side * step, position + step * ahead
         aside = np.array([-ahead[1], ahead[0]])
         pixels = np.rint(position + girth * across[:, None] * aside).astype(np.intp)

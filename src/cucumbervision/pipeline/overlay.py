@@ -332,5 +332,5 @@ def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280, quality: int = 85
         height = round(picture.shape[0] * widest_px / picture.shape[1])
         small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
         picture = cast("NDArray[np.uint8]", small)
-    bgr = np.ascontiguousarray(picture[..., ::-1])
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

@@ -284,7 +284,9 @@ class FolderWorker(Worker[JournalRecord]):
             if self._overlays == "jpg":
                 self._out.write(name, as_jpeg(drawn, result.capture.width))
             else:
-                self._out.write(name, cv2.imencode(".png", drawn[..., ::-1])[1].tobytes())
+                self._out.write(
+                    name, cv2.imencode(".png", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR))[1].tobytes()
+                )
         return name
 
     def _picture(self, name: str) -> str:

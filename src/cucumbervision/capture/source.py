@@ -183,7 +183,7 @@ class CaptureSource:
     path : Path
         Path given by the user.
     kind : str
-        Format: 'native', 'bop', 'pair', 'viewer' or 'recording'.
+        Format: 'native', 'bop', 'viewer', 'set', 'pair' or 'recording'.
     refs : callable
         Returns an iterator over the captures.
     total : int, optional

@@ -58,3 +58,9 @@ def test_what_does_not_belong_together_is_refused(folder: Path) -> None:
     (folder / "profile.toml").unlink()
     with pytest.raises(ProfileError, match=r"profile\.toml: the file is missing"):
         read_pack(folder)
+
+
+def test_a_folder_in_a_network_s_place_is_named(folder: Path) -> None:
+    (folder / "mine-seg.onnx").mkdir()
+    with pytest.raises(ModelError, match=r"mine-seg\.onnx: cannot be read"):
+        read_pack(folder)

@@ -186,6 +186,18 @@ def test_after_a_full_disk_the_next_record_is_whole(local: OutputFolder) -> None
         assert kept == [record("a"), None, record("c")]
 
 
+@pytest.mark.parametrize("name", ["copy of 000001.jsonl", "²3_.jsonl", "9" * 200 + ".jsonl"])
+def test_a_file_of_another_name_in_the_journal_is_read(name: str, local: OutputFolder) -> None:
+    with Journal(local) as journal:
+        journal.append(record("a"))
+    (first,) = segments(local)
+    first.rename(first.with_name(name))
+    for _ in range(2):
+        with Journal(local) as journal:
+            assert journal.find(record("a").place) == record("a")
+    assert len(segments(local)) == 3
+
+
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("no folder")
     with pytest.raises(CucumberVisionError, match="out: cannot be"):

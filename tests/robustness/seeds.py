@@ -447,6 +447,71 @@ def settings(folder: Path) -> None:
     write_settings(Settings(unit="in"), folder / "house.settings.json")
 
 
+def labelled_set(folder: Path) -> None:
+    """Write a labelled set with depth, as `synth` does."""
+    images = []
+    for name in ("a", "b"):
+        _picture(folder / f"images/{name}.png", _color())
+        _picture(folder / f"depth/{name}.png", _depth_mm())
+        files = {"file_name": f"images/{name}.png", "depth_file": f"depth/{name}.png"}
+        camera = {**_LENS, "distortion": "none", "coefficients": [0.0] * 5, "stream": "color"}
+        images.append({**files, "depth_unit_m": 0.001, "camera": camera, "source": "synth"})
+    _json(folder / "annotations.json", {"images": images, "annotations": []})
+
+
+def crop_pack(folder: Path) -> None:
+    """Write a crop's folder with a network and its card."""
+    from cucumbervision.perception.registry import file_sha256
+
+    copied(_PACKAGE / "agronomy" / "crops" / "long-cucumber.toml", folder, "profile.toml")
+    network(folder)
+    (folder / "net.onnx").rename(folder / "own-seg.onnx")
+    _json(folder / "own-seg.json", {"sha256": file_sha256(folder / "own-seg.onnx")})
+
+
+def queue(folder: Path) -> None:
+    """Write presses that wait to be measured, a coded one and raw frames, and an upload."""
+    from cucumbervision.capture.raw_frames import write_frame
+    from cucumbervision_greenhouse.backend.uploads import Sending, SentFile, Uploads
+    from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+
+    stop = Stop(row="3", side="left", position_m=4.5, step=2)
+    depth_m = (_depth_mm() * 0.001).astype(np.float32)
+    capture = Capture(_color(), depth_m, CAMERA, "press", stop=stop)
+    waiting = WaitingCaptures(folder / "house.waiting")
+    waiting.put(capture, key_of("first"), key_of("walk"), 1_700_000_000.0)
+    frames = [folder / f"{k}.frame" for k in range(2)]
+    for frame in frames:
+        write_frame(capture, frame)
+    waiting.put_frames(frames, stop, key_of("second"), key_of("walk"), 1_700_000_001.0)
+    for frame in frames:
+        frame.unlink()
+    sent = Sending(round=key_of("walk"), files=(SentFile(name="a.zip", size=7),))
+    uploads_ = Uploads(folder / "uploads")
+    uploads_.begin(sent, 10**9)
+    uploads_.append(sent.key, 0, 0, b"1234567")
+
+
+def journal(folder: Path) -> None:
+    """Measure a bundled capture, for its journal."""
+    from cucumbervision.capture.source import example_captures
+    from cucumbervision.measurement.result import MethodName
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.run import measure_inputs
+
+    options = MeasureOptions(instances="dataset", methods=(MethodName.M1,), segmenter="none")
+    measure_inputs([example_captures() / "simulated-row-b"], folder / "out", options)
+    shutil.copytree(folder / "out" / "journal", folder / "journal")
+    shutil.rmtree(folder / "out")
+
+
+def hand_lengths(folder: Path) -> None:
+    """Write a round's lengths by hand, as the page does."""
+    head = "capture,fruit,specimen,length_1_cm,length_2_cm,kind"
+    lines = [head, "s/a,1,f1,20.50,20.70,thread", "s/a,2,f2,,11.00,thread"]
+    (folder / "round.csv").write_text("\r\n".join(lines) + "\r\n")
+
+
 def _data_set(folder: Path) -> Any:
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 

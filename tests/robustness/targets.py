@@ -298,6 +298,49 @@ def _recording(folder: Path, _name: str) -> None:
     _captures(folder / "walk.db3")
 
 
+def _crop_pack(folder: Path, _name: str) -> None:
+    from cucumbervision.pipeline.crop_pack import read_pack
+    from cucumbervision.pipeline.options import MeasureOptions
+
+    read_pack(folder).options(MeasureOptions())
+
+
+def _queue(folder: Path, _name: str) -> None:
+    from cucumbervision_greenhouse.backend.uploads import Uploads
+    from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+
+    waiting, uploads = WaitingCaptures(folder / "house.waiting"), Uploads(folder / "uploads")
+    uploads.to_measure()
+    for upload in uploads.all():
+        uploads.files(upload.sending.key)
+    waiting.set_aside()
+    _each(capture.load for capture in waiting.captures())
+
+
+def _journal(folder: Path, _name: str) -> None:
+    from cucumbervision.pipeline.folder import Journal, OutputFolder
+
+    with Journal(OutputFolder(folder)) as journal:
+        places = [key.hex() for key in journal._index]
+        for record in journal.records(places):
+            _ = record.rows
+
+
+def _hand_lengths(folder: Path, _name: str) -> None:
+    from cucumbervision_greenhouse.backend.hand_lengths import hand_lengths
+    from cucumbervision_greenhouse.store.records import DetectionRecord
+    from cucumbervision_greenhouse.store.views import DetectionSummary
+
+    fruit = [
+        DetectionSummary(
+            *(f"k{n}", "s", "r", "a", "3", "left", 2, 1e9, False, 0.4, 0.04, None),
+            record=DetectionRecord(n),
+        )
+        for n in (1, 2)
+    ]
+    hand_lengths(folder / "round.csv", fruit)
+
+
 TARGETS: tuple[Target, ...] = (
     Target("native captures", seeds.native, _capture_folders, 150),
     Target("BOP scenes", seeds.bop, _scene, 150),
@@ -324,4 +367,9 @@ TARGETS: tuple[Target, ...] = (
     Target("model cards", seeds.model_card, _card, 450),
     Target("uploads", seeds.uploads, _uploads, 100),
     Target("recordings", seeds.recording, _recording, 1),
+    Target("labelled sets", seeds.labelled_set, _scene, 100),
+    Target("crop packs", seeds.crop_pack, _crop_pack, 150),
+    Target("presses and uploads", seeds.queue, _queue, 150),
+    Target("journals", seeds.journal, _journal, 200),
+    Target("lengths by hand", seeds.hand_lengths, _hand_lengths, 300),
 )

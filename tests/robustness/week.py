@@ -4,9 +4,9 @@
 
 On each day captures are added to a house, measured into one folder by `measure`, added to the
 day's round by `round add`, and exported. In one of two weeks every command is killed with signal 9
-at random moments, a few times each, and started again; its clock is also an hour off in every
-third start. The two weeks must end with the same tables, byte for byte but for what names a run:
-keys, times and folders. Exit code 1 if they differ.
+at random moments of the time that it took in the other, a few times each, and started again; its
+clock is also an hour off in every third start. After each day the two weeks must have the same
+tables, byte for byte but for what names a run: keys, times and folders. Exit code 1 if they differ.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 
@@ -39,11 +39,13 @@ _RUN_OF = re.compile(r"(round|key|created|exported|started|source|place|store|ti
 
 @dataclass
 class Week:
-    """One week: its folder, and how often its commands were killed."""
+    """One week: its folder, how often its commands were killed, and how long each took."""
 
     folder: Path
     random: Random | None = None
+    calm: Week | None = None
     killed: int = 0
+    took_s: list[float] = field(default_factory=list)
 
     @property
     def store(self) -> Path:
@@ -52,15 +54,17 @@ class Week:
 
     def command(self, *words: object) -> None:
         """Run a command to its end, through kills where this week has them."""
-        for _ in range(KILLS if self.random else 0):
-            assert self.random is not None
-            before = _CLOCK if self.random.random() < 1 / 3 else ""
-            process = begin(*words, before=before)
-            # Half of the kills while it starts and lists, the others while it works.
-            time.sleep(self.random.uniform(0.5, 3) * self.random.choice((1, 3)))
-            process.kill()
-            self.killed += ended(process).code < 0
+        if self.random is not None and self.calm is not None:
+            whole_s = self.calm.took_s[len(self.took_s)]
+            for _ in range(KILLS):
+                before = _CLOCK if self.random.random() < 1 / 3 else ""
+                process = begin(*words, before=before)
+                time.sleep(self.random.uniform(0.1, 1) * whole_s)
+                process.kill()
+                self.killed += ended(process).code < 0
+        start_s = time.monotonic()
         self.once(*words)
+        self.took_s.append(time.monotonic() - start_s)
 
     def day(self, number: int, captures: Path) -> None:
         """Measure and keep the captures of a day, and export its round."""
@@ -124,37 +128,45 @@ def differences(calm: Week, disturbed: Week) -> list[str]:
     return faults
 
 
-def main() -> None:
+def live(folder: Path, captures: int, days: int, seed: int) -> list[str]:
+    """Live through both weeks day by day, say each day's counts, and return what differs."""
+    places = draw_week(folder, captures, days)
+    calm = Week(folder / "calm")
+    disturbed = Week(folder / "disturbed", Random(seed), calm)
+    for week in (calm, disturbed):
+        week.folder.mkdir()
+    for later in places:
+        later.rename(folder / later.name)
+    start_s, count = time.monotonic(), 0
+    for number, place in enumerate(places):
+        (folder / place.name).rename(place)
+        for week in (calm, disturbed):
+            week.day(number, place)
+        if faults := differences(calm, disturbed):
+            return faults
+        count += len(list(place.iterdir()))
+        rows = sum(map(len, tables(calm).values()))
+        sys.stdout.write(
+            f"day {number + 1}: {count} captures, {disturbed.killed} kills, {rows} rows in "
+            f"{time.monotonic() - start_s:.0f} s: the same\n"
+        )
+        sys.stdout.flush()
+    return []
+
+
+def main() -> int:
     """Run both weeks and say in what they differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=2000)
     parser.add_argument("--days", type=int, default=7)
     parser.add_argument("--seed", type=int, default=1)
     numbers = parser.parse_args()
-    start = time.monotonic()
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        days = draw_week(folder, numbers.captures, numbers.days)
-        weeks = [Week(folder / "calm"), Week(folder / "disturbed", Random(numbers.seed))]
-        for week in weeks:
-            week.folder.mkdir()
-            for number, captures in enumerate(days):
-                hidden = [later for later in days[number + 1 :] if later.exists()]
-                for later in hidden:
-                    later.rename(folder / later.name)
-                week.day(number, captures)
-                for later in hidden:
-                    (folder / later.name).rename(later)
-        faults = differences(*weeks)
-        rows = sum(map(len, tables(weeks[0]).values()))
+    with tempfile.TemporaryDirectory(prefix="week-") as place:
+        faults = live(Path(place), numbers.captures, numbers.days, numbers.seed)
     for fault in faults:
-        sys.stdout.write(f"{fault}\n")
-    sys.stdout.write(
-        f"{numbers.captures} captures on {numbers.days} days, {weeks[1].killed} kills, {rows} rows "
-        f"in {time.monotonic() - start:.0f} s: " + ("DIFFERENT" if faults else "the same") + "\n"
-    )
-    sys.exit(1 if faults else 0)
+        sys.stdout.write(f"DIFFERENT {fault}\n")
+    return int(bool(faults))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

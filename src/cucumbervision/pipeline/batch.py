@@ -291,7 +291,8 @@ def outcome_of_killed(item: Item) -> Outcome[Any]:
     error = CaptureError(
         "the process that measured it was killed twice",
         source=item.name,
-        remedy="look whether there is enough memory, or measure it alone",
+        remedy="look whether there is enough memory, and room on the disk for temporary files, or "
+        "measure it alone",
     )
     return Outcome(failures=(Failure.of(error, item.input, item.name),))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.profiles import PACK_PROFILE, CropProfile, load_profile
-from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.errors import ModelError, ModelHashError, wrap_os_errors
 from cucumbervision.files import read_json
 from cucumbervision.perception.registry import file_sha256
 
@@ -79,7 +79,9 @@ def _network(folder: Path, task: str) -> Path | None:
     for path in paths:
         card = path.with_suffix(".json")
         content = read_json(card, ModelError) if card.is_file() else {}
-        if isinstance(content, dict) and content.get("sha256") not in (None, file_sha256(path)):
+        with wrap_os_errors("cannot be read", path, "put the network's file there", ModelError):
+            sha256 = file_sha256(path)
+        if isinstance(content, dict) and content.get("sha256") not in (None, sha256):
             raise ModelHashError(
                 f"is not the network that {card.name} describes",
                 source=path,

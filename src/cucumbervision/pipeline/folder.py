@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 import time
 import uuid
@@ -261,9 +262,11 @@ class Journal:
             self._segments = sorted(segments, key=lambda path: path.name)
             for number in range(len(self._segments)):
                 self._look_through(number)
-        last = self._segments[-1].name.split("-")[0] if self._segments else "0"
+        # A file of another name may have been put there.
+        numbers = [re.match("[0-9]{1,12}", path.name) for path in self._segments]
+        last = max((int(number[0]) for number in numbers if number), default=0)
         # The name includes the run: on a remote store, nothing locks out a second run.
-        self._run = f"{int(last.removesuffix('.jsonl')) + 1:06d}-{uuid.uuid4().hex[:8]}"
+        self._run = f"{last + 1:06d}-{uuid.uuid4().hex[:8]}"
         self._number = 0
         self._begin()
 

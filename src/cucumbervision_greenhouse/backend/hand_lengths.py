@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.measured import REPORTED, Measured, Reading
+from cucumbervision.accuracy.truth import Line, parse_number, read_table
+from cucumbervision.errors import TruthError
 from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 _SLIP = 2.0  # ratio to the program's length from which a length by hand is questioned
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
+_READ = ("capture", "fruit", "length_1_cm", "length_2_cm")
+_RESTORE = "correct the file, or delete it and type the lengths again"
 LENGTHS = 0.5, 100.0
 """Shortest and longest length that can be typed, in the unit of the page."""
 
@@ -203,21 +207,35 @@ def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
 def hand_lengths(
     path: Path, fruit: Sequence[DetectionSummary]
 ) -> dict[str, tuple[float | None, float | None]]:
-    """Return the table by fruit key; empty where there is none."""
+    """Return the table by fruit key; empty where there is none.
+
+    Raises
+    ------
+    TruthError
+        If the table was changed, and is none any more.
+    """
     if not path.exists():
         return {}
+    table = read_table(path, TruthError)
+    if missing := [name for name in _READ if name not in table.columns]:
+        raise TruthError(f"has no column {', '.join(missing)}", source=path, remedy=_RESTORE)
     keys = {(capture_name(view), str(view.record.number)): view.key for view in fruit}
     lengths: dict[str, tuple[float | None, float | None]] = {}
-    with path.open(encoding="utf-8", newline="") as stream:
-        for line in csv.DictReader(stream):
-            key = keys.get((line["capture"], line["fruit"]))
-            if key is not None:
-                lengths[key] = (_cell_m(line["length_1_cm"]), _cell_m(line["length_2_cm"]))
+    for line in table.lines:
+        key = keys.get((line.cells["capture"], line.cells["fruit"]))
+        if key is not None:
+            first, second = (_cell_m(line, name, path) for name in _READ[2:])
+            lengths[key] = first, second
     return lengths
 
 
-def _cell_m(cell: str) -> float | None:
-    return float(cell) / 100 if cell else None
+def _cell_m(line: Line, name: str, path: Path) -> float | None:
+    if not (cell := line.cells[name]):
+        return None
+    value_cm = parse_number(cell)
+    if value_cm is None or value_cm <= 0:
+        raise TruthError(f"line {line.number}: '{cell}' is no length", source=path, remedy=_RESTORE)
+    return value_cm / 100
 
 
 def _or_nan(value: float | None) -> float:

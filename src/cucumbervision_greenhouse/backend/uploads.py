@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import NameRefusedError, UploadError
 from cucumbervision.names import checked_name
@@ -299,7 +299,7 @@ class Uploads:
         try:
             text = (self.folder / key / _ABOUT).read_text(encoding="utf-8")
             return Upload.model_validate_json(text)
-        except (OSError, ValidationError):
+        except (OSError, ValueError):  # a ValidationError is a ValueError
             return None
 
     def _write(self, upload: Upload) -> None:

@@ -14,13 +14,15 @@ import shutil
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.frames import Stop, fuse_burst
 from cucumbervision.capture.raw_frames import SUFFIX, read_frame
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import MANIFEST, write_native
-from cucumbervision.errors import CaptureError, StoreError, wrap_os_errors
+from cucumbervision.errors import CaptureError, NameRefusedError, StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
 
 if TYPE_CHECKING:
@@ -270,7 +272,7 @@ class WaitingCaptures:
         queue, read_before = [], self._read
         for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
             # Another thread may have removed it.
-            with suppress(OSError, ValueError, KeyError, TypeError):
+            with suppress(OSError, ValueError, RecursionError):
                 queued_capture, tries = read_before.get(path) or _read(path), path.with_name(_TRIES)
                 queue.append(
                     replace(queued_capture, tries=tries.stat().st_size if tries.exists() else 0)
@@ -306,11 +308,23 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
+class _Description(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    key: str
+    round: str
+    pressed_s: Annotated[float, Field(allow_inf_nan=False)]
+    stop: dict[str, str | int | float | None]
+    source: str
+
+
 def _read(path: Path) -> Waiting:
-    description = json.loads(path.read_text(encoding="utf-8"))
-    stop = Stop(**description["stop"])
-    place = description["key"], description["round"], stop, description["pressed_s"]
-    return Waiting(*place, path.parent, description["source"])
+    said = _Description.model_validate(json.loads(path.read_text(encoding="utf-8")))
+    try:
+        stop = Stop(**said.stop)  # type: ignore[arg-type]
+    except (TypeError, AttributeError, NameRefusedError) as error:  # no such field, or no name
+        raise ValueError(str(error)) from None
+    return Waiting(said.key, said.round, stop, said.pressed_s, path.parent, said.source)
 
 
 def _sync(folder: Path) -> None:

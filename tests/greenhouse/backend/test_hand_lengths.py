@@ -9,6 +9,7 @@ from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_greenhouse.backend.hand_lengths import (
     hand_file,
@@ -54,3 +55,34 @@ def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Pa
     assert written == 1
     assert hand_lengths(path, fruit) == {fruit[0].key: (0.2, None)}
     assert hand_lengths(tmp_path / "none.csv", fruit) == {}
+
+
+def test_a_table_that_a_spreadsheet_saved_is_read(store: Store, tmp_path: Path) -> None:
+    """German Excel parts cells by semicolons, and writes decimal commas."""
+    fruit = store.detections(WALK)
+    path = tmp_path / "a.csv"
+    write_hand_lengths(path, fruit, {fruit[0].key: (0.2055, None)}, LengthDefinition.CHORD)
+    text = path.read_text().replace(",", ";").replace(".", ",")
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    ((first, second),) = hand_lengths(path, fruit).values()
+    assert (first, second) == (pytest.approx(0.2055), None)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (b"capture,", b"capt,", "has no column capture"),
+        (b"20.00", b"true", "line 2: 'true' is no length"),
+        (b"20.00", b"-1", "line 2: '-1' is no length"),
+        (b"20.00", b"inf", "line 2: 'inf' is no length"),
+        (b"20.00", b"2" * 200_000, "a.csv: "),
+    ],
+)
+def test_a_table_that_was_damaged_is_named(
+    before: bytes, after: bytes, words: str, store: Store, tmp_path: Path
+) -> None:
+    fruit, path = store.detections(WALK), tmp_path / "a.csv"
+    write_hand_lengths(path, fruit, {fruit[0].key: (0.2, None)}, LengthDefinition.CHORD)
+    path.write_bytes(path.read_bytes().replace(before, after))
+    with pytest.raises(TruthError, match=words):
+        hand_lengths(path, fruit)

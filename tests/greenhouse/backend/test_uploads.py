@@ -42,6 +42,17 @@ def test_a_file_goes_on_where_it_ended_after_a_reload_and_a_restart(tmp_path: Pa
     assert named == {"a.zip": b"abcdef", "b": b""}
 
 
+@pytest.mark.parametrize("damaged", [b"\xff", b"{", b"{}", b"[" * 100_000])
+def test_a_damaged_upload_does_not_hold_up_the_others(damaged: bytes, tmp_path: Path) -> None:
+    uploads = Uploads(tmp_path)
+    other = FILES.model_copy(update={"camera": "x", "files": FILES.files[:1]})
+    for sending in (FILES, other):
+        uploads.begin(sending, 10)
+    (tmp_path / FILES.key / "upload.json").write_bytes(damaged)
+    assert [upload.sending for upload in uploads.all()] == [other]
+    assert uploads.read(FILES.key) is None
+
+
 def test_what_cannot_be_announced_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

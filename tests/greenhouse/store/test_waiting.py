@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -110,6 +111,34 @@ def test_what_fails_again_and_again_is_set_aside_and_not_lost(tmp_path: Path) ->
         queue.begin(kept)
     assert queue.captures() == []
     assert queue.set_aside() == [replace(kept, tries=MOST_TRIES)]
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        b"\xff",
+        b"[" * 100_000,
+        b"[]",
+        b'{"stop": {"row": true}}',
+        b'{"stop": {"row": "a\\u0000"}}',
+        b'{"stop": {"place": 3}}',
+        b'{"key": 7}',
+        b'{"pressed_s": NaN}',
+    ],
+)
+def test_a_damaged_description_does_not_hold_up_the_others(
+    description: bytes, tmp_path: Path
+) -> None:
+    queue = WaitingCaptures(tmp_path)
+    damaged = queue.put(capture(), key_of("first"), ROUND, 1_700_000_000.0)
+    whole = queue.put(capture(1), key_of("second"), ROUND, 1_700_000_001.0)
+    path = damaged.folder / "waiting.json"
+    if description.startswith(b"{"):
+        values = {**json.loads(path.read_text()), **json.loads(description)}
+        description = json.dumps(values).encode()
+    path.write_bytes(description)
+    assert WaitingCaptures(tmp_path).captures() == [whole]
+    assert damaged.folder.is_dir()
 
 
 def test_a_full_or_closed_disk_leaves_nothing_half_done(tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def _open_sets(
         load = partial(_load, folder, entry, frame, camera_file, options)
         parts = [json.dumps(entry).encode(), *(path / file for file in files)]
         cameras = [] if camera_file is None else [camera_file.path]
-        yield name, frame, load, color, lambda parts=parts, own=cameras: [*parts, *own]
+        yield name, frame, load, color, partial(list, [*parts, *cameras])
 
 
 def _load(

@@ -212,7 +212,7 @@ class Fit:
         self.points, self.rays = Contacts.empty(count), Contacts.empty(len(evidence.rays))
         self.readings = self.points.struct, self.rays.struct
         self.nuisance = np.zeros(3 + waves)
-        stride = _BODY + _TILE * (-(-waves // _TILE)) + 1
+        stride = _BODY + _padded(waves) + 1
         self.normal, self.target = np.zeros((stride, stride)), np.zeros(stride)
         self.sums = _Equations(
             _BODY + waves, stride, self.normal, self.target, np.empty(_ROWS * stride)
@@ -228,9 +228,15 @@ class Fit:
         return bool(call("fit_shape", self.bases, self.seen, *moved, *results))
 
 
+def _padded(waves: int) -> int:
+    return _TILE * (-(-waves // _TILE))
+
+
 def _evidence(evidence: Evidence) -> _Evidence:
     count, rays, waves = len(evidence.points_m), len(evidence.rays), evidence.waves
-    waves_m = np.zeros((count, 0)) if evidence.waves_m is None else evidence.waves_m
+    waves_m = np.zeros((count, _padded(waves)))
+    if evidence.waves_m is not None:
+        waves_m[:, :waves] = _numbers(evidence.waves_m, count, waves)
     return _Evidence(
         count,
         rays,
@@ -240,7 +246,7 @@ def _evidence(evidence: Evidence) -> _Evidence:
         _numbers(evidence.points_far_m, count),
         _numbers(evidence.points_sd_m, count),
         _numbers(evidence.rays, rays, 3),
-        _numbers(waves_m, count, waves),
+        waves_m,
         float(evidence.rays_sd_rad),
         float(evidence.points_share),
         float(evidence.rays_share),

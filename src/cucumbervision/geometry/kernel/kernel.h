@@ -37,12 +37,17 @@ struct shape {
     double *bend_m, *width_m;
 };
 
-/* Evidence, with `directions`, `points_far_m` and `far_m` of it. */
+/* Evidence, with `directions`, `points_far_m` and `far_m` of it; rows of `waves_m` are padded with zeros. */
 struct evidence {
     int64_t points, rays, waves;
     const double *points_m, *directions, *points_far_m, *points_sd_m, *rays_m, *waves_m;
     double rays_sd_rad, points_share, rays_share, slip_m, far_m;
 };
+
+static inline int64_t padded(int64_t waves) { return (waves + TILE - 1) / TILE * TILE; }
+static inline const double *waves_of(const struct evidence *seen, int64_t i) {
+    return seen->waves_m + padded(seen->waves) * i;
+}
 
 /* Readings with their Gaps: index is the share times FINE, and tells the bases; `facing` is of
    depth points, `by_far` of the outline. `scratch` has as many numbers as there are readings. */

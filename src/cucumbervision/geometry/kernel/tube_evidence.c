@@ -4,6 +4,7 @@
 
 static const double TUKEY = 4.685, CAUCHY = 2.385, TIP_COSINE = 0.7;
 static const double GROUND_M = 0.0003, ACROSS = 0.3, MISFIT_SD = 5.0;
+static const double NEGLIGIBLE_M = 1e-15; /* a wave far from a reading does no more than that there */
 enum { TIP_RAYS = 2, LOCAL = 4 * (3 + 1) }; /* four control points weigh in a ball: bend and width */
 
 
@@ -14,8 +15,7 @@ void point_readings(const struct bases *bases, const struct evidence *seen, cons
         double facing = found->facing[i], by_depth = seen->points_sd_m[i] * facing;
         double across = ACROSS * seen->rays_sd_rad * seen->points_m[3 * i + 2];
         found->sd_m[i] = sqrt(by_depth * by_depth + across * across + GROUND_M * GROUND_M);
-        const double *waves = seen->waves_m + seen->waves * i;
-        found->gap_m[i] += facing * dot(waves, nuisance + SLIPS, seen->waves);
+        found->gap_m[i] += facing * dot(waves_of(seen, i), nuisance + SLIPS, seen->waves);
     }
 }
 
@@ -65,13 +65,14 @@ static void add_tile(const double *rows, int64_t count, int64_t width, int64_t p
         for (int c = 0; c < TILE; c++) normal[stride * r + c] += sum[r][c / 2][c % 2];
 }
 
-/* Add rows of one segment, whose tiles of unknowns begin at `place`. */
+/* Add rows of one segment, whose tiles of unknowns begin at `place`; only those that are used. */
 static void add_rows(const double *rows, int64_t count, int64_t tiles, const int64_t *place,
-                     struct equations *sums) {
+                     const bool *used, struct equations *sums) {
     for (int64_t p = 0; p < tiles; p++)
-        for (int64_t q = 0; q <= p; q++)
-            add_tile(rows, count, TILE * tiles, TILE * p, TILE * q,
-                     sums->normal + sums->stride * place[p] + place[q], sums->stride);
+        for (int64_t q = 0; q <= p && used[p]; q++)
+            if (used[q])
+                add_tile(rows, count, TILE * tiles, TILE * p, TILE * q,
+                         sums->normal + sums->stride * place[p] + place[q], sums->stride);
 }
 
 static double tukey(double u) {
@@ -100,14 +101,16 @@ static int64_t segment_of(int64_t index) {
 
 static void add_kind(const struct bases *bases, const struct evidence *seen, const struct readings *read,
                      bool is_rays, double share, double by, struct equations *sums) {
-    int64_t count = is_rays ? seen->rays : seen->points, waves = is_rays ? 0 : seen->waves;
-    int64_t tiles = LOCAL / TILE + (is_rays ? 1 : (waves + TILE - 1) / TILE), width = TILE * tiles;
-    int64_t place[LOCAL / TILE + 1 + (waves + TILE - 1) / TILE];
+    int64_t count = is_rays ? seen->rays : seen->points;
+    int64_t tiles = (LOCAL + (is_rays ? TILE : padded(seen->waves))) / TILE, width = TILE * tiles;
+    int64_t place[tiles];
+    bool used[tiles];
     for (int64_t segment = 0; segment < WIDTH_SEGMENTS; segment++) {
         for (int64_t t = 0; t < tiles; t++)
             place[t] = t < 3   ? 3 * (segment * BEND_SEGMENTS / WIDTH_SEGMENTS) + TILE * t
                        : t < 4 ? BENDS + segment
                                : (is_rays ? SHAPE : BODY) + TILE * (t - 4);
+        for (int64_t t = 0; t < tiles; t++) used[t] = is_rays || t < LOCAL / TILE;
         int64_t filled = 0;
         for (int64_t i = 0; i < count; i++) {
             if (segment_of(read->index[i]) != segment) continue;
@@ -121,13 +124,21 @@ static void add_kind(const struct bases *bases, const struct evidence *seen, con
                 row[LOCAL] = strength * read->away[3 * i], row[LOCAL + 1] = strength * read->away[3 * i + 1];
                 row[LOCAL + 2] = -strength, row[LOCAL + 3] = 0;
             } else {
-                for (int64_t k = 0; k < waves; k++) row[LOCAL + k] = strength * seen->waves_m[waves * i + k];
-                for (int64_t k = LOCAL + waves; k < width; k++) row[k] = 0;
+                for (int64_t t = LOCAL / TILE; t < tiles; t++) {
+                    const double *waves_m = waves_of(seen, i) + TILE * t - LOCAL;
+                    double sum = 0;
+                    for (int k = 0; k < TILE; k++) {
+                        row[TILE * t + k] = strength * waves_m[k];
+                        sum += fabs(waves_m[k]);
+                    }
+                    used[t] |= sum > NEGLIGIBLE_M;
+                }
             }
-            for (int64_t k = 0; k < width; k++) sums->target[place[k / TILE] + k % TILE] -= root * gap * row[k];
-            if (++filled == ROWS) add_rows(sums->rows, filled, tiles, place, sums), filled = 0;
+            for (int64_t t = 0; t < tiles; t++)
+                for (int k = 0; k < TILE; k++) sums->target[place[t] + k] -= root * gap * row[TILE * t + k];
+            if (++filled == ROWS) add_rows(sums->rows, filled, tiles, place, used, sums), filled = 0;
         }
-        add_rows(sums->rows, filled, tiles, place, sums);
+        add_rows(sums->rows, filled, tiles, place, used, sums);
     }
 }
 

@@ -104,10 +104,8 @@ int fit_shape(const struct bases *bases, const struct evidence *seen, struct sha
     ray_readings(bases, seen, shape, nuisance, rays);
     point_readings(bases, seen, shape, nuisance, points);
     *total_misfit = misfit(points, seen->points, seen->points_share) + misfit(rays, seen->rays, seen->rays_share);
-    for (int64_t i = 0; i < seen->points; i++) {
-        const double *waves = seen->waves_m + seen->waves * i;
-        points->gap_m[i] -= points->facing[i] * dot(waves, nuisance + SLIPS, seen->waves);
-    }
+    for (int64_t i = 0; i < seen->points; i++)
+        points->gap_m[i] -= points->facing[i] * dot(waves_of(seen, i), nuisance + SLIPS, seen->waves);
     invert(sums, sums->rows, covariance);
     ends_seen(bases, shape, seen->rays, seen->rays_m, rays, seen_ends);
     return isfinite(*total_misfit);

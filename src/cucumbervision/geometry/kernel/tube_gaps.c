@@ -87,14 +87,20 @@ static void lowest(const struct balls *at, struct block *block, int rays) {
 
 /* Balls that the rays of a block enter first, and how far away; MISSED_M where they enter none. */
 static void entered(const struct balls *at, struct block *block) {
-    double values[BLOCK];
+    double values[BLOCK], inside[BLOCK];
+    for (int j = 0; j < block->count; j++) block->least[j] = MISSED_M;
     for (int k = 0; k < BALLS; k++) {
         double reach = at->radius[k] * fabs(at->radius[k]) - at->squared[k];
+        int64_t hits = 0;
         for (int j = 0; j < block->count; j++) {
-            double entry = block->x[j] * at->x[k] + block->y[j] * at->y[k] + block->z[j] * at->z[k];
-            double inside = entry * entry + reach;
-            double root = sqrt(inside > 0 ? inside : 0);
-            values[j] = inside > 0 ? entry - root : MISSED_M;
+            values[j] = block->x[j] * at->x[k] + block->y[j] * at->y[k] + block->z[j] * at->z[k];
+            inside[j] = values[j] * values[j] + reach;
+            hits += inside[j] > 0;
+        }
+        if (!hits) continue;
+        for (int j = 0; j < block->count; j++) {
+            double root = sqrt(inside[j] > 0 ? inside[j] : 0);
+            values[j] = inside[j] > 0 ? values[j] - root : MISSED_M;
         }
         keep_least(block, values, k);
     }

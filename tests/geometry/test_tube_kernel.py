@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from tests.geometry.test_tube_fit import surface, tangent_rays
 
 from cucumbervision.geometry import tube_kernel
+from cucumbervision.geometry.pixels import median_of
 from cucumbervision.geometry.tube import TubeShape, guess_shape
 from cucumbervision.geometry.tube_evidence import (
     BODY,
     SHAPE,
     Evidence,
     ends_seen,
-    median_of,
     normal_equations,
     point_readings,
     ray_readings,

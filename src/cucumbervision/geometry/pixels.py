@@ -75,6 +75,20 @@ def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) 
     return np.where(count > 0, middle, np.nan).squeeze(axis).astype(values.dtype)
 
 
+def median_of(values: NDArray[np.float64]) -> float:
+    """Return the median of some numbers; `numpy.median` takes three times as long for hundreds.
+
+    Examples
+    --------
+    >>> median_of(np.array([3.0, 1.0, 2.0])), median_of(np.array([4.0, 1.0, 2.0, 3.0]))
+    (2.0, 2.5)
+    """
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    return float(np.partition(values, (half - 1, half))[half - 1 : half + 1].sum()) / 2
+
+
 def outline_cracks(
     mask: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

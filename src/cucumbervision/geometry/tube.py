@@ -10,6 +10,7 @@ import numpy as np
 
 from cucumbervision.geometry.axis import principal_axis
 from cucumbervision.geometry.curve import arc_positions
+from cucumbervision.geometry.pixels import median_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +147,7 @@ def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / depth_m))
         off = np.abs(1 / depth_m - terms @ plane) * depth_m**2
         weight = 1 / np.maximum(off, _LEAST_OFF_M)
-    inliers: NDArray[np.bool_] = off <= 3.0 * np.median(off) + _DEEP_M
+    inliers: NDArray[np.bool_] = off <= 3.0 * median_of(off) + _DEEP_M
     return inliers
 
 
@@ -183,13 +184,13 @@ def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None =
         power = np.stack([np.ones_like(along), along, along**2], axis=1)
         bow = np.linalg.lstsq(power[inliers], off[inliers], rcond=None)[0]
         residual = off - power @ bow
-        distance = np.linalg.norm(residual, axis=1)
-        inliers = level & (distance <= 3.0 * np.median(distance[inliers]) + 1e-6)
+        distance = np.sqrt(np.einsum("ij,ij->i", residual, residual))
+        inliers = level & (distance <= 3.0 * median_of(distance[inliers]) + 1e-6)
     view = centroid / np.linalg.norm(centroid)
     side = np.cross(axis, view)
     norm = float(np.linalg.norm(side))
     across = np.abs(residual[inliers] @ side) / norm if norm > 0.05 else distance[inliers]
-    radius = 2.0 * float(np.median(across))
+    radius = 2.0 * median_of(across)
     start, stop = np.quantile(along[inliers], [0.002, 0.998])
     short = min(radius, 0.4 * (stop - start))
     t = np.linspace(start + short, stop - short, 33)

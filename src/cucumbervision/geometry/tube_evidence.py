@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry.pixels import median_of
 from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, TubeShape
 from cucumbervision.geometry.tube_gaps import Gaps, depth_gaps, gaps
 
@@ -219,20 +220,6 @@ def normal_equations(
         normal[columns, columns] += weighted.T @ weighted
         target[columns] -= (root * gap) @ weighted
     return normal, target
-
-
-def median_of(values: NDArray[np.float64]) -> float:
-    """Return the median of some numbers; `numpy.median` takes three times as long for hundreds.
-
-    Examples
-    --------
-    >>> median_of(np.array([3.0, 1.0, 2.0])), median_of(np.array([4.0, 1.0, 2.0, 3.0]))
-    (2.0, 2.5)
-    """
-    half = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, half)[half])
-    return float(np.partition(values, (half - 1, half))[half - 1 : half + 1].sum()) / 2
 
 
 def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:

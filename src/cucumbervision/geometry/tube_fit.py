@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry import tube_kernel
+from cucumbervision.geometry.pixels import median_of
 from cucumbervision.geometry.tube import BALLS, TubeShape, bases
 from cucumbervision.geometry.tube_evidence import (
     BODY,
@@ -15,7 +16,6 @@ from cucumbervision.geometry.tube_evidence import (
     SLIPS,
     Evidence,
     ends_seen,
-    median_of,
     normal_equations,
     point_readings,
     ray_readings,

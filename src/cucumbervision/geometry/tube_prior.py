@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry.pixels import median_of
 from cucumbervision.geometry.tube import BEND_SEGMENTS, TubeShape, bases
-from cucumbervision.geometry.tube_evidence import BODY, SLIPS, median_of
+from cucumbervision.geometry.tube_evidence import BODY, SLIPS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.pixels import median_of
 from cucumbervision.measurement.depth_noise import depth_noise
 
 if TYPE_CHECKING:
@@ -178,24 +179,22 @@ def beyond_ends(
         if not (len(rows) and len(columns)):
             ends.append(BeyondEnd())
             continue
-        window = np.ix_(rows, columns)
+        window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
         z, fruit_mask = depth_m[window], mask[window]
-        off = np.stack(
-            np.meshgrid(columns - centres_px[tip, 0], rows - centres_px[tip, 1]), axis=-1
-        )
-        away, ahead = np.linalg.norm(off, axis=-1), _unit(centres_px[tip] - centres_px[before])
-        surface = z[fruit_mask & valid_depth(z) & (away < radii_px[tip] + body_px)]
+        x, y = columns - centres_px[tip, 0], (rows - centres_px[tip, 1])[:, None]
+        away, ahead = np.sqrt(x * x + y * y), _unit(centres_px[tip] - centres_px[before])
+        read = valid_depth(z)
+        surface = z[fruit_mask & read & (away < radii_px[tip] + body_px)]
         gap = away - radii_px[tip]
-        is_ahead = (
-            ~fruit_mask & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < far_px)
-        )
+        is_ahead = ~fruit_mask & (gap > _RING_PX[0]) & (gap < far_px)
+        is_ahead &= x * ahead[0] + y * ahead[1] > _AHEAD * away
         close = is_ahead & (gap < _RING_PX[1])
         if len(surface) < _LEAST_READINGS or not close.any():
             ends.append(BeyondEnd())
             continue
-        at_m = float(np.median(surface))
+        at_m = median_of(surface)
         noise_m = float(depth_noise(np.array(at_m), intrinsics.fx_px))
-        off_m, read = z - at_m, valid_depth(z)
+        off_m = z - at_m
         clear_m = _IN_FRONT_M + _IN_FRONT_SD * noise_m
         nearer, behind = close & read & (off_m < -clear_m), is_ahead & read & (off_m > clear_m)
         covered = bool(nearer.sum() > _COVERED_SHARE * close.sum())

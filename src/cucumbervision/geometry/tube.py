@@ -84,7 +84,7 @@ def cubic_basis(t: NDArray[Any], segments: int) -> NDArray[np.float64]:
     return np.asarray(BSpline.design_matrix(t, knots, 3).toarray(), dtype=np.float64)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def bases(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the bases of centre and radius at evenly spaced places, (count, 7) and (count, 15)."""
     t = np.linspace(0.0, 1.0, count)
@@ -109,8 +109,7 @@ def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape
     >>> (centres[:, [0, 2]].round(4) + 0.0).tolist(), radii.round(4).tolist()
     ([[0.0, 0.5], [0.1, 0.5], [0.2, 0.5]], [0.02, 0.02, 0.02])
     """
-    basis = cubic_basis(np.linspace(0, 1, len(curve_m)), BEND_SEGMENTS)
-    bend = np.linalg.lstsq(basis, curve_m, rcond=None)[0]
+    bend = np.linalg.lstsq(bases(len(curve_m))[0], curve_m, rcond=None)[0]
     return TubeShape(np.asarray(bend, dtype=np.float64), np.full(WIDTH_SEGMENTS + 3, radius_m))
 
 

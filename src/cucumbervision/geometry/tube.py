@@ -309,10 +309,11 @@ def guess_from_midline(
     inside = _nearest(cKDTree(picture[~mask]), points, 1)[0][:, 0]
     pairs = tree.query_pairs(1.6 * step, output_type="ndarray")
     lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    first = _farthest(_paths(pairs, lengths, len(points), int(np.argmax(inside)))[0])
-    last = _farthest(_paths(pairs, lengths, len(points), first)[0])
+    within = _graph(pairs, lengths, len(points))
+    first = _farthest(_paths(within, int(np.argmax(inside)))[0])
+    last = _farthest(_paths(within, first)[0])
     cost = lengths / (inside[pairs].mean(axis=1) / inside.max()) ** 2
-    before = _paths(pairs, cost, len(points), first)[1]
+    before = _paths(_graph(pairs, cost, len(points)), first)[1]
     line = [last]
     while line[-1] != first and len(line) < len(points):
         line.append(int(before[line[-1]]))
@@ -337,14 +338,18 @@ def _nearest(
     return np.asarray(distance), np.asarray(number)
 
 
-def _paths(
-    pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int, start: int
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    # What the way from a point to each other point costs, and the last point before that one.
-    from scipy.sparse import coo_array, csgraph
+def _graph(pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int) -> Any:
+    # Of points: what the way between the two of each pair costs.
+    from scipy.sparse import coo_array
 
     ends = pairs.T.astype(np.int32)  # SciPy 1.13 takes no other indices
-    graph = coo_array((cost, (ends[0], ends[1])), shape=(count, count)).tocsr()
+    return coo_array((cost, (ends[0], ends[1])), shape=(count, count)).tocsr()
+
+
+def _paths(graph: Any, start: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    # What the way from a point to each other point costs, and the last point before that one.
+    from scipy.sparse import csgraph
+
     result: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]
     return np.asarray(result[0]), np.asarray(result[1])
 

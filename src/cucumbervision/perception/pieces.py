@@ -180,9 +180,10 @@ class _Body:
         if np.count_nonzero(is_read) < _FEWEST or np.ptp(points[0]) < _WIDE * girth_px:
             return None
         positions_px = points[0, is_read]
-        degree = int(np.ptp(positions_px) > 1.5 * girth_px)
-        depth = np.polyfit(positions_px, readings[is_read].astype(np.float64), degree)
-        return cls(points, centre, axes, girth_px, np.pad(depth, (2 - len(depth), 0)))
+        body_m = readings[is_read].astype(np.float64)
+        is_long = np.ptp(positions_px) > 1.5 * girth_px
+        depth = _line(positions_px, body_m) if is_long else (0.0, float(body_m.mean()))
+        return cls(points, centre, axes, girth_px, np.array(depth))
 
     def end(self, side: int) -> tuple[float, Array, Array]:
         """Return the position of one end on the axis and in the picture, and its direction."""
@@ -192,13 +193,20 @@ class _Body:
         is_smooth = at_end & (along < last - _TORN * self.girth_px)
         slope, base = 0.0, float(across[at_end].mean())
         if is_smooth.any() and np.ptp(along[is_smooth]) > self.girth_px:
-            slope, base = np.polyfit(along[is_smooth], across[is_smooth], 1)
+            slope, base = _line(along[is_smooth], across[is_smooth])
         slope = float(np.clip(slope, -_STEEPEST, _STEEPEST))
         ahead = side * self.axes[0] + slope * self.axes[1]
         # Start inside the mask, so that a round end is recognised.
         start = last - _TORN * self.girth_px
         tip = self.centre + side * start * self.axes[0] + (base + slope * start) * self.axes[1]
         return side * start, tip, ahead / np.linalg.norm(ahead)
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Return slope and base of the line through points by least squares."""
+    off = x - x.mean()
+    slope = float(off @ y / (off @ off))
+    return slope, float(y.mean() - slope * x.mean())
 
 
 def _continuation(

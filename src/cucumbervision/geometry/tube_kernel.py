@@ -58,11 +58,13 @@ def library() -> Any:
         return None
     try:
         loaded = ctypes.CDLL(str(FOLDER / "kernel.so"))
-    except OSError:
+        loaded.source_hash.restype = ctypes.c_char_p
+    except (OSError, AttributeError):
         return None
-    loaded.source_hash.restype = ctypes.c_char_p
+    if loaded.source_hash().decode() != source_hash():
+        return None
     loaded.misfit.restype = loaded.scatter.restype = ctypes.c_double
-    return loaded if loaded.source_hash().decode() == source_hash() else None
+    return loaded
 
 
 class _Struct(ctypes.Structure):

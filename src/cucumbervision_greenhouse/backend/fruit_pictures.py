@@ -15,7 +15,8 @@ from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.measurement.methods import method_color
 from cucumbervision.pipeline.overlay import as_jpeg, draw_polyline, mask_outlines, path_px
-from cucumbervision_greenhouse.backend.words import length_words
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.words import label_words, length_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -84,7 +85,7 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     """
     valid = valid_depth(depth_m)
     if not valid.any():
-        return np.zeros((*depth_m.shape, 3), np.uint8), "no reading at all"
+        return np.zeros((*depth_m.shape, 3), np.uint8), _("no reading at all")
     nearest_m, farthest_m = np.percentile(depth_m[valid], [1, 99])
     share = np.clip((farthest_m - depth_m) / max(farthest_m - nearest_m, 1e-3), 0, 1)
     colored = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
@@ -93,7 +94,9 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     nearest_words, farthest_words = (
         f"{units.value(float(x)):.0f} {units.name}" for x in (nearest_m, farthest_m)
     )
-    words = f"red {nearest_words}, blue {farthest_words}, black no reading"
+    words = _("red {nearest}, blue {farthest}, black no reading").format(
+        nearest=nearest_words, farthest=farthest_words
+    )
     return cast("NDArray[np.uint8]", picture), words
 
 
@@ -119,27 +122,31 @@ def fruit_layers(
     """
 
     def layer(name: str, color: str, on: bool, shapes: list[dict[str, Any]]) -> dict[str, Any]:
-        detail = name != "Outline"
+        detail = name != _("Outline")
         return {"name": name, "color": color, "on": on, "detail": detail, "shapes": shapes}
 
     layers = []
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
         areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
-        layers.append(layer("Outline", _MASK_COLOR, True, areas))
-    layers.append(layer("Box", _BOX_COLOR, record.mask is None, [_box_line(record)]))
+        layers.append(layer(_("Outline"), _MASK_COLOR, True, areas))
+    layers.append(layer(_("Box"), _BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
         visible = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
         dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in visible]
-        layers.append(layer("Keypoints", _KEYPOINT_COLOR, False, dots))
+        layers.append(layer(_("Keypoints"), _KEYPOINT_COLOR, False, dots))
     for method in record.methods:
         if shapes := _path_shapes(method, camera):
-            name = f"{method.method} axis" if method.diameter_m else method.method
+            name = method.method
+            if method.diameter_m:
+                name = _("{method} axis").format(method=method.method)
             chosen = method.method == record.method
             layers.append(layer(name, method_color(method.method), chosen, shapes))
     if together is not None:
         edge = tube_outline(together, camera).round(1).reshape(-1).tolist()
-        layers.append(layer("All views", _JOINT_COLOR, False, [{"kind": "area", "points": edge}]))
+        layers.append(
+            layer(_("All views"), _JOINT_COLOR, False, [{"kind": "area", "points": edge}])
+        )
     return layers
 
 
@@ -231,7 +238,9 @@ def stop_layers(
     for view in fruit:
         record, name = view.record, grades[view.key]
         color = class_color(name)
-        shapes = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
+        shapes = layers.setdefault(
+            name, {"name": label_words(name), "color": color, "on": True, "shapes": []}
+        )
         rle = record.mask or masks.get(record.number)
         if rle is None:
             lines = [_box_line(record)]
@@ -290,7 +299,9 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
         return None
     length_m = _BAR_M[units.name]
     distance = units.value(distance_m)
-    label = f"{units.value(length_m):g} {units.name} at {distance:.0f} {units.name} distance"
+    label = _("{length} at {distance} distance").format(
+        length=f"{units.value(length_m):g} {units.name}", distance=f"{distance:.0f} {units.name}"
+    )
     return {"px": round(length_m * camera.fx_px / distance_m, 1), "label": label}
 
 

@@ -180,15 +180,15 @@ def decimal_words(digits: str) -> str:
     return digits if language() == "en" else digits.replace(".", ",")
 
 
-def day_month_words(day: date, *, weekday: bool = True) -> str:
+def day_month_words(day: date) -> str:
     """Return a date with its weekday, without the year.
 
     Examples
     --------
-    >>> day_month_words(date(2023, 11, 14)), day_month_words(date(2023, 11, 4), weekday=False)
-    ('Tue 14 Nov', '4 Nov')
+    >>> day_month_words(date(2023, 11, 4))
+    'Sat 4 Nov'
     """
-    return _date(day, "EEE d MMM" if weekday else "d MMM")
+    return _date(day, "EEE d MMM")
 
 
 def moment_words(moment: datetime) -> str:
@@ -200,6 +200,19 @@ def moment_words(moment: datetime) -> str:
     '04 Nov 2023 09:05'
     """
     return _date(moment, "dd MMM y HH:mm")
+
+
+def date_names() -> tuple[list[str], list[str]]:
+    """Return the short names of the weekdays, from Sunday, and of the months, from January.
+
+    Examples
+    --------
+    >>> weekdays, months = date_names()
+    >>> weekdays[0], months[11]
+    ('Sun', 'Dec')
+    """
+    weekdays = [_date(date(2023, 1, number), "EEE") for number in range(1, 8)]
+    return weekdays, [_date(date(2023, number, 1), "MMM") for number in range(1, 13)]
 
 
 def _date(moment: date, pattern: str) -> str:

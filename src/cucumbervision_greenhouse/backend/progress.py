@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import counted
 
 if TYPE_CHECKING:
@@ -64,19 +65,41 @@ class Progress:
         """
         captures, total = "", self.waiting + self.measured
         if self.waiting and self.fault:
-            waits = counted(self.waiting, "capture waits", "captures wait")
-            return f"{waits} to be measured: {self.fault}"
+            return counted(
+                self.waiting,
+                "{n} capture waits to be measured: {fault}",
+                "{n} captures wait to be measured: {fault}",
+                fault=self.fault,
+            )
         if self.waiting:
-            captures = f"Measuring: {self.measured} of {counted(total, 'capture', 'captures')}"
-        files = f"checking {counted(self.checking, 'file', 'files')}" if self.checking else ""
+            captures = counted(
+                total,
+                "Measuring: {done} of {n} capture",
+                "Measuring: {done} of {n} captures",
+                done=self.measured,
+            )
+        files = ""
+        if self.checking:
+            files = counted(self.checking, "checking {n} file", "checking {n} files")
         if captures or files:
-            elsewhere = f"{self.elsewhere} of other rounds wait too" if self.elsewhere else ""
+            elsewhere = ""
+            if self.elsewhere:
+                elsewhere = counted(
+                    self.elsewhere,
+                    "{n} of other rounds waits too",
+                    "{n} of other rounds wait too",
+                )
             words = "; ".join(filter(None, (captures, files, elsewhere)))
             return words[0].upper() + words[1:]
         if self.title:
-            return f"{self.title}: {self.done} of {self.total}" if self.total else f"{self.title} …"
+            words = _("{title}: {done} of {all}") if self.total else "{title} …"
+            return words.format(title=_(self.title), done=self.done, all=self.total)
         if self.elsewhere:
-            return f"Measuring {counted(self.elsewhere, 'capture', 'captures')} of other rounds"
+            return counted(
+                self.elsewhere,
+                "Measuring {n} capture of other rounds",
+                "Measuring {n} captures of other rounds",
+            )
         return ""
 
     @property
@@ -91,14 +114,19 @@ class Progress:
         '1 capture could not be measured; it is kept beside the store.'
         """
         if self.waiting:
-            saved = counted(self.waiting, "capture is", "captures are")
-            return f"{saved} saved, and none is measured yet. Their results appear here."
+            return counted(
+                self.waiting,
+                "{n} capture is saved, and not measured yet. Its results appear here.",
+                "{n} captures are saved, and none is measured yet. Their results appear here.",
+            )
         if self.checking:
-            return "Uploaded files are being read. Their results appear here."
+            return _("Uploaded files are being read. Their results appear here.")
         if self.aside:
-            verb = "it is" if self.aside == 1 else "they are"
-            lost = counted(self.aside, "capture", "captures")
-            return f"{lost} could not be measured; {verb} kept beside the store."
+            return counted(
+                self.aside,
+                "{n} capture could not be measured; it is kept beside the store.",
+                "{n} captures could not be measured; they are kept beside the store.",
+            )
         return ""
 
     @property

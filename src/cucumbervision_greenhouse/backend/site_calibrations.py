@@ -21,6 +21,8 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError
 from cucumbervision.measurement.result import MethodName, calibration_key
 from cucumbervision.names import checked_name
+from cucumbervision_greenhouse.backend.language import decimal_words, number_words
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.words import counted, round_day
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 
@@ -119,26 +121,48 @@ def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) 
     words = []
     if site.depth_scale is not None:
         percent = 100 * (site.depth_scale.value - 1)
-        direction = "long" if percent > 0 else "short"
-        pictures = counted(site.depth_scale.captures, "picture", "pictures")
         words.append(
-            f"The camera reads {abs(percent):.1f} % too {direction}; that is taken out "
-            f"({pictures} of a printed grid)."
+            counted(
+                site.depth_scale.captures,
+                "The camera reads {percent} % too long; that is taken out ({n} picture of a "
+                "printed grid).",
+                "The camera reads {percent} % too long; that is taken out ({n} pictures of a "
+                "printed grid).",
+                percent=number_words(abs(percent), 1),
+            )
+            if percent > 0
+            else counted(
+                site.depth_scale.captures,
+                "The camera reads {percent} % too short; that is taken out ({n} picture of a "
+                "printed grid).",
+                "The camera reads {percent} % too short; that is taken out ({n} pictures of a "
+                "printed grid).",
+                percent=number_words(abs(percent), 1),
+            )
         )
     entry = site.entry(calibration_key(MethodName.M6, length), length)
     if entry is not None:
+        share = decimal_words(f"{100 * (entry.scale - 1):+.1f} %")
+        offset = f"{'+' if entry.offset_m >= 0 else '−'} {units.text(abs(entry.offset_m))}"
         change = {
-            Form.NONE: "Lengths stay as they are",
-            Form.SCALE: f"Lengths change by {100 * (entry.scale - 1):+.1f} %",
-            Form.SCALE_OFFSET: f"Lengths change by {100 * (entry.scale - 1):+.1f} % "
-            f"{'+' if entry.offset_m >= 0 else '−'} {units.text(abs(entry.offset_m))}",
+            Form.NONE: _("Lengths stay as they are"),
+            Form.SCALE: _("Lengths change by {change}").format(change=share),
+            Form.SCALE_OFFSET: _("Lengths change by {change}").format(change=f"{share} {offset}"),
         }[entry.form]
         words.append(
-            f"{change}: error {entry.error_before_percent:.1f} % before and "
-            f"{entry.error_after_percent:.1f} % after ({counted(entry.fruit, 'fruit', 'fruit')} "
-            "measured by hand, each left out in turn)."
+            counted(
+                entry.fruit,
+                "{change}: error {before} % before and {after} % after ({n} fruit measured by "
+                "hand).",
+                "{change}: error {before} % before and {after} % after ({n} fruit measured by "
+                "hand, each left out in turn).",
+                change=change,
+                before=number_words(entry.error_before_percent, 1),
+                after=number_words(entry.error_after_percent, 1),
+            )
         )
-    return " ".join(words) or f"Corrects other lengths than the {length}."
+    kind = {"centreline": _("centreline"), "thread": _("thread"), "chord": _("chord")}[length]
+    return " ".join(words) or _("Corrects other lengths than the {kind}.").format(kind=kind)
 
 
 def bias_words(own_truth: OwnTruth, units: Units) -> str:
@@ -153,13 +177,21 @@ def bias_words(own_truth: OwnTruth, units: Units) -> str:
     ]
     errors_m = [measured_m - length.length_m for length, measured_m in pairs if measured_m]
     if not errors_m:
-        return "None of these fruit has a length of the kind that was measured by hand."
+        return _("None of these fruit has a length of the kind that was measured by hand.")
     mean_m, off_m = fmean(errors_m), fmean(map(abs, errors_m))
-    fruit = counted(len(errors_m), "fruit", "fruit")
-    direction = "long" if mean_m > 0 else "short"
-    return (
-        f"{fruit}: measured {units.text(abs(mean_m))} too {direction} on average; "
-        f"a single fruit is {units.text(off_m)} off."
+    parts = {"mean": units.text(abs(mean_m)), "off": units.text(off_m)}
+    if mean_m > 0:
+        return counted(
+            len(errors_m),
+            "{n} fruit: measured {mean} too long on average; a single fruit is {off} off.",
+            "{n} fruit: measured {mean} too long on average; a single fruit is {off} off.",
+            **parts,
+        )
+    return counted(
+        len(errors_m),
+        "{n} fruit: measured {mean} too short on average; a single fruit is {off} off.",
+        "{n} fruit: measured {mean} too short on average; a single fruit is {off} off.",
+        **parts,
     )
 
 

@@ -11,6 +11,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
 from cucumbervision_greenhouse.backend.jobs import Job
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.measuring import measure_waiting
 from cucumbervision_greenhouse.backend.progress import Progress, progress_of
 from cucumbervision_greenhouse.backend.resources import (
@@ -46,7 +47,7 @@ def wake() -> Job | None:
         return jobs[0] if jobs else None
     parts = waiting(), measurer(), store(), settings().options, _settle
     # A partial function is not bound to a page, so that it may run with no page open.
-    jobs[:] = [worker().submit("Measuring", partial(measure_waiting, *parts), None)]
+    jobs[:] = [worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)]
     return jobs[0]
 
 
@@ -66,7 +67,7 @@ def measure_uploads() -> None:
     for key in uploads().to_measure():
         if key not in _uploading():
             _uploading().add(key)
-            worker().submit("Measuring", partial(_measure_upload, key), None)
+            worker().submit(marked("Measuring"), partial(_measure_upload, key), None)
 
 
 def _measure_upload(key: str, _: Job) -> None:
@@ -85,7 +86,7 @@ def _settle(round_key: str) -> str:
     fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
     mergings()[round_key] += 1
     work = partial(_measure_all_views, round_key)
-    worker().submit("Measuring fruit by all their views", work, round_key)
+    worker().submit(marked("Measuring fruit by all their views"), work, round_key)
     return fault
 
 
@@ -112,7 +113,7 @@ def merge(round_key: str) -> None:
     def work(job: Job) -> None:
         job.notes += filter(None, [_settle(round_key)])
 
-    worker().submit("Merging views of the same fruit", work, round_key)
+    worker().submit(marked("Merging views of the same fruit"), work, round_key)
 
 
 def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry:
@@ -162,9 +163,9 @@ def prepare() -> Job | None:
     if wake() is not None:
         return None
     if store().rounds() or store().rounds(deleted=True):
-        return worker().submit("Loading the networks", _warm_up)
+        return worker().submit(marked("Loading the networks"), _warm_up)
     round_for_capture(store(), "", simulated=True, profile=settings().profile)
-    return worker().submit("Measuring the bundled captures", _demonstrate, DEMONSTRATION)
+    return worker().submit(marked("Measuring the bundled captures"), _demonstrate, DEMONSTRATION)
 
 
 def _demonstrate(job: Job) -> None:
@@ -174,7 +175,7 @@ def _demonstrate(job: Job) -> None:
     done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
     job.notes += (added.failure.message for added in done if added.failure is not None)
     merge(DEMONSTRATION)
-    worker().submit("Loading the networks", _warm_up)
+    worker().submit(marked("Loading the networks"), _warm_up)
 
 
 def _warm_up(_: Job) -> None:

@@ -19,7 +19,7 @@ from cucumbervision_greenhouse.store.records import key_of
 
 MOST_TRIES = 3  # limit for an upload that crashes the program each time
 _ABOUT = "upload.json"
-_MOST_FILES = 1000
+MOST_FILES = 1000
 _KEPT = 20  # number of uploads whose outcomes are kept
 _UNCOUNTED = {"captures": None, "measured": 0}
 _RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
@@ -92,7 +92,7 @@ class Sending(_Frozen):
     """An upload as a browser announces it."""
 
     round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
-    files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=_MOST_FILES)]
+    files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=MOST_FILES)]
     place: SentPlace = SentPlace()
     camera: Name = ""
 

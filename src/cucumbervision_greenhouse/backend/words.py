@@ -20,6 +20,7 @@ from cucumbervision_greenhouse.backend.language import (
     number_words,
 )
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -127,13 +128,26 @@ def pick_words(pick: Pick) -> str:
     return f"{_(UNDECIDED)}: {choice_words(pick.possible)}"
 
 
-# Names of the crops and classes that the program brings.
+# Where an outline is from, as `MaskSource.words` names it.
+_OUTLINES = (marked("data set"), marked("detector"), marked("hand"))
+
+# Verdicts, as the filters of a list name them.
+_VERDICTS = (marked("accepted"), marked("rejected"))
+
+_DEMONSTRATION = marked("Demonstration (computer-made example)")
+
+# Names and sources of the crops that the program brings.
 _CROPS = (
     marked("long greenhouse cucumber"),
     marked("mini cucumber"),
     marked("aubergine, elongated"),
     marked("courgette"),
     marked("green bean"),
+    marked("greenhouse classes of the CucumberVision paper"),
+    marked("UNECE FFV-15, crookedness; crooked fruit are class II, packed apart"),
+    marked("Regulation (EEC) No 1677/88, III: grown under glass"),
+    marked("Regulation (EEC) No 1677/88, III: shortest length for the weight, Extra and I"),
+    marked("assumption: lengths that are usual in trade"),
 )
 
 
@@ -156,7 +170,8 @@ def label_words(label: str) -> str:
     >>> label_words("class I"), label_words("too long")
     ('class I', 'too long')
     """
-    return class_words(label.removeprefix("class "))
+    name = label.removeprefix("class ")
+    return _(label) if name == label else class_words(name)
 
 
 def choice_words(names: Iterable[str]) -> str:
@@ -228,8 +243,17 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     return _("at least {length}").format(length=length) if record.at_least else length
 
 
-def interval_words(record: DetectionRecord, units: Units) -> str | None:
+def interval_words(record: DetectionRecord, units: Units, words: str = "") -> str | None:
     """Return a length's interval from end to end; None where it has none, or is a lower bound.
+
+    Parameters
+    ----------
+    record : DetectionRecord
+        The fruit.
+    units : Units
+        Unit of lengths.
+    words : str
+        Other words around {low} and {high}.
 
     Examples
     --------
@@ -243,7 +267,7 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     length = record.length
     if length is None or record.at_least or not (length.low_m and length.high_m):
         return None
-    return _("{low} to {high}").format(
+    return (words or _("{low} to {high}")).format(
         low=number_words(units.value(length.low_m) or 0.0, units.digits),
         high=units.text(length.high_m),
     )
@@ -364,11 +388,16 @@ def date_words(at_s: float, now_s: float) -> str:
     return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_words(at_s))
 
 
+def _name_of(round_summary: RoundSummary) -> str:
+    name = round_summary.record.name
+    return _(name) if is_demonstration(round_summary.key) else name
+
+
 def round_name(round_summary: RoundSummary) -> str:
     """Return a round's name in a list: its name, house, day and number of stops."""
     house = f", {round_summary.record.house}" if round_summary.record.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
-    name, day = round_summary.record.name or _("Round"), round_day(round_summary.walked_s)
+    name, day = _name_of(round_summary) or _("Round"), round_day(round_summary.walked_s)
     return f"{name}{house} · {day} · {stops}"
 
 

@@ -15,6 +15,8 @@ from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.answers import send_changes
 from cucumbervision_greenhouse.backend.fruit_pictures import depth_picture, scale_bar
+from cucumbervision_greenhouse.backend.language import ask_for, language, marked
+from cucumbervision_greenhouse.backend.language import gettext as _
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +25,15 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.backend.camera_feed import Preview
 
 
+# What the core advises.
+_ADVICE = (
+    marked("No depth: too near, or the lens is covered"),
+    marked("Too near: step back"),
+    marked("Too far: step closer"),
+    marked("The camera moves: hold still"),
+    marked("Many holes: avoid glare, hold still"),
+    marked("Good distance and depth"),
+)
 _LOOK_S = 0.03  # interval between checks for a new picture
 _PREVIEW_PX = 640
 _STILL_PX, _STILL_LEVELS = (64, 36), 3  # blocks of this size average a camera's noise
@@ -32,13 +43,14 @@ async def preview(socket: WebSocket) -> None:
     """Send a feed's pictures, each once the last one was shown, and only if it differs."""
     kind: Any = "replay" if socket.query_params.get("source") == "replay" else "camera"
     sent = Shown()
+    ask_for(socket.headers.get("accept-language"))
 
     def look() -> bytes | None:
         try:
             preview_now = cameras.feed(kind).preview()
         except CucumberVisionError as error:
             return _framed({"state": "absent", "message": str(error)}) if sent.fails() else None
-        return encoded(preview_now) if sent.changes(preview_now) else None
+        return encoded(preview_now, language()) if sent.changes(preview_now) else None
 
     await send_changes(socket, look, _LOOK_S)
 
@@ -77,7 +89,7 @@ class Shown:
 
 
 @lru_cache(maxsize=4)  # encoded once for all viewers
-def encoded(preview: Preview) -> bytes:
+def encoded(preview: Preview, _language: str = "en") -> bytes:
     """Return a preview as a message: the header's length, the header as JSON, colour, depth.
 
     Two JPEGs follow the header where there is a picture; it gives the first one's length.
@@ -103,7 +115,7 @@ def encoded(preview: Preview) -> bytes:
             "seen": f"{100 * quality.fill:.0f} %",
             "distance": units.text(quality.distance_m),
             "verdict": quality.verdict,
-            "advice": quality.advice,
+            "advice": _(quality.advice),
         }
     return _framed(header, color, as_jpeg(depth, _PREVIEW_PX))
 

@@ -23,6 +23,8 @@ from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
+from cucumbervision_greenhouse.backend.language import ask_for, page_text
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.theme import font_file, style_sheet
 from cucumbervision_greenhouse.capture_page import state
 from cucumbervision_greenhouse.capture_page.preview import preview
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 
 _STATIC = Path(__file__).with_name("static")
+_MEDIA = {"html": "text/html", "js": "text/javascript"}  # of files with texts
 _PRESS_S = 4.0  # longest delay of the answer until presses are saved
 _MOST_TOGETHER = 50  # presses in one request
 
@@ -125,7 +128,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
             continue
         press = Press(sent_press.number, sent_press.at_s)
         if sent_press.round not in round_keys:
-            taken.append("the round was deleted")
+            taken.append(_("the round was deleted"))
             continue
         feed = cameras.feed(sent_press.source)
         taken.append(_shutter().press(feed, burst, sent_press.round, stop, press))
@@ -181,8 +184,19 @@ def _picture(request: Request, _: bytes) -> Any:
     return Response(picture, media_type="image/jpeg", headers=headers)
 
 
-async def _capture_page(_: Request) -> Response:
-    return FileResponse(_STATIC / "capture.html", headers={"cache-control": "no-cache"})
+async def _capture_page(request: Request) -> Response:
+    return _file(request, _STATIC / "capture.html", {})
+
+
+def _file(request: Request, path: Path, headers: dict[str, str]) -> Response:
+    """Answer with a file; one with texts has them in the language of its reader."""
+    headers = {"cache-control": "no-cache", "vary": "accept-language", **headers}
+    kind = path.suffix.removeprefix(".")
+    if kind not in _MEDIA:
+        return FileResponse(path, headers=headers)
+    ask_for(request.headers.get("accept-language"))
+    content = page_text(path.read_text(encoding="utf-8"), kind)
+    return Response(content, media_type=_MEDIA[kind], headers=headers)
 
 
 async def _static(request: Request) -> Response:
@@ -195,8 +209,7 @@ async def _static(request: Request) -> Response:
     if path.parent not in {PICTURE_FILES, _STATIC, font_file().parent} or not path.is_file():
         raise HTTPException(404)
     # A service worker must lie at or above the address of the page that it caches.
-    headers = {"cache-control": "no-cache", "service-worker-allowed": "/capture"}
-    return FileResponse(path, headers=headers)
+    return _file(request, path, {"service-worker-allowed": "/capture"})
 
 
 def routes() -> list[Route | WebSocketRoute]:

@@ -11,12 +11,18 @@ from cucumbervision.agronomy.grades import grade
 from cucumbervision.errors import CucumberVisionError, StoreError
 from cucumbervision_greenhouse.backend import cameras, resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.fruit_pictures import mask_outline, stop_layers
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.words import (
     action_words,
     added_words,
+    counted,
+    grade_words,
     length_words,
+    metres_words,
     round_name,
     stop_name,
+    taken_back,
 )
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
@@ -79,8 +85,14 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "work": progress.told,
         "first": progress.first_words,
         "doubts": [line for x in rounds if x.key == home for line in round_caches.doubts_of(x)],
-        "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
-        f"beside the store in {aside[0].folder.parent.name}."
+        "aside": counted(
+            len(aside),
+            "{n} photo failed three times and was not measured; it is kept beside the store in "
+            "{folder}.",
+            "{n} photos failed three times and were not measured; they are kept beside the store "
+            "in {folder}.",
+            folder=aside[0].folder.parent.name,
+        )
         if aside
         else tasks.measuring_fault(),
         "last": _last_stop(round_summary, last) if round_summary and last else None,
@@ -132,7 +144,7 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
                         "key": view.key,
                         "number": view.record.number,
                         "length": length_words(view.record, units),
-                        "class": grades[view.key].words,
+                        "class": grade_words(grades[view.key]),
                     }
                     for view in capture_views
                 ],
@@ -159,7 +171,7 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
         Longest wait; then the outcome is 'waiting', and the browser asks again.
     """
     if pressed is None:  # saved before this program was started
-        return {"state": "saved", "words": "Saved"}
+        return {"state": "saved", "words": _("Saved")}
     if isinstance(pressed, str):
         return {"state": "refused", "words": pressed}
     try:
@@ -167,9 +179,10 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     except Exception:  # `error` is None while it is undecided
         state = "refused" if pressed.is_lost else "waiting"
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
-    words = f"{stop_name(queued.stop)}: saved"
+    words = _("{stop}: saved").format(stop=stop_name(queued.stop))
     if pressed.moved is not None:
-        words += f". Another stop is already at {pressed.stop.position_m:.2f} m"
+        taken = _("Another stop is already at {position}")
+        words += f". {taken.format(position=metres_words(pressed.stop.position_m))}"
     where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
     return {"state": "saved", "words": words, **where}
 
@@ -194,7 +207,7 @@ def take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
     action = _last_action(store, home)
     if action is not None and action.at_s > (asked.at_s or pressed_s):
         tasks.undo(store, home, number=action.number)
-        return {"words": f"Taken back: {action_words(action)}", "action": action.number}
+        return {"words": taken_back(action), "action": action.number}
     if asked.stop is None:
         raise StoreError("nothing to undo", remedy="delete a stop on the row map")
     return {"words": _delete_stop(store, asked.stop)}
@@ -221,7 +234,7 @@ def _delete_stop(store: Store, key: str) -> str:
     waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
     if waiting is not None and not waiting.tries:
         resources.waiting().done(waiting)
-        return f"{stop_name(waiting.stop)}: deleted"
+        return _("{stop}: deleted").format(stop=stop_name(waiting.stop))
     until = time.monotonic() + _UNDO_S
     while resources.waiting().holds(key):  # it is being measured
         if time.monotonic() > until:
@@ -230,7 +243,7 @@ def _delete_stop(store: Store, key: str) -> str:
     stop = store.stop(key)
     store.delete_stop(key, taken_back=True)
     tasks.merge(stop.round_key)
-    return "The last stop was deleted. 'Undo' on the row map brings it back"
+    return _("The last stop was deleted. 'Undo' on the row map brings it back")
 
 
 def outline(asked: SentFruit) -> dict[str, Any]:
@@ -244,7 +257,7 @@ def outline(asked: SentFruit) -> dict[str, Any]:
     record, capture = _picture_of(asked)
     measurer = resources.measurer()
     job = resources.worker().submit(
-        "Outlining the fruit",
+        marked("Outlining the fruit"),
         lambda _: measurer.mask_of(capture, asked.point, asked.box),
         record.round_key,
     )
@@ -268,7 +281,7 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
         return measurer.add(store, record, capture, mask, options)
 
     # The networks serve one request at a time.
-    job = resources.worker().submit("Measuring the fruit", work, record.round_key)
+    job = resources.worker().submit(marked("Measuring the fruit"), work, record.round_key)
     job.wait()
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
 

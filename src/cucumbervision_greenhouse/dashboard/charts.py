@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import Counter
+from datetime import date, datetime
 from typing import TYPE_CHECKING, Any
 
 import altair as alt
@@ -15,7 +17,7 @@ from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
-from cucumbervision_greenhouse.backend.language import decimal_words
+from cucumbervision_greenhouse.backend.language import date_names, day_month_words, decimal_words
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.theme import ink
 from cucumbervision_greenhouse.backend.words import class_words, date_words, label_words
@@ -260,7 +262,9 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
     days = {line["day"] for line in lines}
     names = [line["class"] for line in lines]
     lines = [{**line, "class": label_words(line["class"])} for line in lines]
-    axis = alt.Axis(format="%a %-d %b" if len(days) <= _WEEKDAYS else "%-d %b", labelOverlap=True)
+    for line in lines:
+        line["when"] = day_month_words(date.fromisoformat(line["day"]))
+    axis = _day_axis(weekday=len(days) <= _WEEKDAYS)
     chart: alt.Chart = (
         alt.Chart(_data(lines))
         .mark_bar()
@@ -269,7 +273,7 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
             y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(format="d")),
             color=_color_of_class(names),
             tooltip=[
-                alt.Tooltip("day:T", title=_("Day"), format="%a %-d %b %Y"),
+                alt.Tooltip("when:N", title=_("Day")),
                 alt.Tooltip("class:N", title=_("Class")),
                 alt.Tooltip("fruit:Q", title=_("Fruit")),
             ],
@@ -277,6 +281,15 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
         .properties(height=260)
     )
     return chart
+
+
+def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
+    """Return an axis of days in the language that is shown, which Vega does not know."""
+    weekdays, months = map(json.dumps, date_names())
+    words = f"date(datum.value) + ' ' + {months}[month(datum.value)]"
+    if weekday:
+        words = f"{weekdays}[day(datum.value)] + ' ' + {words}"
+    return alt.Axis(labelExpr=words, labelOverlap=True, **options)
 
 
 def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
@@ -290,13 +303,16 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
         Unit of the lengths.
     """
     title = _("Length [{unit}]").format(unit=units.name)
-    axis = alt.Axis(format="%a %-d %b", tickCount="day", labelOverlap=True)
+    lines = [
+        {**line, "when": day_month_words(datetime.fromisoformat(line["at"]))} for line in lines
+    ]
+    axis = _day_axis(tickCount="day")
     base = alt.Chart(_data(lines)).encode(x=alt.X("at:T", title=None, axis=axis))
     point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
     points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
         y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
         tooltip=[
-            alt.Tooltip("at:T", title=_("At"), format="%a %-d %b %H:%M"),
+            alt.Tooltip("when:N", title=_("Day")),
             alt.Tooltip("length:Q", title=title),
         ],
     )

@@ -241,8 +241,17 @@ def insert_all(connection: Connection, table: type[Base], lines: list[dict[str, 
         connection.execute(insert(table), lines)
 
 
-def round_id_of(connection: Connection, key: str) -> int:
+def round_id_of(connection: Connection, key: str, *, remedy: str = "see `round list`") -> int:
     """Return a round's number in the tables.
+
+    Parameters
+    ----------
+    connection : Connection
+        Of the store.
+    key : str
+        Key of the round.
+    remedy : str
+        What to do where it is not there.
 
     Raises
     ------
@@ -252,5 +261,5 @@ def round_id_of(connection: Connection, key: str) -> int:
     query = select(RoundLine.id).where(RoundLine.key == checked_key(key, "round"))
     line_id = connection.execute(query).scalar()
     if line_id is None:
-        raise StoreError(f"round {key} is not in the store", remedy="save the round first")
+        raise StoreError(f"round {key} is not in the store", remedy=remedy)
     return line_id

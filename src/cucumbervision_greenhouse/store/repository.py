@@ -204,7 +204,8 @@ class Store(Queries, Corrections):
         stop = checked_stop(stop)
         sha256 = content_sha256(stop)
         with self.writing() as connection:
-            round_id = round_id_of(connection, stop.round_key)
+            missing = "save the round first"
+            round_id = round_id_of(connection, stop.round_key, remedy=missing)
             cells = {
                 **cells_by_name(stop, _STOP_CELLS),
                 "content_sha256": sha256,

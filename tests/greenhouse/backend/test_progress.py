@@ -79,8 +79,8 @@ def test_a_queue_is_counted_on_while_captures_come(store: Store, tmp_path: Path)
     assert measure_waiting(queue, measurer, store, options, lambda _: "", job) == 5
     assert said == [
         "Measuring: 1 of 2 captures; 2 of other rounds wait too",
-        "Measuring: 1 of 3 captures; 1 of other rounds wait too",
-        "Measuring: 2 of 3 captures; 1 of other rounds wait too",
+        "Measuring: 1 of 3 captures; 1 of other rounds waits too",
+        "Measuring: 2 of 3 captures; 1 of other rounds waits too",
         "Measuring: 2 of 3 captures",
         "",
     ]

@@ -100,7 +100,7 @@ def test_two_rounds_of_one_name_are_told_apart_by_key(store: Store) -> None:
 
 
 def test_a_round_that_is_nowhere_is_named(store: Store) -> None:
-    with pytest.raises(StoreError, match="is not in the store"):
+    with pytest.raises(StoreError, match="is not in the store; see `round list`"):
         read_round(store, new_key())
 
 

@@ -1,14 +1,15 @@
 // A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with; or the map of a row, whose marks are tapped.
 const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
-  "": "Pinch or + and − to zoom, then drag to move; Ctrl and wheel with a mouse.",
-  ruler: "Tap two points: the straight distance between them is measured in depth.",
-  point: "Tap the middle of the fruit: its outline is drawn.",
-  box: "Drag a box around the fruit: its outline is drawn.",
-  brush: "Paint what belongs to the fruit as well; two fingers move the picture.",
-  erase: "Paint what does not belong to the fruit; two fingers move the picture.",
+  "": _("Pinch or + and − to zoom, then drag to move; Ctrl and wheel with a mouse."),
+  ruler: _("Tap two points: the straight distance between them is measured in depth."),
+  point: _("Tap the middle of the fruit: its outline is drawn."),
+  box: _("Drag a box around the fruit: its outline is drawn."),
+  brush: _("Paint what belongs to the fruit as well; two fingers move the picture."),
+  erase: _("Paint what does not belong to the fruit; two fingers move the picture."),
 };
-const NAMES = { ruler: "Ruler", point: "Redraw by tap", box: "Redraw by box", brush: "Brush", erase: "Rubber" };
+const NAMES = { ruler: _("Ruler"), point: _("Redraw by tap"), box: _("Redraw by box"), brush: _("Brush"), erase: _("Rubber") };
+const ADDS = { point: _("Add by tap"), box: _("Add by box") };
 const DRAGGED = ["box", "brush", "erase"];
 const NEAREST = 20, BRUSH = 13, MARK_PX = 12; // the radius of a mark, which a thumb hits
 const PATIENCE_MS = 120000;
@@ -18,17 +19,17 @@ async function post(path, content) {
   const answer = await fetch(path, { method: "POST", body: JSON.stringify(content), signal: AbortSignal.timeout(PATIENCE_MS) });
   if (answer.ok) return answer.json();
   const { error } = await answer.json().catch(() => ({}));
-  throw new Error(error || "Not admitted: reload the page.");
+  throw new Error(error || _("Not admitted: reload the page."));
 }
 
 // What was tapped is outlined at once, and measured then: added here, or by whom it is sent to.
 async function prompt(data, own, kind, value, redraw, send) {
   const asked = { stop: data.stop, capture: data.capture, [kind]: value };
   const tell = (words, draft) => { Object.assign(own, { told: words, draft }); redraw(); };
-  tell("Outlining …", []);
+  tell(_("Outlining …"), []);
   try {
     const { outline } = await post("/api/outline", asked);
-    tell("Measuring …", outline);
+    tell(_("Measuring …"), outline);
     if (!data.adds) { send(kind, value); return; }
     const { words } = await post("/api/fruit", asked);
     own.stale = true; // the next picture has it among its layers
@@ -206,9 +207,9 @@ function card(root, data, own, again, send) {
   const judge = (act) => () => send("judged", { key: own.card, act });
   const close = () => { own.card = null; again(); send("tapped", ""); };
   place(acts, [
-    chip("This is a fruit", isKnown && opened.verdict === "accepted", "", judge("accepted")),
-    chip("Not a fruit", isKnown && opened.verdict === "rejected", "", judge("rejected")),
-    chip("Open", false, "", judge("open")), chip("Close", false, "", close),
+    chip(_("This is a fruit"), isKnown && opened.verdict === "accepted", "", judge("accepted")),
+    chip(_("Not a fruit"), isKnown && opened.verdict === "rejected", "", judge("rejected")),
+    chip(_("Open"), false, "", judge("open")), chip(_("Close"), false, "", close),
   ]);
   putCard(root, data, own);
 }
@@ -245,9 +246,9 @@ function chips(root, data, own, again) {
     if (layer.detail && !own.details) continue;
     layers.push(chip(layer.name, own.on[layer.name], layer.color, () => { own.on[layer.name] = !own.on[layer.name]; again(); }));
   }
-  if (data.layers.some((layer) => layer.detail)) layers.push(chip("Details", own.details, "", () => { own.details = !own.details; again(); }));
+  if (data.layers.some((layer) => layer.detail)) layers.push(chip(_("Details"), own.details, "", () => { own.details = !own.details; again(); }));
   for (const tool of data.tools) {
-    tools.push(chip(data.adds ? NAMES[tool].replace("Redraw", "Add") : NAMES[tool], own.tool === tool, "", () => {
+    tools.push(chip((data.adds && ADDS[tool]) || NAMES[tool], own.tool === tool, "", () => {
       own.tool = own.tool === tool ? "" : tool;
       own.ends = [];
       own.drag = null;
@@ -258,8 +259,8 @@ function chips(root, data, own, again) {
   const look = (label, view, zoomed = true) => tools.push(chip(label, false, "", () => { Object.assign(own, { view: view(), zoomed }); again(); }));
   look("+", () => zoomed(own.view, data, 1.5, middle()));
   look("−", () => zoomed(own.view, data, 1 / 1.5, middle()));
-  look("Whole", () => ({ x: -0.5, y: -0.5, w: data.width }), false);
-  tools.push(chip("Full screen", false, "", () => {
+  look(_("Whole"), () => ({ x: -0.5, y: -0.5, w: data.width }), false);
+  tools.push(chip(_("Full screen"), false, "", () => {
     if (document.fullscreenElement) document.exitFullscreen();
     else root.host.requestFullscreen?.();
   }));
@@ -339,7 +340,7 @@ export default function (component) {
     if (own.stroke) {
       const radius = Math.round(10 * BRUSH * own.unit) / 10;
       setTriggerValue("stroke", { points: own.stroke, radius, erase: own.tool === "erase" });
-      Object.assign(own, { painted: own.stroke, stroke: null, told: "Measuring …" });
+      Object.assign(own, { painted: own.stroke, stroke: null, told: _("Measuring …") });
       redraw();
     }
   };

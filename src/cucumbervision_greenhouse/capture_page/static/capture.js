@@ -2,6 +2,8 @@
 import { Presses, post } from "./presses.js";
 import drawPicture from "./picture.js";
 
+const fill = (words, parts) => words.replace(/\{(\w+)\}/g, (_whole, name) => parts[name]);
+
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, SILENCE_MS = 7000, CLOCK_S = 0.5;  // news come every 2 s
@@ -39,7 +41,7 @@ async function readWalk() {
     const answer = await fetch(`/api/walk?${asked}`, { signal: AbortSignal.timeout(20000) });
     if (!answer.ok) {
       const { error } = await answer.json().catch(() => ({}));
-      show($("told"), error || "Not admitted: open 'Today' to log in.");
+      show($("told"), error || _("Not admitted: open 'Today' to log in."));
       throw new Error();
     }
     const walk = await answer.json();
@@ -70,7 +72,7 @@ function showWalk(walk) {
     watchNews();
     watchPreview();
   }
-  const none = walk.missing ? [new Option("Choose a round", "", true, true)] : [];
+  const none = walk.missing ? [new Option(_("Choose a round"), "", true, true)] : [];
   $("round").replaceChildren(...none, ...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
   for (const name of ["camera", "replay"]) $(name).setAttribute("aria-pressed", String(own.source === name));
   if (home !== walk.home) {
@@ -86,13 +88,13 @@ function showWalk(walk) {
     own.mine = walk.from;
     usePlace(walk.place);
   }
-  if (walk.missing) show($("told"), "There is no such round as this address names. Choose one, or start a new round.");
-  else if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
+  if (walk.missing) show($("told"), _("There is no such round as this address names. Choose one, or start a new round."));
+  else if (walk.home !== walk.round) show($("told"), _("These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours."));
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
   $("house-name").textContent = walk.house;
-  show($("doubts"), walk.doubts.length ? `Check the data of this round. ${walk.doubts.join(". ")}.` : "");
+  show($("doubts"), walk.doubts.length ? `${_("Check the data of this round.")} ${walk.doubts.join(". ")}.` : "");
   drawLast(walk.last, walk.first);
   drawUndo();
 }
@@ -101,7 +103,7 @@ function showWalk(walk) {
 function usePlace(place) {
   own.place = { ...place };
   const sides = [...new Set([...(own.walk?.sides || []), place.side])];
-  $("side").replaceChildren(...sides.map((side) => new Option(side[0]?.toUpperCase() + side.slice(1), side, false, side === place.side)));
+  $("side").replaceChildren(...sides.map((side) => new Option({ left: _("Left"), right: _("Right") }[side] || side[0]?.toUpperCase() + side.slice(1), side, false, side === place.side)));
   $("row").value = place.row;
   $("position").value = place.position_m.toFixed(2);
   $("step").value = place.step_m.toFixed(2);
@@ -209,8 +211,8 @@ document.onkeydown = (event) => {
 function lostWords(some) {
   const [{ sent, words }] = some, at_m = some.map((one) => one.sent.position_m);
   const [low, high] = [Math.min(...at_m), Math.max(...at_m)].map((value) => value.toFixed(2));
-  const where = [sent.row && `row ${sent.row}`, sent.side, low === high ? `${low} m` : `${low} to ${high} m`].filter(Boolean).join(", ");
-  return `${some.length} lost: ${where}. ${words.charAt(0).toUpperCase()}${words.slice(1)}`;
+  const where = [sent.row && fill(_("row {row}"), sent), { left: _("left"), right: _("right") }[sent.side] || sent.side, low === high ? `${low} m` : fill(_("{low} to {high}"), { low, high: `${high} m` })].filter(Boolean).join(", ");
+  return `${fill(_("{n} lost: {where}."), { n: some.length, where })} ${words.charAt(0).toUpperCase()}${words.slice(1)}`;
 }
 
 function drawPresses() {
@@ -222,7 +224,7 @@ function drawPresses() {
   }
   const lines = [...groups.values()].map((some) => [some[0], lostWords(some), some]);
   for (const one of presses.list.filter(({ state }) => state !== "refused").slice(-8).reverse()) {
-    lines.push([one, one.state === "waiting" && !one.words ? "waiting" : one.words]);
+    lines.push([one, one.state === "waiting" && !one.words ? _("waiting") : one.words]);
   }
   $("presses").replaceChildren(...lines.map(([one, text, some]) => {
     const line = document.createElement("li"), words = document.createElement("span");
@@ -245,10 +247,10 @@ function drawPresses() {
 
 function drawWork() {
   const kept = presses.waiting.length;
-  const many = (number, one, more) => `${number} ${number === 1 ? one : more}`;
-  $("count").textContent = kept ? `${kept} waiting on this device` : own.waiting ? `${own.waiting} to be measured` : "press as fast as you walk";
+  $("count").textContent = kept ? fill(_("{n} waiting on this device"), { n: kept }) : own.waiting ? fill(_("{n} to be measured"), { n: own.waiting }) : _("press as fast as you walk");
   $("work").textContent = own.work;
-  show($("lost"), own.connected ? "" : `Connection to the camera computer lost; ${kept ? `${many(kept, "press is", "presses are")} kept on this device` : "trying again"}.`);
+  const lost = kept ? fill(kept === 1 ? _("Connection to the camera computer lost; {n} press is kept on this device.") : _("Connection to the camera computer lost; {n} presses are kept on this device."), { n: kept }) : _("Connection to the camera computer lost; trying again.");
+  show($("lost"), own.connected ? "" : lost);
 }
 
 // ---- News and pictures.
@@ -316,21 +318,21 @@ async function showPreview(bytes) {
   const absent = header.state === "absent";
   if (absent && own.source === "camera" && !address.get("source")) {
     choose("replay");
-    $("quality").textContent = "No camera was found, so the replay is shown.";
+    $("quality").textContent = _("No camera was found, so the replay is shown.");
     return;
   }
   $("absent").hidden = !absent;
   $("retry").hidden = own.source !== "camera";
-  $("why").textContent = `${own.source === "camera" ? "No camera was found." : "The replay cannot be shown."} ${header.message}`;
+  $("why").textContent = `${own.source === "camera" ? _("No camera was found.") : _("The replay cannot be shown.")} ${header.message}`;
   if (!header.color_bytes) {
-    if (!absent) $("quality").textContent = "Opening …";
+    if (!absent) $("quality").textContent = _("Opening …");
     return;
   }
   const at = 4 + length + header.color_bytes;
   await Promise.all([picture("color", bytes.slice(4 + length, at)), picture("depth", bytes.slice(at))]);
-  const state = { live: "Live", playing: "Recording", replay: "Replay", opening: "Opening" }[header.state] || "";
-  const seen = header.quality ? `Depth seen: ${header.quality.seen} · ${header.quality.distance} · ${header.quality.advice}` : "Loading the next picture …";
-  $("quality").textContent = `${seen} · ${state}${header.simulated ? ", computer-made" : ""}. Depth: ${header.depth}.`;
+  const state = { live: _("Live"), playing: _("Recording"), replay: _("Replay"), opening: _("Opening") }[header.state] || "";
+  const seen = header.quality ? fill(_("Depth seen: {seen} · {distance} · {advice}"), header.quality) : _("Loading the next picture …");
+  $("quality").textContent = fill(header.simulated ? _("{seen} · {state}, computer-made. Depth: {depth}.") : _("{seen} · {state}. Depth: {depth}."), { seen, state, depth: header.depth });
   if (own.simulated !== header.simulated) { own.simulated = header.simulated; readWalk(); }
 }
 
@@ -351,7 +353,7 @@ $("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {})
 $("round").onchange = () => { own.round = $("round").value; own.home = ""; readWalk(); };
 function drawHouses() {
   const houses = own.walk?.houses || [];
-  $("known-house").replaceChildren(...houses.map((one) => new Option(one, one)), new Option("New house …", ""));
+  $("known-house").replaceChildren(...houses.map((one) => new Option(one, one)), new Option(_("New house …"), ""));
   $("known-house").onchange();
 }
 $("known-house").onchange = () => { $("new-house").hidden = $("known-house").value !== ""; };
@@ -362,7 +364,7 @@ $("new").onclose = async () => {
     const begun = await post("/api/rounds", { name: $("name").value, house: $("known-house").value || $("house").value });
     Object.assign(own, { round: begun.round, home: "" });
     readWalk();
-  } catch (fault) { show($("told"), `The round was not started: ${fault.message}`); }
+  } catch (fault) { show($("told"), fill(_("The round was not started: {fault}"), { fault: fault.message })); }
 };
 for (const id of ["row", "side", "position", "step", "way"]) $(id).onchange = readPlace;
 
@@ -373,9 +375,9 @@ async function pictureNode(capture, stop) {
   const [css, html] = await template, node = document.createElement("div"), root = node.attachShadow({ mode: "open" });
   root.innerHTML = `<style>${css}</style>${html}`;
   const [width, height] = capture.size;
-  const data = { images: { Colour: capture.picture }, width, height, layers: capture.layers, bar: null, tools: ["point", "box"], rulerText: "", title: "The fruit of the last stop", focus: null, stop: stop.key, capture: capture.name, adds: true, job: told, told };
+  const data = { images: { [_("Colour")]: capture.picture }, width, height, layers: capture.layers, bar: null, tools: ["point", "box"], rulerText: "", title: _("The fruit of the last stop"), focus: null, stop: stop.key, capture: capture.name, adds: true, job: told, told };
   told = "";
-  drawPicture({ data, parentElement: root, setTriggerValue: (_, words) => { told = words; drawn = ""; readWalk(); } });
+  drawPicture({ data, parentElement: root, setTriggerValue: (_name, words) => { told = words; drawn = ""; readWalk(); } });
   return node;
 }
 
@@ -391,8 +393,8 @@ function fruitTable(capture) {
     }
     return row;
   };
-  const open = (one) => Object.assign(document.createElement("a"), { href: `/results?round=${own.home}&fruit=${one.key}`, textContent: `Fruit ${one.number}` });
-  table.append(line(["Fruit", "Length", "Class"], "th"), ...capture.fruit.map((one) => line([open(one), one.length, one.class], "td")));
+  const open = (one) => Object.assign(document.createElement("a"), { href: `/results?round=${own.home}&fruit=${one.key}`, textContent: fill(_("Fruit {number}"), one) });
+  table.append(line([_("Fruit"), _("Length"), _("Class")], "th"), ...capture.fruit.map((one) => line([open(one), one.length, one.class], "td")));
   return table;
 }
 
@@ -400,15 +402,15 @@ async function drawLast(last, first) {
   const text = JSON.stringify([last, first]);
   if (text === drawn) return;
   drawn = text;
-  show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
-  $("where").textContent = last ? `${last.name}: saved` : first || "No stops yet: each photo's result is shown here";
+  show($("fault"), last?.fault ? fill(_("Saved, but not measured: {fault}"), last) : "");
+  $("where").textContent = last ? fill(_("{stop}: saved"), { stop: last.name }) : first || _("No stops yet: each photo's result is shown here");
   $("open").hidden = !last;
   if (!last) { $("pictures").replaceChildren(); return; }
   $("open").href = `/map?round=${last.round}&stop=${last.key}`;
   const parts = [];
   for (const capture of last.captures) {
     parts.push(await pictureNode(capture, last));
-    parts.push(capture.fruit.length ? fruitTable(capture) : Object.assign(document.createElement("p"), { textContent: "No fruit was found in this photo. Tap a fruit to add it." }));
+    parts.push(capture.fruit.length ? fruitTable(capture) : Object.assign(document.createElement("p"), { textContent: _("No fruit was found in this photo. Tap a fruit to add it.") }));
   }
   if (text === drawn) $("pictures").replaceChildren(...parts);
 }
@@ -426,11 +428,11 @@ const lastIsPress = () => (lastPress()?.at_s ?? -Infinity) >= (own.walk?.done?.a
 
 function drawUndo() {
   $("undo").hidden = !lastPress() && !own.walk?.done;
-  $("undo").textContent = lastIsPress() ? "Undo the last stop" : `Undo: ${own.walk.done.words}`;
+  $("undo").textContent = lastIsPress() ? _("Undo the last stop") : fill(_("Undo: {action}"), { action: own.walk.done.words });
 }
 
 $("undo").onclick = async () => {
-  if (presses.waiting.length) { show($("fault"), "The last press is not saved yet: undo it when it is."); return; }
+  if (presses.waiting.length) { show($("fault"), _("The last press is not saved yet: undo it when it is.")); return; }
   const pressed = lastPress(), round = own.walk.home;
   $("undo").disabled = true;
   try {

@@ -19,7 +19,7 @@ export async function post(path, content, patience_ms = PATIENCE_MS, turn = new 
     });
     if (answer.ok) return await answer.json();
     const { error } = await answer.json().catch(() => ({}));
-    throw Object.assign(new Error(error || "Not admitted: open 'Today' to log in."), { status: answer.status });
+    throw Object.assign(new Error(error || _("Not admitted: open 'Today' to log in.")), { status: answer.status });
   } finally {
     clearTimeout(late);
   }

@@ -29,7 +29,7 @@ export default function (component) {
   const isPicked = (one) => (one.key in own.mine ? own.mine[one.key] : one.picked);
   const total = () => {
     const done = data.fruit.filter(isPicked).length;
-    root.querySelector(".total").textContent = data.opens ? data.words : `${done} of ${data.fruit.length} picked${data.words ? ` · ${data.words}` : ""}`;
+    root.querySelector(".total").textContent = data.opens ? data.words : _("{done} of {all} picked").replace("{done}", done).replace("{all}", data.fruit.length) + (data.words ? ` · ${data.words}` : "");
   };
   for (const one of data.fruit) if (own.mine[one.key] === one.picked) delete own.mine[one.key];
   const lines = data.fruit.map((one) => {

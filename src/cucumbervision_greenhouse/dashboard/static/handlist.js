@@ -1,7 +1,7 @@
 // Lengths by hand beside the program's, a line a fruit. Its fields stay the same nodes while the page is drawn anew: a value that is
 // typed meanwhile, however fast, is neither cut nor moved. Only what was typed here is sent. Enter and the arrows go to the next line.
 const state = new WeakMap();
-const FIELDS = ["By hand", "Again"];
+const FIELDS = [_("By hand"), _("Again")];
 const number = (text) => Number(text.trim().replace(",", "."));
 const isSame = (a, b) => !a === !b && Math.abs(number(a) - number(b)) < 0.006; // two digits are saved
 
@@ -47,7 +47,7 @@ export default function (component) {
     field.setAttribute("aria-invalid", String(field.value.trim() !== "" && !(value >= data.least && value <= data.most)));
   };
   const head = root.querySelector("thead tr"), body = root.querySelector("tbody");
-  if (!head.children.length) for (const [words, name] of [["", ""], [FIELDS[0], ""], [FIELDS[1], ""], ["Program", ""], ["At", "less"], ["Row", "less"]]) add(head, words ? "th" : "td", words, name);
+  if (!head.children.length) for (const [words, name] of [["", ""], [FIELDS[0], ""], [FIELDS[1], ""], [_("Program"), ""], [_("At"), "less"], [_("Row"), "less"]]) add(head, words ? "th" : "td", words, name);
   own.lines = data.lines.map((line) => {
     const made = own.made.get(line.key) || makeLine(line, own);
     own.made.set(line.key, made);

@@ -8,14 +8,15 @@ function left(work) {
   const from = own.begun.get(name), done = work.done - from.done;
   if (done < 1 || !work.total) return "";
   const s = ((now - from.at) / 1000 / done) * (work.total - work.done);
-  return s < 5 ? "" : s < 90 ? `, about ${Math.round(s)} s left` : `, about ${Math.round(s / 60)} min left`;
+  const [words, many] = s < 90 ? [_("about {n} s left"), s] : [_("about {n} min left"), s / 60];
+  return s < 5 ? "" : `, ${words.replace("{n}", Math.round(many))}`;
 }
 
 function draw() {
   const lost = own.root.querySelector(".lost"), work = own.root.querySelector(".work"), at = own.news?.work;
   lost.hidden = !own.lost;
   document.documentElement.toggleAttribute("data-lost", own.lost); // what Streamlit says of it is not shown
-  lost.textContent = own.lost ? "Connection to the camera computer lost; trying again." : "";
+  lost.textContent = own.lost ? _("Connection to the camera computer lost; trying again.") : "";
   work.hidden = !at?.words || own.lost;
   if (!at?.words) { own.begun.clear(); return; }
   work.firstChild.textContent = at.words + left(at);

@@ -19,6 +19,8 @@ from cucumbervision_greenhouse.backend.hand_lengths import (
     typed_m,
     write_hand_lengths,
 )
+from cucumbervision_greenhouse.backend.language import decimal_words, marked, number_words
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.site_calibrations import bias_words
 from cucumbervision_greenhouse.backend.words import length_words, metres_words, plain
 from cucumbervision_greenhouse.dashboard import page_elements
@@ -32,6 +34,11 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _LINES = 30
+_KINDS = {
+    LengthDefinition.CENTRELINE: marked("Centreline"),
+    LengthDefinition.THREAD: marked("Thread"),
+    LengthDefinition.CHORD: marked("Chord"),
+}
 
 
 @page_elements.of_round
@@ -39,7 +46,7 @@ def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     graded = round_caches.graded_round(round_summary)
     fruit = [view for view in graded.fruit if view.record.length_m is not None]
-    own_fruit, grid, saved = st.tabs(["Own fruit", "Printed grid", "Calibrations"])
+    own_fruit, grid, saved = st.tabs([_("Own fruit"), _("Printed grid"), _("Calibrations")])
     with own_fruit:
         _own_fruit(round_summary, fruit)
     with grid:
@@ -50,12 +57,14 @@ def page(round_summary: RoundSummary) -> None:
 
 def _own_fruit(round_summary: RoundSummary, fruit: list[DetectionSummary]) -> None:
     if not fruit:
-        st.info("This round has no measured fruit yet.", icon=":material/straighten:")
+        st.info(_("This round has no measured fruit yet."), icon=":material/straighten:")
         return
     st.write(
-        "Measure some fruit by hand and enter the lengths here: then you see how far the lengths "
-        "are off on your fruit. Measure some of them twice, without looking at the first value: "
-        "no method can be shown to be more accurate than the measurements by hand."
+        _(
+            "Measure some fruit by hand and enter the lengths here: then you see how far the "
+            "lengths are off on your fruit. Measure some of them twice, without looking at the "
+            "first value: no method can be shown to be more accurate than the measurements by hand."
+        )
     )
     path = hand_file(resources.where(), round_summary.key)
     _table(fruit, path)
@@ -69,14 +78,14 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
     page_elements.choose_page(fruit, "hand_page", _LINES)
     page_fruit = page_elements.page_of(fruit, "hand_page", _LINES)
     kind = st.segmented_control(
-        "Measured by hand",
+        _("Measured by hand"),
         list(LengthDefinition),
-        format_func=lambda x: str(x).capitalize(),
+        format_func=lambda x: _(_KINDS[x]),
         default=LengthDefinition.CENTRELINE,
         required=True,
-        help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
+        help=_("Thread: laid over the outer side, from end to end. Chord: with calipers."),
     )
-    st.caption(f"Lengths in {units.name}.")
+    st.caption(_("Lengths in {unit}.").format(unit=units.name))
     name = f"hand_{path.stem}_{units.name}"
     typed: dict[str, list[str]] = st.session_state.setdefault(f"{name}_typed", {})
     key = f"{name}_{page_fruit[0].key}"
@@ -93,22 +102,26 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
     )
     bad = _read(typed, saved)
     if bad:
+        words = _("{typed}: no length between {least} and {most}.")
         st.warning(
-            plain(f"{', '.join(bad)}: no length between {LENGTHS[0]} and {LENGTHS[1]}."),
+            plain(words.format(typed=", ".join(bad), least=LENGTHS[0], most=LENGTHS[1])),
             icon=":material/error:",
         )
     odd = [
-        f"{units.text(hand_m)} by hand, {length_words(view.record, units)} by the program"
+        _("{by_hand} by hand, {length} by the program").format(
+            by_hand=units.text(hand_m), length=length_words(view.record, units)
+        )
         for view in fruit
         for hand_m in saved.get(view.key, ())
         if is_odd(view.record, hand_m)
     ]
     if odd:
-        st.warning(f"{plain('; '.join(odd))}. Is that right?", icon=":material/help:")
-        odd = [] if st.checkbox("Yes, these lengths are right", key=f"sure_{odd}") else odd
+        words = _("{lengths}. Is that right?").format(lengths=plain("; ".join(odd)))
+        st.warning(words, icon=":material/help:")
+        odd = [] if st.checkbox(_("Yes, these lengths are right"), key=f"sure_{odd}") else odd
     unsure = bool(odd or bad)  # also if the button was pressed before the check
     save: dict[str, Any] = {"type": "primary", "icon": ":material/save:", "disabled": unsure}
-    if st.button("Save these lengths", **save) and not unsure:
+    if st.button(_("Save these lengths"), **save) and not unsure:
         if not write_hand_lengths(path, fruit, saved, kind or LengthDefinition.CENTRELINE):
             path.unlink()  # every length was taken out again
         typed.clear()
@@ -137,9 +150,11 @@ def _line(view: DetectionSummary, saved_m: tuple[float | None, float | None]) ->
     return {
         "key": view.key,
         "picture": round_caches.thumbnail_of(view),
-        "saved": ["" if x is None else f"{units.value(x):.5g}" for x in saved_m],
+        "saved": ["" if x is None else decimal_words(f"{units.value(x):.5g}") for x in saved_m],
         "program": units.text(view.record.length_m),
-        "name": f"fruit {view.record.number}, {position or view.capture}",
+        "name": _("fruit {number}, {place}").format(
+            number=view.record.number, place=position or view.capture
+        ),
         "at": position,
         "row": view.row or "?",
     }
@@ -151,30 +166,33 @@ def _scores(round_summary: RoundSummary, path: Path) -> None:
     )
     truth = read_truth(path)
     own_truth: OwnTruth = evaluate_lengths(measured, truth)
-    st.header("Errors")
+    st.header(_("Errors"))
     st.markdown(f"**{plain(bias_words(own_truth, resources.settings().units))}**")
-    with st.expander("Details: errors by method", icon=":material/list:"):
+    with st.expander(_("Details: errors by method"), icon=":material/list:"):
         _methods(own_truth)
-    st.header("Calibrate this site")
+    st.header(_("Calibrate this site"))
     calibrations.draw_own_fruit(measured, truth)
 
 
 def _methods(own_truth: OwnTruth) -> None:
     lines = [
         {
-            "Method": score.method,
-            "Against": str(score.kind),
-            "Fruit": score.fruit,
-            "Mean absolute error": f"{score.metrics.mape_percent:.1f} %",
-            "95 %": "needs 3 fruit"
+            _("Method"): score.method,
+            _("Against"): _(_KINDS[score.kind]),
+            _("Fruit"): score.fruit,
+            _("Mean absolute error"): f"{number_words(score.metrics.mape_percent, 1)} %",
+            "95 %": _("needs 3 fruit")
             if score.low_percent != score.low_percent
-            else f"{score.low_percent:.1f} to {score.high_percent:.1f} %",
-            "Measured": f"{100 * score.metrics.measured:.0f} %",
+            else _("{low} to {high}").format(
+                low=number_words(score.low_percent, 1),
+                high=f"{number_words(score.high_percent, 1)} %",
+            ),
+            _("Measured"): f"{100 * score.metrics.measured:.0f} %",
         }
         for score in own_truth.scores
     ]
     page_elements.table(lines)
     if any(score.metrics.measured < 1 for score in own_truth.scores):
-        st.caption("A fruit that a method did not measure counts as an error of 100 %.")
+        st.caption(_("A fruit that a method did not measure counts as an error of 100 %."))
     for note in own_truth.notes:
         st.caption(plain(note))

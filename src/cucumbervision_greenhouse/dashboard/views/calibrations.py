@@ -10,6 +10,7 @@ from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources
 from cucumbervision_greenhouse.backend.hand_lengths import truth_folder
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.site_calibrations import (
     SavedCalibration,
     calibrate_by_grid,
@@ -33,24 +34,27 @@ _GRID_MM = 1.0, 200.0, 10.0  # between the lines: least, most, usual
 
 def draw_own_fruit(measured: Measured, truth: Truth) -> None:
     """Draw the button that calibrates with lengths by hand."""
-    name = st.text_input("Name of the calibration", "my house")
-    _make("Calibrate with these lengths", lambda: calibrate_lengths(measured, truth, name.strip()))
+    name = st.text_input(_("Name of the calibration"), _("my house"))
+    label = _("Calibrate with these lengths")
+    _make(label, lambda: calibrate_lengths(measured, truth, name.strip()))
 
 
 def draw_grid(round_summary: RoundSummary) -> None:
     """Draw the form that calibrates a camera with a round's pictures of a printed grid."""
     st.write(
-        "Lay a flat printed grid of squares, such as a cutting mat, where the fruit will be, and "
-        "take a few pictures of it from several sides in a round of their own."
+        _(
+            "Lay a flat printed grid of squares, such as a cutting mat, where the fruit will be, "
+            "and take a few pictures of it from several sides in a round of their own."
+        )
     )
-    spacing_mm = st.number_input("Millimetres between the lines", *_GRID_MM, 1.0)
-    name = st.text_input("Name of the calibration", "my camera", key="grid_name")
+    spacing_mm = st.number_input(_("Millimetres between the lines"), *_GRID_MM, 1.0)
+    name = st.text_input(_("Name of the calibration"), _("my camera"), key="grid_name")
 
     def calibrate() -> SiteCalibration:
         store = resources.store()
         return calibrate_by_grid(store, round_summary.key, spacing_mm / 1000, name.strip())
 
-    _make("Calibrate with the pictures of this round", calibrate)
+    _make(_("Calibrate with the pictures of this round"), calibrate)
 
 
 def _make(label: str, calibrate: Callable[[], SiteCalibration]) -> None:
@@ -76,18 +80,19 @@ def draw_choice() -> None:
     saved = saved_calibrations(truth_folder(resources.where()), settings.calibration)
     in_use = next((x for x in saved if str(x.path) == settings.calibration), None)
     if not saved:
-        st.caption("No calibration yet: lengths are as the camera gives them.")
+        st.caption(_("No calibration yet: lengths are as the camera gives them."))
         return
     before = st.session_state.get("calibration_before")
     if in_use is not None or before is not None:
-        title = "none" if in_use is None else in_use.title
+        title = _("none") if in_use is None else in_use.title
         says, undo = st.columns([3, 2], vertical_alignment="center")
-        says.markdown(f"**In use: {plain(title)}**")
-        label = "Use none" if before is None else "Back to the one before"
+        says.markdown(_("**In use: {name}**").format(name=plain(title)))
+        label = _("Use none") if before is None else _("Back to the one before")
         page_elements.button(undo, label, "undo", _use, before or "")
     for calibration in saved:
         _draw(calibration, key=str(calibration.path))
-    st.caption("A calibration counts from the next capture on; measured fruit stay as they are.")
+    words = _("A calibration counts from the next capture on; measured fruit stay as they are.")
+    st.caption(words)
 
 
 def _draw(calibration: SavedCalibration, key: str) -> None:
@@ -102,7 +107,7 @@ def _draw(calibration: SavedCalibration, key: str) -> None:
         says.caption(plain(effect_words(calibration.site, settings.length, settings.units)))
         path = str(calibration.path)
         is_used = path == settings.calibration
-        label = "In use" if is_used else "Use it now"
+        label = _("In use") if is_used else _("Use it now")
         page_elements.button(use, label, "check", _use, path, disabled=is_used, key=f"use {key}")
 
 

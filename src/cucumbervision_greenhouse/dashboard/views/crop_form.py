@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.classes import class_name
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
@@ -15,7 +14,15 @@ from cucumbervision_greenhouse.backend.crop_limits import (
     class_counts,
     save_own_profile,
 )
-from cucumbervision_greenhouse.backend.words import plain, round_name, sentence, told_apart
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.words import (
+    class_words,
+    label_words,
+    plain,
+    round_name,
+    sentence,
+    told_apart,
+)
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 
@@ -30,22 +37,22 @@ def draw() -> None:
     readable = {
         name: profile for name, entry in entries.items() if (profile := entry.profile) is not None
     }
-    titles = told_apart({name: profile.title for name, profile in readable.items()})
+    titles = told_apart({name: _(profile.title) for name, profile in readable.items()})
     name = st.selectbox(
-        "Crop",
+        _("Crop"),
         list(readable),
         index=list(readable).index(saved) if saved in readable else 0,
         format_func=titles.__getitem__,
     )
     if name == saved:
-        st.caption("New rounds have this crop. Rounds that were begun keep theirs.")
+        st.caption(_("New rounds have this crop. Rounds that were begun keep theirs."))
     else:
         page_elements.button(
-            st, "Use for new rounds", "check", lambda: resources.change_settings(profile=name)
+            st, _("Use for new rounds"), "check", lambda: resources.change_settings(profile=name)
         )
     profile = readable[name]
     _limits(profile)
-    with st.expander("Change the limits", icon=":material/edit:"):
+    with st.expander(_("Change the limits"), icon=":material/edit:"):
         _form(name, profile, own=not entries[name].shipped)
     for entry in entries.values():
         if entry.fault:
@@ -56,23 +63,23 @@ def _limits(profile: CropProfile) -> None:
     units = resources.settings().units
     lines = [
         {
-            "Class": c.name,
-            "From": units.text(c.min_cm / 100),
-            "Below": units.text(c.max_cm / 100),
+            _("Class"): c.name,
+            _("From"): units.text(c.min_cm / 100),
+            _("Below"): units.text(c.max_cm / 100),
         }
         for c in profile.classes
     ]
     page_elements.table(lines)
     for rule in profile.rules.values():
-        st.caption(plain(rule))
+        st.caption(plain(_(rule)))
 
 
 def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     """Draw the limits as fields, what they would change, and the button that saves them."""
     limits = _fields(name, profile)
     title = st.text_input(
-        "Name of your crop",
-        profile.title if own else f"{profile.title}, own limits",
+        _("Name of your crop"),
+        profile.title if own else _("{crop}, own limits").format(crop=_(profile.title)),
         key=f"limits_title_{name}",
     )
     try:
@@ -90,16 +97,24 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
             return
         resources.forget_profiles()
         resources.change_settings(profile=path.stem)
-        st.toast(plain(f"Saved: new rounds have the crop '{changed.title}'."))
+        words = _("Saved: new rounds have the crop '{crop}'.")
+        st.toast(plain(words.format(crop=changed.title)))
 
     page_elements.button(
-        st, "Save and use for new rounds", "save", save, type="primary", disabled=not title.strip()
+        st,
+        _("Save and use for new rounds"),
+        "save",
+        save,
+        type="primary",
+        disabled=not title.strip(),
     )
     if fault := st.session_state.pop("limits_fault", None):
         st.error(sentence(fault), icon=":material/error:")
     st.caption(
-        "Saved as a crop of your own; the one that the program brings stays as it is. Rounds that "
-        "have a crop of this name are graded by the new limits."
+        _(
+            "Saved as a crop of your own; the one that the program brings stays as it is. Rounds "
+            "that have a crop of this name are graded by the new limits."
+        )
     )
 
 
@@ -109,7 +124,9 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
     edges_m = _edge_fields(name, profile, limits)
     arcs = [
         st.number_input(
-            sentence(f"{profile.shape[number].name} up to [mm of arc for 10 cm]"),
+            sentence(
+                _("{shape} up to [mm of arc for 10 cm]").format(shape=_(profile.shape[number].name))
+            ),
             0.5,
             100.0,
             arc,
@@ -121,7 +138,7 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
     ]
     thin, light = st.columns(2)
     diameter_mm = thin.number_input(
-        "Thinnest [mm]; 0: no limit",
+        _("Thinnest [mm]; 0: no limit"),
         0.0,
         200.0,
         limits.minimum_diameter_mm or 0.0,
@@ -130,7 +147,7 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
         key=f"limits_{name}_thin",
     )
     weight_g = light.number_input(
-        "Lightest [g]; 0: no limit",
+        _("Lightest [g]; 0: no limit"),
         0.0,
         5000.0,
         limits.minimum_g or 0.0,
@@ -139,13 +156,13 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
         key=f"limits_{name}_light",
     )
     decide = st.toggle(
-        "Thickness and weight decide on the class", limits.decide, key=f"limits_{name}_decide"
+        _("Thickness and weight decide on the class"), limits.decide, key=f"limits_{name}_decide"
     )
     names = [c.name for c in profile.classes]
     pick = st.pills(
-        "Ready to be picked",
+        _("Ready to be picked"),
         names,
-        format_func=lambda name: plain(class_name(name)),
+        format_func=lambda name: plain(class_words(name)),
         selection_mode="multi",
         default=limits.pick,
         key=f"limits_{name}_pick",
@@ -163,8 +180,9 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
 def _edge_fields(name: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
     """Draw the lengths between the classes side by side, and return them in metres."""
     units = resources.settings().units
-    names = [class_name(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
-    labels = [*(f"{label} from" for label in names), f"{names[-1]} below"]
+    names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
+    labels = [_("{name} from").format(name=name) for name in names]
+    labels.append(_("{name} below").format(name=names[-1]))
     edges_m = []
     for number, place in enumerate(st.columns(len(labels))):
         value = place.number_input(
@@ -188,8 +206,12 @@ def _preview(profile: CropProfile, changed: CropProfile) -> None:
     fruit = on_the_plant(round_caches.graded_round(newest).fruit)
     before, after = class_counts(fruit, profile), class_counts(fruit, changed)
     lines = [
-        {"Class": label, "Now": before[label], "With these limits": after[label]}
+        {
+            _("Class"): label_words(label),
+            _("Now"): before[label],
+            _("With these limits"): after[label],
+        }
         for label in sorted({*before, *after})
     ]
-    st.caption(plain(f"Fruit on the plant: {round_name(newest)}"))
+    st.caption(plain(_("Fruit on the plant: {round}").format(round=round_name(newest))))
     page_elements.table(lines)

@@ -22,8 +22,12 @@ from cucumbervision_greenhouse.backend.fruit_pictures import (
     scale_bar,
     stop_layers,
 )
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.round_tables import GradedRound, figure_lines
 from cucumbervision_greenhouse.backend.words import (
+    counted,
+    grade_words,
     interval_words,
     kind_words,
     length_words,
@@ -86,8 +90,11 @@ def _head(graded: GradedRound, key: str) -> None:
         st.session_state.pop("ruler", None)
 
     with st.container(horizontal=True, gap="small", key="fruit_head"):
-        button(st, "All fruit", "arrow_back", go, None)
-        for label, to, side in (("Previous", index - 1, "left"), ("Next", index + 1, "right")):
+        button(st, _("All fruit"), "arrow_back", go, None)
+        for label, to, side in (
+            (_("Previous"), index - 1, "left"),
+            (_("Next"), index + 1, "right"),
+        ):
             exists = 0 <= to < len(keys)
             target, how = keys[to] if exists else key, {"disabled": not exists}
             # A keyboard walks through the fruit by its arrows.
@@ -100,28 +107,30 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     view_of_key = {view.key: view for view in (*graded.fruit, *graded.deleted)}
     record, units = view_of_key[detail.view.key].record, resources.settings().units
     graded_fruit = graded.grades[detail.view.key]
-    interval = interval_words(record, units)
+    interval = interval_words(record, units, _("Likely between {low} and {high}"))
     st.metric(
         kind_words(None if record.length is None else str(record.length.kind)),
         length_words(record, units),
-        interval and f"Likely between {interval.replace(' to ', ' and ')}",
+        interval,
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{sentence(graded_fruit.words)}**")
+    st.markdown(f"**{sentence(grade_words(graded_fruit))}**")
     traits = {
-        "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
-        "Weight, about": None if not graded_fruit.mass_g else f"{graded_fruit.mass_g:.0f} g",
-        "Distance": units.text(record.distance_m),
-        "Outline by": record.mask_source and MaskSource(record.mask_source).words,
-        "Hidden by leaves": None
+        _("Thickest"): None
+        if not record.diameter_max_m
+        else f"{1000 * record.diameter_max_m:.0f} mm",
+        _("Weight, about"): None if not graded_fruit.mass_g else f"{graded_fruit.mass_g:.0f} g",
+        _("Distance"): units.text(record.distance_m),
+        _("Outline by"): record.mask_source and _(MaskSource(record.mask_source).words),
+        _("Hidden by leaves"): None
         if record.hidden_share is None
         else f"{100 * record.hidden_share:.0f} %",
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if words := remarks(record, units):
         st.caption(sentence(f"{words}."))
-    with st.expander("Details", icon=":material/list:"):
+    with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
             st.caption(plain(rule))
         page_elements.table(figure_lines(record))
@@ -142,8 +151,8 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
 
     with st.container(horizontal=True):
         for verdict, name, done, icon in (
-            (Verdict.ACCEPTED, "Accept", "Accepted", "check"),
-            (Verdict.REJECTED, "Not a fruit", "Marked: not a fruit", "delete"),
+            (Verdict.ACCEPTED, _("Accept"), _("Accepted"), "check"),
+            (Verdict.REJECTED, _("Not a fruit"), _("Marked: not a fruit"), "delete"),
         ):
             # Keyed by the fruit, so that a press acts on the fruit on the screen, not on the next.
             if verdict_before is verdict:
@@ -151,7 +160,7 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
             else:
                 button(st, name, icon, judge, verdict, key=f"{verdict}_{key}")
     with st.container(horizontal=True):
-        words, name = ("Not picked", "unpick") if is_picked else ("Picked", "pick")
+        words, name = (_("Not picked"), "unpick") if is_picked else (_("Picked"), "pick")
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
         draw_undo(round_summary.key)
 
@@ -163,7 +172,7 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
         st.warning(plain(error), icon=":material/broken_image:")
         return
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
-    picture_tab, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
+    picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")
     with picture_tab:
         _picture(detail, capture, joint)
     if turned.open:
@@ -174,17 +183,19 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
 def _cloud(capture: Capture, record: DetectionRecord) -> None:
     deck = point_cloud(capture, record)
     if deck is None:
-        st.info("There is no depth on this fruit to show in 3D.")
+        st.info(_("There is no depth on this fruit to show in 3D."))
         return
     with st.container(key="point_cloud"):
         st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
     st.caption(
-        "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
-        "white, its ends in yellow, the place to cut in orange; the bar is 5 cm long. Drag to "
-        "turn, pinch or wheel to zoom."
+        _(
+            "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
+            "white, its ends in yellow, the place to cut in orange; the bar is 5 cm long. Drag to "
+            "turn, pinch or wheel to zoom."
+        )
     )
     st.download_button(
-        "All points (PLY)",
+        _("All points (PLY)"),
         lambda: cloud_ply(capture, record) or b"",
         f"fruit-{record.number}.ply",
         "application/octet-stream",
@@ -211,32 +222,34 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
     adds = st.session_state.get("adds_fruit", False)
     drawn = picture(
         f"fruit_{view.key}",
-        {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
+        {_("Colour"): as_data_url(capture.color), _("Depth"): as_data_url(depth)},
         (capture.width, capture.height),
         layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box", "brush", "erase"),
         ruler_text=ruler or "",
-        title=f"Fruit {record.number} of {view.capture}",
+        title=_("Fruit {number} of {capture}").format(number=record.number, capture=view.capture),
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
         place={"stop": view.stop_key, "capture": view.capture},
         adds=adds,
         outcome=_outcome(view.key),
     )
-    simulated = ", computer-made example" if capture.simulated else ""
-    st.caption(f"{plain(view.capture)}{simulated}. Depth: {words}.")
+    name = plain(view.capture)
+    if capture.simulated:
+        name = _("{capture}, computer-made example").format(capture=name)
+    st.caption(_("{capture}. Depth: {range}.").format(capture=name, range=words))
     if drawn.ruler:
         x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
         length_m = ruler_m(capture, (x1, y1), (x2, y2))
-        text = units.text(length_m) if length_m is not None else "no depth there"
+        text = units.text(length_m) if length_m is not None else _("no depth there")
         st.session_state["ruler"] = text
         st.rerun()
     if ruler:
-        st.markdown(f"Ruler: **{ruler}**, straight distance")
+        st.markdown(_("Ruler: **{length}**, straight distance").format(length=ruler))
     st.toggle(
-        "Tap or draw a box to add a missed fruit",
+        _("Tap or draw a box to add a missed fruit"),
         key="adds_fruit",
-        help="Off: this corrects the outline of this fruit.",
+        help=_("Off: this corrects the outline of this fruit."),
     )
     if drawn.point or drawn.box:
         prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
@@ -254,7 +267,7 @@ def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
         for view in _of_picture(detail.view)
         if view.key != detail.view.key and view.verdict is not Verdict.REJECTED
     ]
-    names = dict.fromkeys((view.key for view in neighbours), "Other fruit")
+    names = dict.fromkeys((view.key for view in neighbours), marked("Other fruit"))
     return stop_layers(detail.capture, neighbours, names, resources.settings().units)
 
 
@@ -280,7 +293,7 @@ def _accept_others(detail: DetectionDetail) -> None:
             resources.store().set_verdict(unjudged, Verdict.ACCEPTED)
 
     st.button(
-        "Accept the rest of this picture",
+        _("Accept the rest of this picture"),
         icon=":material/done_all:",
         width="stretch",
         on_click=accept,
@@ -311,7 +324,7 @@ def _correct(
         return measurer.correct(store, detail, mask, options, drawn_by)
 
     view = detail.view
-    title = "Measuring with the new outline"
+    title = marked("Measuring with the new outline")
     page_elements.start_job(f"correction_{view.key}", title, work, view.round_key)
 
 
@@ -320,40 +333,42 @@ def _outcome(key: str) -> tuple[int | None, str]:
     job = page_elements.finished_job(f"correction_{key}")
     if job is None:
         return None, ""
-    return job.number, job.error or "Saved: measured with this outline. 'Undo' removes it."
+    return job.number, job.error or _("Saved: measured with this outline. 'Undo' removes it.")
 
 
 def _methods(detail: DetectionDetail) -> None:
     units, record = resources.settings().units, detail.view.record
     lines = [
         {
-            "Method": method.method,
-            "Length": units.text(method.length_m),
-            "Kind": method.kind or "–",
-            "Thread": units.text(method.thread_m),
-            "Centreline": units.text(method.centreline_m),
-            "Chord": units.text(method.chord_m),
-            "Remark": _remark(method, record),
+            _("Method"): method.method,
+            _("Length"): units.text(method.length_m),
+            _("Kind"): method.kind or "–",
+            _("Thread"): units.text(method.thread_m),
+            _("Centreline"): units.text(method.centreline_m),
+            _("Chord"): units.text(method.chord_m),
+            _("Remark"): _remark(method, record),
         }
         for method in record.methods
     ]
-    with st.expander("All methods", icon=":material/straighten:"):
+    with st.expander(_("All methods"), icon=":material/straighten:"):
         page_elements.table(lines)
         if record.fallback:
-            st.caption(f"Methods tried first: {plain(record.fallback)}")
+            st.caption(_("Methods tried first: {methods}").format(methods=plain(record.fallback)))
     if detail.log:
-        with st.expander("Corrections", icon=":material/history:"):
+        with st.expander(_("Corrections"), icon=":material/history:"):
             for action in detail.log:
                 when = round_day(action.at_s)
-                undone = " (undone)" if action.undone else ""
-                st.write(plain(f"{when}, {action.by or 'unnamed'}: {action.kind}{undone}"))
+                undone = f" ({_('undone')})" if action.undone else ""
+                st.write(plain(f"{when}, {action.by or _('unnamed')}: {action.kind}{undone}"))
 
 
 def _remark(method: MethodRecord, record: DetectionRecord) -> str:
     remarks = [
-        "chosen" if method.method == record.method else "",
+        _("chosen") if method.method == record.method else "",
         "" if method.reason == "ok" else method.reason.replace("-", " "),
-        f"measured by {method.measured_by} instead" if method.measured_by else "",
+        _("measured by {method} instead").format(method=method.measured_by)
+        if method.measured_by
+        else "",
     ]
     return ", ".join(filter(None, remarks))
 
@@ -381,8 +396,8 @@ def _show_stops(
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
     if len(views) < 2:
         return
-    st.markdown(f"**Seen {len(views)} times**")
-    chosen = "representative" if line is None else "best view"
+    st.markdown(f"**{counted(len(views), 'Seen {n} time', 'Seen {n} times')}**")
+    chosen = _("representative") if line is None else _("best view")
 
     def words(view: DetectionSummary) -> str:
         best = f" · {chosen}" if view.best else ""
@@ -390,9 +405,10 @@ def _show_stops(
 
     page_elements.pictures(views, words, joint=joint)
     if line is not None:
-        how = "All that show it whole, together"
+        how = _("All that show it whole, together")
         if joint is not None:
-            how = f"One tube fitted to {joint.views} of these views (pink), which gives the length"
+            how = _("One tube fitted to {n} of these views (pink), which gives the length")
+            how = how.format(n=joint.views)
         st.caption(f"{how}: {_length(line.view.record, units)}")
 
 

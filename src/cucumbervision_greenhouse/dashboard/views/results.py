@@ -10,14 +10,20 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend import round_tables as tables
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.round_tables import GradedRound
 from cucumbervision_greenhouse.backend.words import (
+    counted,
+    grade_words,
     interval_words,
+    label_words,
     length_words,
     metres_words,
     plain,
     remarks,
     row_name,
+    side_words,
 )
 from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
@@ -35,10 +41,10 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _FORMATS = {
-    ExportFormat.XLSX: "Excel",
+    ExportFormat.XLSX: marked("Excel"),
     ExportFormat.CSV: "CSV",
-    ExportFormat.HTML: "Page to print",
-    ExportFormat.PARQUET: "Parquet",
+    ExportFormat.HTML: marked("Page to print"),
+    ExportFormat.PARQUET: marked("Parquet"),
     ExportFormat.JSON: "JSON",
 }
 
@@ -46,9 +52,9 @@ _FORMATS = {
 def _files(round_summary: RoundSummary) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
     formats = st.pills(
-        "Formats",
+        _("Formats"),
         list(_FORMATS),
-        format_func=_FORMATS.__getitem__,
+        format_func=lambda name: _(_FORMATS[name]),
         selection_mode="multi",
         default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
         key="formats",
@@ -56,11 +62,16 @@ def _files(round_summary: RoundSummary) -> None:
     if formats:
         asked = urlencode([("formats", str(chosen)) for chosen in formats])
         st.html(
-            f'<a class="load" href="/api/files/{round_summary.key}?{asked}" download>Download</a>'
+            f'<a class="load" href="/api/files/{round_summary.key}?{asked}" download>'
+            f"{_('Download')}</a>"
         )
 
 
-_VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ not a fruit"}
+_VERDICTS = {
+    None: "",
+    Verdict.ACCEPTED: marked("✓ accepted"),
+    Verdict.REJECTED: marked("✗ not a fruit"),
+}
 
 
 @page_elements.of_round
@@ -72,7 +83,9 @@ def page(round_summary: RoundSummary) -> None:
     if opened is not None and opened in graded.grades:
         fruit_page.show(round_summary, graded, opened)
         return
-    page_elements.say_missing("fruit", groups, "There is no such fruit in this round (any more).")
+    page_elements.say_missing(
+        "fruit", groups, _("There is no such fruit in this round (any more).")
+    )
     if not (graded.fruit or graded.deleted):
         _empty(round_summary)
         return
@@ -80,11 +93,11 @@ def page(round_summary: RoundSummary) -> None:
     _statistics(graded)
     fruit = _filtered(graded)
     if not fruit:
-        st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
+        st.info(_("No fruit matches these filters."), icon=":material/filter_alt_off:")
         return
     _list(graded, fruit)
     _chart(graded, fruit)
-    with st.expander("Files of this round", icon=":material/download:"):
+    with st.expander(_("Files of this round"), icon=":material/download:"):
         _files(round_summary)
 
 
@@ -92,7 +105,7 @@ def _empty(round_summary: RoundSummary) -> None:
     if not round_summary.stops and (words := tasks.progress(round_summary.key).first_words):
         st.info(words, icon=":material/hourglass_empty:")
     elif round_summary.stops:
-        st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
+        st.info(_("No fruit was found at the stops of this round."), icon=":material/search_off:")
     else:
         page_elements.first_steps(begun=True)
 
@@ -100,28 +113,32 @@ def _empty(round_summary: RoundSummary) -> None:
 def _classes(round_summary: RoundSummary, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
     counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
-    words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+    words = ", ".join(f"{number} {label_words(name)}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
-    says.markdown(f"**{plain(words or 'No fruit on the plant')}**")
+    says.markdown(f"**{plain(words or _('No fruit on the plant'))}**")
     if round_caches.today_of(round_summary).age_days:
-        says.caption("As measured. 'What is ready today' includes the growth expected since then.")
+        words = _("As measured. 'What is ready today' includes the growth expected since then.")
+        says.caption(words)
     if is_demonstration(round_summary.key):
-        says.caption("A computer-made example.")
+        says.caption(_("A computer-made example."))
     with go:
-        page_elements.link("today", "What is ready today")
+        page_elements.link("today", _("What is ready today"))
 
 
 def _statistics(graded: GradedRound) -> None:
     figures, units = graded.figures, resources.settings().units
     metrics: dict[str, tuple[int | str, str | None]] = {
-        "Fruit": (figures.fruit, f"detected {figures.detections} times"),
-        "Measured": (figures.measured, None),
-        "Mean length": (
+        _("Fruit"): (
+            figures.fruit,
+            counted(figures.detections, "detected {n} time", "detected {n} times"),
+        ),
+        _("Measured"): (figures.measured, None),
+        _("Mean length"): (
             units.text(figures.mean_m),
             f"± {units.text(figures.sd_m)}" if figures.sd_m else None,
         ),
-        "Picked": (figures.picked, None),
-        "Deleted": (len(graded.deleted), None),
+        _("Picked"): (figures.picked, None),
+        _("Deleted"): (len(graded.deleted), None),
     }
     how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
     with st.container(horizontal=True):
@@ -130,22 +147,25 @@ def _statistics(graded: GradedRound) -> None:
 
 
 def _filtered(graded: GradedRound) -> list[DetectionSummary]:
-    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
+    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None], key: str) -> Any:
         choices = sorted({value for value in values if value})
-        names: dict[str | None, str] = {None: "all", **{name: str(name) for name in choices}}
-        key = f"only_{label}"
+        names: dict[str | None, str] = {None: _("all")}
+        names |= {name: label_words(str(name)) for name in choices}
         labelled = label_options(key, names)
         if st.session_state.get(key) not in names:
             st.session_state[key] = None  # as in another round
         return column.selectbox(label, names, format_func=labelled, key=key)
 
-    with st.expander("Filters", icon=":material/filter_alt:"):
+    with st.expander(_("Filters"), icon=":material/filter_alt:"):
         row, named, checked = st.columns(3)
-        chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
+        chosen_row = choose(row, _("Row"), (view.row for view in graded.fruit), "only_Row")
         chosen_name = choose(
-            named, "Class", (fruit_grade.label for fruit_grade in graded.grades.values())
+            named,
+            _("Class"),
+            (fruit_grade.label for fruit_grade in graded.grades.values()),
+            "only_Class",
         )
-        verdict = choose(checked, "Checked", Verdict)
+        verdict = choose(checked, _("Checked"), Verdict, "only_Checked")
     only = DetectionFilter(row=chosen_row, verdict=verdict)
     return [
         view
@@ -161,17 +181,18 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     if not lines:
         return
     icon = ":material/bar_chart:"
-    chart = st.expander("Chart of the lengths", icon=icon, key="chart", on_change="rerun")
+    chart = st.expander(_("Chart of the lengths"), icon=icon, key="chart", on_change="rerun")
     if chart.open:
-        chart.caption("Fruit on the plant: line at the mean, band of one standard deviation")
+        words = _("Fruit on the plant: line at the mean, band of one standard deviation")
+        chart.caption(words)
         chart.altair_chart(charts.histogram(lines, units))
 
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
     lines = [_line(graded, view) for view in page_fruit]
-    words = f"{len(fruit)} fruit: tap one to open it"
-    page_elements.fruit_list("fruit_list", "Fruit of this round", lines, words)
+    words = counted(len(fruit), "{n} fruit: tap one to open it", "{n} fruit: tap one to open it")
+    page_elements.fruit_list("fruit_list", _("Fruit of this round"), lines, words)
     page_elements.choose_page(fruit, "list_page", round_caches.LINES)
 
 
@@ -179,13 +200,13 @@ def _line(graded: GradedRound, view: DetectionSummary) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     interval = interval_words(record, units)
     position = "" if view.along_m is None else f", {metres_words(view.along_m)}"
-    checked = _VERDICTS[view.verdict], "corrected" if view.corrected else ""
-    picked = "picked" if view.picked_s else ""
+    checked = _(_VERDICTS[view.verdict]), _("corrected") if view.corrected else ""
+    picked = _("picked") if view.picked_s else ""
     says = [
         length_words(record, units) + (f" ({interval})" if interval else ""),
-        graded.grades[view.key].words,
-        f"{row_name(view.row)} {view.side or ''}".strip() + position,
-        ", ".join(filter(None, (*checked, picked, "computer-made" if view.simulated else ""))),
+        grade_words(graded.grades[view.key]),
+        f"{row_name(view.row)} {side_words(view.side)}".strip() + position,
+        ", ".join(filter(None, (*checked, picked, _("computer-made") if view.simulated else ""))),
         remarks(record, units),
     ]
     return {"key": view.key, "picture": round_caches.thumbnail_of(view), "says": says}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
 from cucumbervision_greenhouse.backend.words import (
     count_words,
@@ -46,7 +47,9 @@ def page(round_summary: RoundSummary) -> None:
     with maps:
         opened = _opened(round_summary)
         keys = {view.key for view in opened.views} if opened else ()
-        page_elements.say_missing("fruit", keys, "There is no such fruit in this round (any more).")
+        page_elements.say_missing(
+            "fruit", keys, _("There is no such fruit in this round (any more).")
+        )
         _maps(round_summary, opened)
     with views:
         if opened is not None:
@@ -59,16 +62,23 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
     lines = map_lines(graded, units)
     if not lines:
         st.info(
-            "No fruit of this round has a position yet. Enter row and position when capturing.",
+            _("No fruit of this round has a position yet. Enter row and position when capturing."),
             icon=":material/map:",
         )
         return
     by, where = st.columns([2, 3], vertical_alignment="bottom")
-    st.session_state.setdefault("color_by", "Class")
-    colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
+    st.session_state.setdefault("color_by", "class")
+    scales = {"class": _("Class"), "length": _("Length")}
+    colored = by.segmented_control(
+        _("Colour by"),
+        list(scales),
+        format_func=lambda name: scales.get(name, name),
+        key="color_by",
+        required=True,
+    )
     rows = sorted({line["row"] for line in lines})
     chosen = where.pills(
-        "Rows and sides",
+        _("Rows and sides"),
         rows,
         default=rows[:_ROWS_AT_ONCE],
         format_func=plain,
@@ -84,7 +94,7 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
         with abreast[number % len(abreast)]:
             st.caption(plain(row))
             row_lines = [line for line in drawn_lines if line["row"] == row]
-            layers, grid = map_picture(row_lines, drawn_lines, units, by_length=colored == "Length")
+            layers, grid = map_picture(row_lines, drawn_lines, units, by_length=colored == "length")
             opened_here = opened if row == named else None
             _row(
                 round_summary,
@@ -93,9 +103,11 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
                 {"grid": grid, "opened": opened_here and _answer(graded, opened_here)},
             )
     st.caption(
-        "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale if "
-        "it was seen from one stop only. Tap a mark to see the fruit. Heights are relative to the "
-        "camera."
+        _(
+            "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale "
+            "if it was seen from one stop only. Tap a mark to see the fruit. Heights are relative "
+            "to the camera."
+        )
     )
     _doubtful(graded)
 
@@ -122,7 +134,7 @@ def _row(
         {},
         MAP_PX,
         layers=layers,
-        title=f"Map of {row}",
+        title=_("Map of {row}").format(row=row),
         content=content,
         on={"tapped": tapped, "judged": judged},
     )
@@ -133,15 +145,15 @@ def _row(
 def _answer(graded: GradedRound, context: FruitContext) -> dict[str, Any]:
     """Return what is said of a fruit beside its mark."""
     fruit, units = context.fruit, resources.settings().units
-    marked = {
+    verdicts = {
         None: "",
-        Verdict.ACCEPTED: ". Marked: a fruit.",
-        Verdict.REJECTED: ". Marked: not a fruit.",
+        Verdict.ACCEPTED: f". {_('Marked: a fruit.')}",
+        Verdict.REJECTED: f". {_('Marked: not a fruit.')}",
     }
     return {
         "key": fruit.key,
         "picture": round_caches.thumbnail_of(fruit),
-        "says": map_words(fruit, graded, units) + marked[fruit.verdict],
+        "says": map_words(fruit, graded, units) + verdicts[fruit.verdict],
         "verdict": fruit.verdict,
     }
 
@@ -162,20 +174,24 @@ def _doubtful(graded: GradedRound) -> None:
         index = keys.index(current) + 1 if current in keys else 0
         page_elements.name_in_address("fruit", keys[index % len(keys)])
 
-    words = counted(len(unsure), "fruit was", "fruit were")
+    words = counted(
+        len(unsure),
+        "{n} fruit was seen from one stop only: may be wrong or counted twice.",
+        "{n} fruit were seen from one stop only: may be wrong or counted twice.",
+    )
     says, go = st.columns([3, 2], vertical_alignment="center")
-    says.markdown(f"{words} seen from one stop only: may be wrong or counted twice.")
-    button(go, "Show the least certain", "visibility", look)
+    says.markdown(words)
+    button(go, _("Show the least certain"), "visibility", look)
 
 
 def _same(context: FruitContext) -> None:
     """Draw the views of a fruit, its neighbours and those of other days, to be told apart."""
     fruit, store = context.fruit, resources.store()
-    apart = None if len(context.views) == 1 else ("Different fruit", "call_split", store.unmerge)
-    title = f"Seen {counted(len(context.views), 'time', 'times')}"
+    apart = None if len(context.views) == 1 else (_("Different fruit"), "call_split", store.unmerge)
+    title = counted(len(context.views), "Seen {n} time", "Seen {n} times")
     _pictures(fruit, title, context.views, apart)
-    same = ("Same fruit", "merge", partial(store.merge, fruit.key))
-    _pictures(fruit, "Fruit nearby", context.neighbours, same)
+    same = (_("Same fruit"), "merge", partial(store.merge, fruit.key))
+    _pictures(fruit, _("Fruit nearby"), context.neighbours, same)
     for day, is_earlier in ((context.earlier, True), (context.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
@@ -196,9 +212,11 @@ def _other_day(fruit: DetectionSummary, day: OtherDay, *, is_earlier: bool) -> N
 
     when = round_day(day.round.walked_s)
     if day.linked is not None:
-        act = ("Different fruit", "link_off", part)
-        _pictures(fruit, f"The same fruit on {when}", [day.linked], act)
-    _pictures(fruit, f"Fruit nearby on {when}", day.neighbours, ("Same fruit", "link", link))
+        act = (_("Different fruit"), "link_off", part)
+        title = _("The same fruit on {day}").format(day=when)
+        _pictures(fruit, title, [day.linked], act)
+    title = _("Fruit nearby on {day}").format(day=when)
+    _pictures(fruit, title, day.neighbours, (_("Same fruit"), "link", link))
 
 
 def _pictures(

@@ -8,7 +8,8 @@ import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.backend import resources, tasks
-from cucumbervision_greenhouse.backend.words import counted, stop_name
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.words import counted, side_words, stop_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
@@ -25,18 +26,18 @@ def list_stops(round_summary: RoundSummary) -> None:
     stops = {stop.key: stop for stop in resources.store().stops(round_summary.key)}
     key = f"stop_of_{round_summary.key}"
     named = st.query_params.get("stop")  # as the capture page's link does
-    say_missing("stop", stops, "There is no such stop in this round (any more).")
+    say_missing("stop", stops, _("There is no such stop in this round (any more)."))
     if named in stops:
         st.session_state.setdefault(key, named)
     with st.expander(
-        "Stops: move, rename, delete", expanded=named in stops, icon=":material/place:"
+        _("Stops: move, rename, delete"), expanded=named in stops, icon=":material/place:"
     ):
         chosen = st.selectbox(
-            "Stop",
+            _("Stop"),
             list(stops),
             index=None,
             format_func=label_options(key, {index: _words(stop) for index, stop in stops.items()}),
-            placeholder=f"Choose one of {counted(len(stops), 'stop', 'stops')}",
+            placeholder=counted(len(stops), "Choose one of {n} stop", "Choose one of {n} stops"),
             key=key,
         )
         if chosen in stops:
@@ -45,7 +46,7 @@ def list_stops(round_summary: RoundSummary) -> None:
 
 def _words(stop: StopSummary) -> str:
     note = f" ({stop.note})" if stop.note else ""
-    return f"{stop_name(stop)}{note} · {stop.fruit} fruit"
+    return f"{stop_name(stop)}{note} · {counted(stop.fruit, '{n} fruit', '{n} fruit')}"
 
 
 def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
@@ -55,12 +56,19 @@ def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
     version = f"{stop.key}_{store.newest_action(stop.round_key)}"
     row, side, position = st.columns(3)
     number, note = st.columns([1, 2])
-    row.text_input("Row", stop.row or "", key=f"stop_row_{version}")
+    row.text_input(_("Row"), stop.row or "", key=f"stop_row_{version}")
     choices = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
     index = choices.index(stop.side) if stop.side else None
-    side.selectbox("Side", choices, index, key=f"stop_side_{version}", accept_new_options=True)
+    side.selectbox(
+        _("Side"),
+        choices,
+        index,
+        format_func=side_words,
+        key=f"stop_side_{version}",
+        accept_new_options=True,
+    )
     position.number_input(
-        "At [m]",
+        _("At [m]"),
         min(0.0, stop.position_m or 0.0),
         None,
         stop.position_m,
@@ -68,8 +76,8 @@ def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
         "%.2f",
         key=f"stop_at_{version}",
     )
-    number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{version}")
-    note.text_input("Name", stop.note, key=f"stop_note_{version}")
+    number.number_input(_("Number"), None, None, stop.step, 1, key=f"stop_step_{version}")
+    note.text_input(_("Name"), stop.note, key=f"stop_note_{version}")
 
     def move() -> int:
         # What the fields hold now: they may have been typed into since they were drawn.
@@ -83,10 +91,10 @@ def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
 
     save, delete = st.columns(2)
     for where, label, icon, act in (
-        (save, "Save", "save", move),
-        (delete, "Delete this stop", "delete", remove),
+        (save, _("Save"), "save", move),
+        (delete, _("Delete this stop"), "delete", remove),
     ):
-        button(where, label, icon, _do, stop.round_key, act, key=f"{label}_{stop.key}")
+        button(where, label, icon, _do, stop.round_key, act, key=f"{icon}_{stop.key}")
 
 
 def _do(round_key: str, act: Callable[[], int]) -> None:

@@ -10,10 +10,17 @@ from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.progress import progress_of
 from cucumbervision_greenhouse.backend.uploading import CAMERAS
-from cucumbervision_greenhouse.backend.uploads import SentPlace
-from cucumbervision_greenhouse.backend.words import counted, plain, round_day, sentence
+from cucumbervision_greenhouse.backend.uploads import MOST_FILES, SentPlace
+from cucumbervision_greenhouse.backend.words import (
+    counted,
+    plain,
+    round_day,
+    sentence,
+    side_words,
+)
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
@@ -35,14 +42,21 @@ _ENDINGS = [
 @page_elements.of_round
 def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    st.write("Zips of captures, or colour and depth pictures with matching names. Many at once.")
+    st.write(
+        _(
+            "Zips of captures, or colour and depth pictures with matching names. Many at once, or "
+            "a whole folder."
+        )
+    )
     place = _place(round_summary)
     camera = st.selectbox(
-        "Camera of pictures without intrinsics",
+        _("Camera of pictures without intrinsics"),
         ["", *CAMERAS],
-        format_func=lambda name: name or "unknown: do not measure them",
-        help="Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
-        "Upload an intrinsics file if you have one.",
+        format_func=lambda name: name or _("unknown: do not measure them"),
+        help=_(
+            "Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
+            "Upload an intrinsics file if you have one."
+        ),
     )
     component("upload")(
         key=f"upload_{round_summary.key}",
@@ -51,12 +65,13 @@ def page(round_summary: RoundSummary) -> None:
             "place": place.model_dump(),
             "camera": camera,
             "limit_mb": resources.settings().upload_limit_mb,
+            "limit_files": MOST_FILES,
             "recordings": sorted(RECORDING_SUFFIXES),
             "accept": ",".join(f".{ending}" for ending in _ENDINGS),
         },
     )
     if doubts := round_caches.doubts_of(round_summary):
-        words = f"Check the data of this round. {'. '.join(doubts)}."
+        words = f"{_('Check the data of this round.')} {'. '.join(doubts)}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
         _show(upload)
@@ -113,7 +128,7 @@ def _draw_place(
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
-    named = row.text_input("Row", key=keys["row"], on_change=change_row)
+    named = row.text_input(_("Row"), key=keys["row"], on_change=change_row)
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
@@ -122,7 +137,7 @@ def _draw_place(
     return SentPlace(
         row=named,
         side=side.segmented_control(
-            "Side",
+            _("Side"),
             sides,
             format_func=_side_words,
             required=True,
@@ -131,13 +146,15 @@ def _draw_place(
         )
         or sides[0],
         position_m=position.number_input(
-            "First at [m]", 0.0, step=0.1, format="%.2f", key=keys["at"], on_change=keep
+            _("First at [m]"), 0.0, step=0.1, format="%.2f", key=keys["at"], on_change=keep
         ),
-        step_m=step.number_input("Step [m]", 0.0, 5.0, step=0.1, key=keys["step"], on_change=keep),
+        step_m=step.number_input(
+            _("Step [m]"), 0.0, 5.0, step=0.1, key=keys["step"], on_change=keep
+        ),
         back=way.segmented_control(
-            "Walking",
+            _("Walking"),
             ["up", "down"],
-            format_func="{} the row".format,
+            format_func={"up": _("up the row"), "down": _("down the row")}.__getitem__,
             required=True,
             width="stretch",
             key=keys["way"],
@@ -148,40 +165,47 @@ def _draw_place(
 
 
 def _side_words(side: str) -> str:
-    return plain(side.capitalize())
+    words = side_words(side)
+    return plain(words[:1].upper() + words[1:])
 
 
 def _show(upload: Upload) -> None:
     """Draw an upload: what is there of it, or the outcome of each of its files."""
     sending, uploads = upload.sending, resources.uploads()
     names = ", ".join(plain(file.name) for file in sending.files[:3])
-    suffix = f" and {len(sending.files) - 3} more" if len(sending.files) > 3 else ""
+    if len(sending.files) > 3:
+        names = _("{names} and {n} more").format(names=names, n=len(sending.files) - 3)
     if not upload.done and not uploads.is_whole(sending.key):
         received = sum(uploads.received(sending.key))
         st.info(
-            f"{names}{suffix}: {received / 1e6:.0f} of {sending.size / 1e6:.0f} MB are here. "
-            "Choose the same files again to send the rest.",
+            _(
+                "{names}: {received} of {all} MB are here. Choose the same files again to send the "
+                "rest."
+            ).format(
+                names=names, received=f"{received / 1e6:.0f}", all=f"{sending.size / 1e6:.0f}"
+            ),
             icon=":material/upload:",
         )
         return
     saved = sum(outcome.saved for outcome in upload.outcomes)
     not_saved = len(upload.outcomes) - saved
-    words = (
-        f"{counted(saved, 'capture', 'captures')} saved{f', {not_saved} not' if not_saved else ''}"
-    )
+    words = counted(saved, "{n} capture saved", "{n} captures saved")
+    if not_saved:
+        words = _("{saved}, {n} not").format(saved=words, n=not_saved)
     when = round_day(upload.begun_s)
     if not upload.done:
         at_work = progress_of(sending.round, (), uploads=[upload]).words
-        st.info(f"{names}{suffix}, {when}: {at_work or 'waiting'}. {words} so far.")
+        so_far = _("{saved} so far.").format(saved=words)
+        st.info(f"{names}, {when}: {at_work or _('waiting')}. {so_far}")
     else:
-        (st.success if saved else st.warning)(f"{names}{suffix}, {when}: {words}.")
+        (st.success if saved else st.warning)(f"{names}, {when}: {words}.")
     if saved:
-        page_elements.link("results", "Results")
+        page_elements.link("results", _("Results"))
     lines = [
         {
-            "File": outcome.name,
-            "": "saved" if outcome.saved else "not saved",
-            "Result": outcome.words,
+            _("File"): outcome.name,
+            "": _("saved") if outcome.saved else _("not saved"),
+            _("Result"): outcome.words,
         }
         for outcome in sorted(upload.outcomes, key=lambda outcome: outcome.saved)
     ]

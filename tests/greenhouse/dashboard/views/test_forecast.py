@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 
@@ -9,6 +10,8 @@ pytest.importorskip("streamlit")
 
 
 from tests.greenhouse.dashboard.app_pages import app, said
+
+from cucumbervision_greenhouse.backend import resources
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -20,3 +23,13 @@ def test_the_forecast_names_days_by_their_dates(house: Path) -> None:
     assert days[:3] == ["today", "tomorrow", time.strftime("%a %-d %b", in_two_days)]
     # Some of the eight bundled fruit are class I as they were measured.
     assert "class I today" in said(test)
+
+
+def test_growth_is_told_in_the_unit_of_the_lengths(house: Path) -> None:
+    assert "Expected growth: 3.0 cm a day (2.0 to 4.0)" in said(app("forecast"))
+    resources.change_settings(
+        unit="in"
+    )  # 3 cm are 1.181 in, 2 and 4 cm (one digit) 0.79 and 1.57 in
+    assert re.search(
+        r"Expected growth: 1\.18 in a day \(0\.[78]\d to 1\.5\d\)", said(app("forecast"))
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.dashboard.app_pages import PAGES, WALK, app, listed, said
+from tests.greenhouse.dashboard.app_pages import PAGES, WALK, app, said
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.backend import language, resources
@@ -23,7 +25,7 @@ SAME = {"Manual", "Camera", "Details"}  # words of both languages
 def texts(test: AppTest) -> set[str]:
     """What a page says: texts, and labels of its elements."""
     labels = {str(part.label) for kind in KINDS for part in getattr(test, kind)}
-    headings = {str(part.value) for part in [*test.subheader, *test.title]}
+    headings = {str(part.value) for part in [*test.header, *test.subheader, *test.title]}
     tabs = {str(part.label) for part in [*test.tabs, *test.expander]}
     columns = {str(name) for table in test.table for name in table.value.columns}
     return {*said(test).splitlines(), *labels, *headings, *tabs, *columns} - {""}
@@ -49,9 +51,12 @@ def test_todays_page_in_dutch(house: Path) -> None:
     test = app("today", round=WALK)
     labels = [metric.label for metric in test.metric]
     assert labels[:2] == ["Vandaag oogstbaar", "klasse I"]
-    assert [heading.value for heading in test.subheader] == ["Oogstlijst"]
-    assert {says[0].split(" m ")[1] for says in listed(test)} <= {"links", "rechts"}
-    assert all("," in says[1] and says[1].endswith(" cm") for says in listed(test))
+    assert [heading.value for heading in test.header] == ["Oogstlijst"]
+    lists = [x for x in test.get("bidi_component") if "fruitlist" in x.proto.component_name]
+    says = [fruit["says"] for drawn in lists for fruit in json.loads(drawn.proto.json)["fruit"]]
+    assert says
+    assert {place.split(" m ")[1] for place, *_ in says} <= {"links", "rechts"}
+    assert all(re.fullmatch(r"(minstens )?\d+,\d cm", length) for _, length, *_ in says)
 
 
 @pytest.mark.timeout(1800)

@@ -142,7 +142,7 @@ class Plugin:
             if isinstance(error, PluginError) or self.kind in ("detectors", "readers"):
                 raise
             raise self.error(f"failed ({error})") from error
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self.error(f"failed ({type(error).__name__}: {error})") from error
 
 

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline import run
 from cucumbervision.pipeline.batch import Outcome, ReadCapture, SearchedCapture, choose_engine
@@ -66,3 +68,29 @@ def test_a_capture_that_kills_its_worker_is_a_failure_and_the_others_are_measure
     (failure,) = result.failures
     assert (failure.capture, result.captures) == ("simulated-row-b", 2)
     assert "killed twice" in failure.message
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1.5 MB: room for two of the three pictures."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1500k", "none", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no small file system can be mounted here")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=False)
+
+
+def test_a_full_disk_is_named_and_with_room_the_batch_goes_on(
+    small_disk: Path, tmp_path: Path
+) -> None:
+    whole = measure_inputs([example_captures()], tmp_path / "whole", OPTIONS)
+    batch = BatchOptions(engine=choose_engine(1, "local"))
+    with pytest.raises(DiskFullError, match=r"simulated-.*No space left"):
+        measure_inputs([example_captures()], small_disk / "out", OPTIONS, batch=batch)
+    subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
+    again = measure_inputs([example_captures()], small_disk / "out", OPTIONS, batch=batch)
+    assert (again.exit_code, again.captures) == (0, 3)
+    assert 0 < again.before < 3
+    assert again.rows == whole.rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -162,6 +162,24 @@ class Capture:
         check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
         if is_off_centre(self.intrinsics) and Doubt.PRINCIPAL_POINT not in self.doubts:
             object.__setattr__(self, "doubts", (*self.doubts, Doubt.PRINCIPAL_POINT))
+
+    def read_only(self) -> Self:
+        """Return the same capture for somebody who must not change it: writing raises a ValueError.
+
+        Examples
+        --------
+        >>> from cucumbervision.capture.intrinsics import Intrinsics
+        >>> color, depth = np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.5, np.float32)
+        >>> capture = Capture(color, depth, Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0), name="a")
+        >>> capture.read_only().depth_m.flags.writeable, capture.depth_m.flags.writeable
+        (False, True)
+        """
+        color, depth_m = self.color.view(), self.depth_m.view()
+        masks = tuple(mask.view() for mask in self.masks)
+        views: list[NDArray[Any]] = [color, depth_m, *masks]
+        for view in views:
+            view.setflags(write=False)
+        return replace(self, color=color, depth_m=depth_m, masks=masks)
 
     @classmethod
     def from_arrays(

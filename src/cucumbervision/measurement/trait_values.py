@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -87,6 +88,7 @@ def with_traits(
         A trait of another package that raised, or returned what is no finite number, has the reason
         'plugin-failed' and the error; the fruit is flagged, and otherwise as it was.
     """
+    capture = capture.read_only()  # else a trait changes the fruit after it
     values = {plugin.name: trait_value(plugin, trait, capture, fruit) for plugin, trait in traits}
     if not values:
         return fruit
@@ -110,8 +112,12 @@ def _checked(plugin: Plugin, answer: Any) -> TraitValue:
     number = value.value
     if number is None:
         return value
-    # A trait of another package may return anything.
-    is_number = isinstance(cast("Any", number), float | int | np.number)
-    if not is_number or not math.isfinite(number):
-        raise plugin.error(f"returned {number!r} in place of a finite number")
-    return replace(value, value=float(number))
+    answer = cast("Any", number)  # a trait of another package may return anything
+    is_real = isinstance(answer, (float, int, np.floating, np.integer))
+    try:
+        figure = float(answer) if is_real and not isinstance(answer, np.timedelta64) else math.nan
+    except OverflowError:
+        figure = math.inf
+    if not math.isfinite(figure):
+        raise plugin.error(f"returned {reprlib.repr(number)} in place of a finite number")
+    return replace(value, value=figure)

@@ -242,7 +242,8 @@ def trait_field(plugin: Plugin, trait: Trait) -> Field:
     unit, says = getattr(trait, "unit", None), getattr(trait, "says", None)
     if not isinstance(unit, str) or not isinstance(says, str):
         raise plugin.error("is no trait: it has no texts `unit` and `says`")
-    if not plugin.name.isidentifier() or (unit and not plugin.name.endswith(f"_{unit}")):
+    name = plugin.name
+    if not name.isidentifier() or name != name.lower() or (unit and not name.endswith(f"_{unit}")):
         raise plugin.error("is called as no column: lower case letters, then _ and the unit")
     digits = None if unit in _UNITS else _TRAIT_DIGITS
     path = f"fruit.trait_values.{plugin.name}.value"

@@ -243,7 +243,8 @@ def _segmented(
     PluginError
         If it fails, or its answer is no mask of the picture for each instance.
     """
-    answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, prompts)))
+    color = capture.read_only().color
+    answers = plugin.call(lambda: tuple(segmenter.segment(color, prompts)))
     if len(answers) != len(prompts):
         raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
     shape = (capture.height, capture.width)
@@ -365,7 +366,8 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
         instances: list[Instance] = []
         clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
-        for number, instance in enumerate(plugin.call(lambda: tuple(detector(capture))), 1):
+        answers = plugin.call(lambda: tuple(detector(capture.read_only())))
+        for number, instance in enumerate(answers, 1):
             if not isinstance(instance, Instance):
                 raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")
             try:

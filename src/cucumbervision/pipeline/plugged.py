@@ -68,10 +68,14 @@ class RunPlugins:
                 self.methods.append(method)
             except PluginError as fault:
                 self.faults.append(fault)
+        taken = {field.name for field in fields_with(self._method_names(), ())}
         for plugin, trait in self._all_traits():
             try:
                 part = plugin.load() if trait is None else trait
-                trait_field(plugin, part)
+                name = trait_field(plugin, part).name
+                if name in taken and not plugin.is_own:
+                    raise plugin.error("has a name that is taken, and is left out")
+                taken.add(name)
                 self.traits.append((plugin, part))
             except PluginError as fault:
                 self.faults.append(fault)
@@ -81,16 +85,23 @@ class RunPlugins:
             (plugin, None) for plugin in plugins("traits").values()
         ]
         for trait in self._plug_ins.traits:
-            part = getattr(trait, "function", trait)
-            listed.append((Plugin.of("traits", part, str(trait.name)), trait))
+            plugin = Plugin.of("traits", getattr(trait, "function", trait))
+            try:
+                name = plugin.call(lambda trait=trait: str(trait.name))
+                listed.append((Plugin.of("traits", getattr(trait, "function", trait), name), trait))
+            except PluginError as fault:
+                self.faults.append(fault)
         return listed
+
+    def _method_names(self) -> list[str]:
+        """Return the methods whose columns there are, those that could not be loaded too."""
+        names = [method if isinstance(method, str) else str(method.name) for method in self.methods]
+        return [*self._options.methods, *names]
 
     @cached_property
     def fields(self) -> tuple[Field, ...]:
         """The columns of the run's tables."""
-        names = [method if isinstance(method, str) else str(method.name) for method in self.methods]
-        # A method that could not be loaded has its column, without values.
-        return fields_with([*self._options.methods, *names], self.traits)
+        return fields_with(self._method_names(), self.traits)
 
     @cached_property
     def lines(self) -> tuple[Plugin, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import resource
+import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable
@@ -104,3 +105,22 @@ def test_an_upload_goes_on_after_a_reload_a_kill_and_a_full_disk(
     finally:
         server.kill()
         server.wait()
+
+
+def test_a_folder_is_chosen_whole_and_what_is_no_capture_is_named(
+    tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
+) -> None:
+    folder, store = tmp_path / "row", tmp_path / "house.db"
+    shutil.copytree(example_captures() / "simulated-row-a", folder)
+    (folder / "notes.odt").write_bytes(b"PK")
+    with open_store(store) as opened:
+        opened.save_round(WALK)
+    address = start_server(tmp_path, "--store", str(store), "--replay", str(example_captures()))
+    page = new_page()
+    page.goto(f"{address}/upload?round={WALK.key}")
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Choose a folder").click()
+    chooser.value.set_files(folder)
+    page.get_by_text("no part of a capture: row/notes.odt").wait_for()
+    page.get_by_role("button", name="Measure these files").click()
+    page.get_by_text("1 capture saved").wait_for()

@@ -128,7 +128,7 @@ def read_address() -> None:
 def keep_inputs() -> None:
     """Keep the input of closed pages."""
     for name in list(st.session_state):
-        if name in _KEPT_INPUTS or str(name).startswith("up_"):
+        if name in _KEPT_INPUTS or str(name).startswith(("up_", "only_")):
             st.session_state[name] = st.session_state[name]
 
 

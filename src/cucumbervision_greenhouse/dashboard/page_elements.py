@@ -76,7 +76,7 @@ def draw_undo(round_key: str) -> None:
         else:
             st.toast(plain(taken_back(action)), icon=":material/undo:")
 
-    button(st, _("Undo"), "undo", undo)
+    button(st, _("Undo"), "undo", undo, shortcut="Z")
     if fault := st.session_state.pop("fault", None):
         st.warning(sentence(fault), icon=":material/error:")
 
@@ -95,6 +95,8 @@ def fruit_list(
     fruit: list[dict[str, Any]],
     words: str,
     on_taps: Callable[[], None] | None = None,
+    *,
+    are_pictures: bool = False,
 ) -> None:
     """Draw a list of fruit to tick off or to open; opening one puts it into the address.
 
@@ -110,12 +112,20 @@ def fruit_list(
     on_taps : callable
         Called with every tap, before anything is drawn, so that all totals count it; None for
         fruit to be opened.
+    are_pictures : bool
+        Large pictures side by side instead of lines.
     """
 
     def opened() -> None:
         name_in_address("fruit", st.session_state[key].opened)
 
-    data = {"fruit": fruit, "words": words, "label": label, "opens": on_taps is None}
+    data = {
+        "fruit": fruit,
+        "words": words,
+        "label": label,
+        "opens": on_taps is None,
+        "grid": are_pictures,
+    }
     tapped = {"on_opened_change": opened} if on_taps is None else {"on_taps_change": on_taps}
     component("fruitlist")(key=key, data=data, **tapped)
 
@@ -206,6 +216,12 @@ def first_steps(*, begun: bool) -> None:
             link("capture", _("Capture"))
         with upload:
             link("upload", _("Upload"))
+
+
+def browser_button(name: str, label: str, address: str, *, done: str = "") -> None:
+    """Draw a button that the browser itself acts on: 'print' or 'send' an address (theme.js)."""
+    told = f'data-act="{name}" data-address="{escape(address)}" data-done="{escape(done)}"'
+    st.html(f'<button type="button" class="act" {told}>{escape(label)}</button>')
 
 
 def link(page: str, label: str, **parts: str) -> None:

@@ -37,8 +37,18 @@ def said(test: AppTest) -> str:
 
 def listed(test: AppTest) -> list[list[str]]:
     """What the list of fruit says of each."""
+    return [line["says"] for line in _lines(test)]
+
+
+def keys(test: AppTest) -> list[str]:
+    """The keys of the fruit in the list."""
+    return [line["key"] for line in _lines(test)]
+
+
+def _lines(test: AppTest) -> list[dict[str, Any]]:
     [drawn] = [x for x in test.get("bidi_component") if "fruitlist" in x.proto.component_name]
-    return [one["says"] for one in json.loads(drawn.proto.json)["fruit"]]
+    lines: list[dict[str, Any]] = json.loads(drawn.proto.json)["fruit"]
+    return lines
 
 
 def classes(test: AppTest) -> set[str]:

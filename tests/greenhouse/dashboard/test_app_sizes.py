@@ -148,6 +148,37 @@ def test_a_keyboard_is_three_stops_from_the_list(
     page.get_by_text(re.compile(r"^0 of \d+ picked")).first.wait_for()
 
 
+def test_fruit_are_reviewed_by_keys(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page = new_page(*SIZES["desktop"])
+    page.goto(f"{address[0]}/results?round={TODAY}")
+    page.get_by_text("Pictures", exact=True).click()
+    page.locator(".fruit.grid button").first.click()
+
+    def button(key: str) -> Any:
+        return page.locator(f"[class*='st-key-{key}_'] button")
+
+    button("accepted").wait_for()
+    assert button("accepted").locator("kbd").inner_text() == "A"
+    first = page.url
+    page.keyboard.press("a")
+    button("clear").get_by_text("Accepted").wait_for()
+    page.keyboard.press("u")
+    page.wait_for_url(lambda url: "fruit=" in url and url != first)
+    page.keyboard.press("x")
+    button("clear").get_by_text("Marked: not a fruit").wait_for()
+    page.keyboard.press("z")
+    button("rejected").wait_for()
+    page.keyboard.press("z")
+    page.goto(first)
+    button("accepted").wait_for()
+    page.keyboard.press("Escape")
+    page.locator(".fruit button").first.wait_for()
+    assert "fruit=" not in page.url
+    page.context.close()
+
+
 def middle(place: Any) -> tuple[float, float]:
     box = place.bounding_box()
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2

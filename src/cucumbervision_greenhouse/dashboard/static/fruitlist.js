@@ -16,6 +16,7 @@ export default function (component) {
   state.set(root, own);
   const list = root.querySelector(".fruit");
   list.setAttribute("aria-label", data.label);
+  list.classList.toggle("grid", Boolean(data.grid));
   if (!own.heard) {
     root.host.id = "list"; // where the link at the page's top leads
     // On the click, not on a new address: so a key that follows at once finds the focus there, and the link works twice.

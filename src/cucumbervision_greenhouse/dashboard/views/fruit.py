@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
 
 import numpy as np
 import streamlit as st
@@ -40,11 +41,12 @@ from cucumbervision_greenhouse.backend.words import (
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, cloud_ply, point_cloud
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
+from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -60,10 +62,12 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
-def show(round_summary: RoundSummary, graded: GradedRound, key: str) -> None:
-    """Draw a fruit in place of the list."""
+def show(
+    round_summary: RoundSummary, graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
+) -> None:
+    """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
     detail = round_caches.fruit_detail(round_summary, key)
-    _head(graded, key)
+    _head(graded, key, listed)
     picture_side, right = page_elements.halves()
     # Each in its own container, so that elements above do not move the buttons.
     with right.container():
@@ -80,27 +84,41 @@ def show(round_summary: RoundSummary, graded: GradedRound, key: str) -> None:
     _methods(detail)
 
 
-def _head(graded: GradedRound, key: str) -> None:
-    listed = {key, *(view.key for view in graded.fruit)}  # a rejected fruit keeps its place
-    keys = [fruit_key for fruit_key in graded.grades if fruit_key in listed]
+def _neighbours(
+    graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
+) -> tuple[str | None, str | None]:
+    """Return the fruit before and after one in the list.
+
+    One that has just left the list, since it was judged or deleted, keeps its place of the walk.
+    """
+    keys = [view.key for view in listed]
+    if key not in keys:
+        walk = list(graded.grades)
+        later = (k for k, other in enumerate(keys) if walk.index(other) > walk.index(key))
+        keys.insert(next(later, len(keys)), key)
     index = keys.index(key)
+    return (keys[index - 1] if index else None), next(iter(keys[index + 1 :]), None)
+
+
+def _head(graded: GradedRound, key: str, listed: Sequence[DetectionSummary]) -> None:
+    before, after = _neighbours(graded, key, listed)
+    unsure = [view.key for view in least_sure_first(graded.fruit)]
+    following = unsure.index(key) + 1 if key in unsure else 0
+    next_unsure = next((k for k in (*unsure[following:], *unsure[:following]) if k != key), None)
 
     def go(to: str | None) -> None:
         page_elements.name_in_address("fruit", to)
         st.session_state.pop("ruler", None)
 
     with st.container(horizontal=True, gap="small", key="fruit_head"):
-        button(st, _("All fruit"), "arrow_back", go, None)
-        for label, to, side in (
-            (_("Previous"), index - 1, "left"),
-            (_("Next"), index + 1, "right"),
+        button(st, _("All fruit"), "arrow_back", go, None, shortcut="Esc")
+        for label, target, icon, shortcut in (
+            (_("Previous"), before, "chevron_left", "Left"),
+            (_("Next"), after, "chevron_right", "Right"),
+            (_("Next unsure"), next_unsure, "help", "U"),
         ):
-            exists = 0 <= to < len(keys)
-            target, how = keys[to] if exists else key, {"disabled": not exists}
-            # A keyboard walks through the fruit by its arrows.
-            arrow = side.capitalize()
-            button_key = f"{side}_{key}"
-            button(st, label, f"chevron_{side}", go, target, shortcut=arrow, key=button_key, **how)
+            how: dict[str, Any] = {"disabled": target is None, "key": f"{icon}_{key}"}
+            button(st, label, icon, go, target, shortcut=shortcut, **how)
 
 
 def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
@@ -150,19 +168,24 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
         store.unpick([key]) if is_picked else store.pick([key])
 
     with st.container(horizontal=True):
-        for verdict, name, done, icon in (
-            (Verdict.ACCEPTED, _("Accept"), _("Accepted"), "check"),
-            (Verdict.REJECTED, _("Not a fruit"), _("Marked: not a fruit"), "delete"),
+        for verdict, name, done, icon, shortcut in (
+            (Verdict.ACCEPTED, _("Accept"), _("Accepted"), "check", "A"),
+            (Verdict.REJECTED, _("Not a fruit"), _("Marked: not a fruit"), "delete", "X"),
         ):
+            how = {"shortcut": shortcut}
             # Keyed by the fruit, so that a press acts on the fruit on the screen, not on the next.
             if verdict_before is verdict:
-                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}")
+                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}", **how)
             else:
-                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}")
+                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}", **how)
     with st.container(horizontal=True):
         words, name = (_("Not picked"), "unpick") if is_picked else (_("Picked"), "pick")
-        button(st, words, "shopping_basket", pick, key=f"{name}_{key}")
+        button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
         draw_undo(round_summary.key)
+    address = f"/results?{urlencode(page_elements.here(fruit=key))}"
+    page_elements.browser_button(
+        "send", _("Send a link to this fruit"), address, done=_("The link is copied")
+    )
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
+_FILTERS = marked("Row"), marked("Class"), marked("Checked"), marked("With")
 _FORMATS = {
     ExportFormat.XLSX: marked("Excel"),
     ExportFormat.CSV: "CSV",
@@ -81,7 +84,7 @@ def page(round_summary: RoundSummary) -> None:
     groups = {view.key: view.group for view in round_caches.content_of(round_summary).views}
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
-        fruit_page.show(round_summary, graded, opened)
+        fruit_page.show(round_summary, graded, opened, _listed(graded))
         return
     page_elements.say_missing(
         "fruit", groups, _("There is no such fruit in this round (any more).")
@@ -91,7 +94,8 @@ def page(round_summary: RoundSummary) -> None:
         return
     _classes(round_summary, graded)
     _statistics(graded)
-    fruit = _filtered(graded)
+    _filters(graded)
+    fruit = _listed(graded)
     if not fruit:
         st.info(_("No fruit matches these filters."), icon=":material/filter_alt_off:")
         return
@@ -146,32 +150,66 @@ def _statistics(graded: GradedRound) -> None:
             st.metric(label, value, below, **how)
 
 
-def _filtered(graded: GradedRound) -> list[DetectionSummary]:
-    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None], key: str) -> Any:
+def _with(view: DetectionSummary) -> set[str]:
+    """Return which filters of *With* a fruit passes."""
+    passed = {
+        marked("a remark"): bool(remarks(view.record, resources.settings().units)),
+        marked("a redrawn outline"): view.corrected,
+        marked("one view, not checked"): view.views == 1 and view.verdict is None,
+    }
+    return {name for name, passes in passed.items() if passes}
+
+
+_ORDERS: dict[str, Callable[[DetectionSummary], float]] = {
+    marked("Walk"): lambda _: 0.0,
+    marked("Longest first"): lambda view: -(view.record.length_m or 0.0),
+    marked("Shortest first"): lambda view: view.record.length_m or math.inf,
+    marked("Least certain first"): lambda view: view.record.score,
+}
+_WALK, _LIST, _PICTURES = next(iter(_ORDERS)), marked("List"), marked("Pictures")
+
+
+def _filters(graded: GradedRound) -> None:
+    """Draw the filters and the order; both stay while a fruit or another page is open."""
+
+    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> None:
         choices = sorted({value for value in values if value})
         names: dict[str | None, str] = {None: _("all")}
         names |= {name: label_words(str(name)) for name in choices}
+        key = f"only_{label}"
         labelled = label_options(key, names)
         if st.session_state.get(key) not in names:
             st.session_state[key] = None  # as in another round
-        return column.selectbox(label, names, format_func=labelled, key=key)
+        column.selectbox(_(label), names, format_func=labelled, key=key)
 
     with st.expander(_("Filters"), icon=":material/filter_alt:"):
-        row, named, checked = st.columns(3)
-        chosen_row = choose(row, _("Row"), (view.row for view in graded.fruit), "only_Row")
-        chosen_name = choose(
-            named,
-            _("Class"),
-            (fruit_grade.label for fruit_grade in graded.grades.values()),
-            "only_Class",
-        )
-        verdict = choose(checked, _("Checked"), Verdict, "only_Checked")
-    only = DetectionFilter(row=chosen_row, verdict=verdict)
-    return [
+        row, named, checked, others = st.columns(4)
+        choose(row, "Row", (view.row for view in graded.fruit))
+        choose(named, "Class", (fruit_grade.label for fruit_grade in graded.grades.values()))
+        choose(checked, "Checked", Verdict)
+        choose(others, "With", set().union(*map(_with, graded.fruit)))
+    order, drawn = st.columns([3, 2], vertical_alignment="bottom")
+    for name, usual in (("only_order", _WALK), ("only_drawn", _LIST)):
+        st.session_state.setdefault(name, usual)
+    order.selectbox(_("Order"), list(_ORDERS), format_func=_, key="only_order")
+    drawn.segmented_control(
+        _("Fruit as"), [_LIST, _PICTURES], format_func=_, key="only_drawn", required=True
+    )
+
+
+def _listed(graded: GradedRound) -> list[DetectionSummary]:
+    """Return the fruit that pass the viewer's filters, in the order that was chosen."""
+    chosen = {name: st.session_state.get(f"only_{name}") for name in _FILTERS}
+    row, label, verdict, other = chosen.values()
+    only = DetectionFilter(row=row, verdict=verdict)
+    fruit = [
         view
         for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
-        if only.keeps(view) and chosen_name in (None, graded.grades[view.key].label)
+        if only.keeps(view)
+        and label in (None, graded.grades[view.key].label)
+        and (other is None or other in _with(view))
     ]
+    return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", _WALK)])
 
 
 def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
@@ -190,9 +228,13 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
 
 def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
-    lines = [_line(graded, view) for view in page_fruit]
+    are_pictures = st.session_state.get("only_drawn") == _PICTURES
+    picture_of = round_caches.cutout_of if are_pictures else round_caches.thumbnail_of
+    lines = [{**_line(graded, view), "picture": picture_of(view)} for view in page_fruit]
     words = counted(len(fruit), "{n} fruit: tap one to open it", "{n} fruit: tap one to open it")
-    page_elements.fruit_list("fruit_list", _("Fruit of this round"), lines, words)
+    page_elements.fruit_list(
+        "fruit_list", _("Fruit of this round"), lines, words, are_pictures=are_pictures
+    )
     page_elements.choose_page(fruit, "list_page", round_caches.LINES)
 
 
@@ -209,4 +251,4 @@ def _line(graded: GradedRound, view: DetectionSummary) -> dict[str, Any]:
         ", ".join(filter(None, (*checked, picked, _("computer-made") if view.simulated else ""))),
         remarks(record, units),
     ]
-    return {"key": view.key, "picture": round_caches.thumbnail_of(view), "says": says}
+    return {"key": view.key, "says": says}

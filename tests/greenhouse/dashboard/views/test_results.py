@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.dashboard.app_pages import WALK, app, classes, listed, said, tap
+from tests.greenhouse.dashboard.app_pages import WALK, app, classes, keys, listed, said, tap
 
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.views import Verdict
@@ -32,6 +32,47 @@ def test_filters_leave_fruit_out(house: Path) -> None:
     chosen = next(box for box in test.selectbox if box.label == "Class")
     chosen.select("class I").run()
     assert classes(test) == {"class I"}
+
+
+def test_filters_and_order_stay_while_a_fruit_is_open(house: Path) -> None:
+    test = app("results")
+    next(box for box in test.selectbox if box.label == "Class").select("too short").run()
+    next(box for box in test.selectbox if box.label == "Order").select("Shortest first").run()
+    lengths_cm = [float(says[0].split()[0]) for says in listed(test)]
+    assert len(lengths_cm) == 3
+    assert lengths_cm == sorted(lengths_cm)
+    [shortest, second, _] = keys(test)
+    test.query_params["fruit"] = shortest
+    test.run()
+    tap(test, "Next")
+    assert test.query_params["fruit"] == second
+    tap(test, "All fruit")
+    assert [float(says[0].split()[0]) for says in listed(test)] == lengths_cm
+
+
+def test_fruit_with_something_to_look_at_are_listed_alone(house: Path) -> None:
+    with open_store(house) as store:
+        judged = [view.key for view in store.detections(WALK)][:2]
+        store.set_verdict(judged, Verdict.ACCEPTED)
+    test = app("results")
+    next(x for x in test.selectbox if x.label == "With").select("one view, not checked").run()
+    assert len(listed(test)) == 6  # of eight fruit, each seen once
+    assert not set(judged) & set(keys(test))
+
+
+def test_the_next_unsure_fruit_is_the_least_certain_that_nobody_checked(house: Path) -> None:
+    with open_store(house) as store:
+        views = [view for view in store.detections(WALK) if view.views == 1]
+    by_score = [view.key for view in sorted(views, key=lambda view: (view.record.score, view.key))]
+    test = app("results", fruit=by_score[1])
+    tap(test, "Next unsure")
+    assert test.query_params["fruit"] == by_score[2]
+    with open_store(house) as store:
+        store.set_verdict(by_score[1:], Verdict.ACCEPTED)
+    test.run()
+    tap(test, "Next unsure")
+    assert test.query_params["fruit"] == by_score[0]
+    assert next(b for b in test.button if b.label == "Next unsure").disabled
 
 
 def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:

@@ -2,8 +2,8 @@
 
     python website/dashboard_pictures.py
 
-Serves the bundled captures from an empty folder, as a tablet sees them in Chromium (Debian's
-`chromium`, Playwright), into `docs/images/dashboard-*.png`.
+Serves the bundled captures from an empty folder, as a tablet and a phone see them in Chromium
+(Debian's `chromium`, Playwright), into `docs/images/dashboard-*.png`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,12 @@ import sys
 import tempfile
 import time
 import urllib.request
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
@@ -32,6 +35,7 @@ PAGES = {
     "map": ("map", "One mark per fruit"),
     "results": ("results", "tap one to open it"),
 }
+ON_PHONE = ("capture", "today", "results")  # each in both themes, side by side
 
 
 def main() -> None:
@@ -72,14 +76,31 @@ def take(address: str) -> None:
         page.locator(".fruit button").first.click()
         page.locator("svg.view polygon").first.wait_for()
         shoot(page, "fruit")
+        phones = []
+        for name in ON_PHONE:
+            for theme in ("light", "dark"):
+                page = browser.new_page(
+                    viewport={"width": 390, "height": 844}, color_scheme=theme, has_touch=True
+                )
+                page.set_default_timeout(300_000)
+                path, words = PAGES[name]
+                page.goto(f"{address}/{path}")
+                page.get_by_text(words).first.wait_for()
+                if name == "results":
+                    page.get_by_text("Pictures", exact=True).click()
+                phones.append(shoot(page, name, is_kept=False))
+        pictures = [np.asarray(Image.open(BytesIO(content))) for content in phones]
+        Image.fromarray(np.hstack(pictures)).save(IMAGES / "dashboard-phone.png")
         browser.close()
 
 
-def shoot(page: Any, name: str) -> None:
-    """Save a screenshot of a tablet."""
+def shoot(page: Any, name: str, *, is_kept: bool = True) -> bytes:
+    """Return a screenshot, and save it under a name."""
     page.get_by_text("Loading the networks").first.wait_for(state="hidden")
     page.wait_for_timeout(8000)  # tables load their pictures last, without a visible sign
-    page.screenshot(path=IMAGES / f"dashboard-{name}.png")
+    path = IMAGES / f"dashboard-{name}.png" if is_kept else None
+    screenshot: bytes = page.screenshot(path=path)
+    return screenshot
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer
 from cucumbervision_greenhouse.backend.uploads import Sending
 from cucumbervision_greenhouse.exports import ExportFormat
-from cucumbervision_greenhouse.exports.build import round_tables
+from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import write_exports
 
 if TYPE_CHECKING:
@@ -60,30 +60,44 @@ def _receive(request: Request, content: bytes) -> Any:
     return {"received": received}
 
 
-@answer
-def _files(request: Request, _: bytes) -> Response:
-    """Answer with a round's files in a new zip."""
+def _tables_of(request: Request) -> tuple[str, RoundTables]:
+    """Return the name and the tables of the round in the address."""
     round_summary = next(
         (x for x in resources.rounds() if x.key == request.path_params["round"]), None
     )
     if round_summary is None:
         raise HTTPException(404)
-    try:
-        formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
-    except ValueError:
-        raise HTTPException(404) from None
     profile_name, profile = resources.profile_of(round_summary)
     rates = resources.settings().rates
     tables = round_tables(
         resources.store(), round_summary.key, profile, profile_name=profile_name, rates=rates
     )
+    return round_summary.record.name, tables
+
+
+@answer
+def _files(request: Request, _: bytes) -> Response:
+    """Answer with a round's files in a new zip."""
+    name, tables = _tables_of(request)
+    try:
+        formats = [ExportFormat(name) for name in request.query_params.getlist("formats")]
+    except ValueError:
+        raise HTTPException(404) from None
     with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
         write_exports(tables, Path(folder) / "files", formats)
         packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
         content = packed.read_bytes()
-    name = safe_name(round_summary.record.name or "round")
-    told = {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}.zip"}
+    file_name = quote(safe_name(name or "round"))
+    told = {"content-disposition": f"attachment; filename*=UTF-8''{file_name}.zip"}
     return Response(content, media_type="application/zip", headers=told)
+
+
+@answer
+def _print(request: Request, _: bytes) -> Response:
+    """Answer with a round's page to print."""
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
+        write_exports(_tables_of(request)[1], Path(folder), [ExportFormat.HTML])
+        return HTMLResponse((Path(folder) / "round.html").read_bytes())
 
 
 @lru_cache(maxsize=1)
@@ -113,4 +127,5 @@ def routes() -> list[Route]:
         Route("/api/uploads", _begin_upload, methods=post),
         Route("/api/uploads/{upload}/{number}", _receive, methods=post),
         Route("/api/files/{round}", _files),
+        Route("/api/print/{round}", _print),
     ]

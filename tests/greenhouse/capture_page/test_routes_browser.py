@@ -128,6 +128,22 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     wait_for_stops(page, walk, 7)
 
 
+def test_sound_and_vibration_are_switched_off_on_a_device(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = new_page()
+    page.add_init_script("window.felt = 0; navigator.vibrate = () => Boolean(window.felt += 1)")
+    page.goto(f"{walk.address}/capture?round={WALK.key}")
+    take = page.locator("button.take:enabled")
+    take.click()
+    assert page.evaluate("felt") == 1
+    page.get_by_role("button", name="Sound and vibration").click()
+    page.reload()
+    take.click()
+    assert page.evaluate("felt") == 0
+    assert page.locator("#felt").get_attribute("aria-pressed") == "false"
+
+
 def test_presses_while_offline_each_get_their_picture(
     walk: Walk, new_page: Callable[..., Any]
 ) -> None:

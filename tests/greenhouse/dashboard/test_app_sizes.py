@@ -261,6 +261,10 @@ def test_a_page_is_for_everybody(
         page.locator("button.take:enabled").click()
         page.locator("#where").get_by_text("saved").wait_for()
         page.locator("svg.view").first.wait_for()
+        measured = page.locator("#measured")
+        measured.get_by_text("cm").wait_for()
+        box = measured.bounding_box()
+        assert box["y"] + box["height"] < height
     page.locator('[data-testid="stSkeleton"]').first.wait_for(state="hidden")
     page.wait_for_timeout(1500)
     assert page.locator("h1").count() == 1

@@ -27,6 +27,13 @@ def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
     assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
 
 
+def test_a_round_is_printed_with_its_pick_list(asked: TestClient) -> None:
+    answer = asked.get(f"/api/print/{WALK}")
+    assert answer.headers["content-type"].startswith("text/html")
+    assert "All fruit: 8" in answer.text
+    assert asked.get(f"/api/print/{key_of('gone')}").status_code == 404
+
+
 def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:
     resources.change_settings(upload_limit_mb=1)
     files = [{"name": "odd.png", "size": 13, "changed": 1.5}]

@@ -93,6 +93,7 @@ function showWalk(walk) {
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
+  $("rows").replaceChildren(...Object.entries(walk.rows).map(([row, on]) => new Option(`${on.position_m.toFixed(2)} m`, row)));
   $("house-name").textContent = walk.house;
   show($("doubts"), walk.doubts.length ? `${_("Check the data of this round.")} ${walk.doubts.join(". ")}.` : "");
   drawLast(walk.last, walk.first);
@@ -162,7 +163,17 @@ const presses = new Presses({
 });
 let sound = null;
 
+// Both are switched off on this device together.
+const isFelt = () => localStorage.getItem("felt") !== "no";
+$("felt").setAttribute("aria-pressed", String(isFelt()));
+$("felt").onclick = () => {
+  localStorage.setItem("felt", isFelt() ? "no" : "yes");
+  $("felt").setAttribute("aria-pressed", String(isFelt()));
+};
+
 function click() {
+  if (!isFelt()) return;
+  navigator.vibrate?.(40);
   try {
     sound = sound || new AudioContext();
     sound.resume();
@@ -347,6 +358,7 @@ function choose(source) {
   readWalk();
 }
 for (const name of ["camera", "replay"]) $(name).onclick = () => { address.set("source", name); choose(name); };
+$("swap").onclick = () => $("swap").parentElement.classList.toggle("depth");
 $("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {}); watchPreview(); };
 
 // ---- Rounds and fields.
@@ -398,12 +410,24 @@ function fruitTable(capture) {
   return table;
 }
 
+function measuredWords(last) {
+  const fruit = last.captures.flatMap((capture) => capture.fruit);
+  return `${last.name}: ${fruit.map((one) => `${one.length} ${one.class}`).join(" · ") || _("no fruit")}`;
+}
+
 async function drawLast(last, first) {
   const text = JSON.stringify([last, first]);
   if (text === drawn) return;
   drawn = text;
+<<<<<<< HEAD
   show($("fault"), last?.fault ? fill(_("Saved, but not measured: {fault}"), last) : "");
+  $("measured").textContent = last ? measuredWords(last) : "";
   $("where").textContent = last ? fill(_("{stop}: saved"), { stop: last.name }) : first || _("No stops yet: each photo's result is shown here");
+=======
+  show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
+  $("measured").textContent = last ? measuredWords(last) : "";
+  $("where").textContent = last ? `${last.name}: saved` : first || "No stops yet: each photo's result is shown here";
+>>>>>>> 2c396530 (Capture: the picture large with depth inset, the last lengths below the button, sound and vibration to switch off, rows with where they ended; Print on Today; the dashboard's pictures anew, on a phone in both themes)
   $("open").hidden = !last;
   if (!last) { $("pictures").replaceChildren(); return; }
   $("open").href = `/map?round=${last.round}&stop=${last.key}`;

@@ -50,6 +50,7 @@ def page(round_summary: RoundSummary) -> None:
         return
     _ready(round_summary, today)
     st.header(_("Pick list"))
+    page_elements.browser_button("print", _("Print"), f"/api/print/{round_summary.key}")
     _picks(round_summary, today)
 
 

@@ -111,10 +111,10 @@ def _head(graded: GradedRound, key: str, listed: Sequence[DetectionSummary]) -> 
         st.session_state.pop("ruler", None)
 
     with st.container(horizontal=True, gap="small", key="fruit_head"):
-        button(st, _("All fruit"), "arrow_back", go, None, shortcut="Esc")
+        button(st, _("All fruit"), "arrow_back", go, None, shortcut="esc")
         for label, target, icon, shortcut in (
-            (_("Previous"), before, "chevron_left", "Left"),
-            (_("Next"), after, "chevron_right", "Right"),
+            (_("Previous"), before, "chevron_left", "left"),
+            (_("Next"), after, "chevron_right", "right"),
             (_("Next unsure"), next_unsure, "help", "U"),
         ):
             how: dict[str, Any] = {"disabled": target is None, "key": f"{icon}_{key}"}

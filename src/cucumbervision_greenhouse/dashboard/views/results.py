@@ -183,11 +183,14 @@ def _filters(graded: GradedRound) -> None:
         column.selectbox(_(label), names, format_func=labelled, key=key)
 
     with st.expander(_("Filters"), icon=":material/filter_alt:"):
-        row, named, checked, others = st.columns(4)
-        choose(row, "Row", (view.row for view in graded.fruit))
-        choose(named, "Class", (fruit_grade.label for fruit_grade in graded.grades.values()))
-        choose(checked, "Checked", Verdict)
-        choose(others, "With", set().union(*map(_with, graded.fruit)))
+        values: tuple[Iterable[str | None], ...] = (
+            (view.row for view in graded.fruit),
+            (fruit_grade.label for fruit_grade in graded.grades.values()),
+            Verdict,
+            set().union(*map(_with, graded.fruit)),
+        )
+        for column, label, values_of_filter in zip(st.columns(4), _FILTERS, values, strict=True):
+            choose(column, label, values_of_filter)
     order, drawn = st.columns([3, 2], vertical_alignment="bottom")
     for name, usual in (("only_order", _WALK), ("only_drawn", _LIST)):
         st.session_state.setdefault(name, usual)

@@ -140,7 +140,7 @@ class Walk(threading.Thread):
             "masks": tuple(np.roll(mask, by_px, 1) for mask in one.masks),
             "timestamp_s": 1.79e9 + number / 15,  # as a camera takes them, however slowly they come
         }
-        return replace(one, frame=number, **turned)
+        return replace(one, frame=number, name=f"walk-{number:06d}", **turned)
 
 
 def stream_for(

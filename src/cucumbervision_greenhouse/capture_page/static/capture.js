@@ -419,15 +419,9 @@ async function drawLast(last, first) {
   const text = JSON.stringify([last, first]);
   if (text === drawn) return;
   drawn = text;
-<<<<<<< HEAD
   show($("fault"), last?.fault ? fill(_("Saved, but not measured: {fault}"), last) : "");
   $("measured").textContent = last ? measuredWords(last) : "";
   $("where").textContent = last ? fill(_("{stop}: saved"), { stop: last.name }) : first || _("No stops yet: each photo's result is shown here");
-=======
-  show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
-  $("measured").textContent = last ? measuredWords(last) : "";
-  $("where").textContent = last ? `${last.name}: saved` : first || "No stops yet: each photo's result is shown here";
->>>>>>> 2c396530 (Capture: the picture large with depth inset, the last lengths below the button, sound and vibration to switch off, rows with where they ended; Print on Today; the dashboard's pictures anew, on a phone in both themes)
   $("open").hidden = !last;
   if (!last) { $("pictures").replaceChildren(); return; }
   $("open").href = `/map?round=${last.round}&stop=${last.key}`;

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class SmallNetwork:
-    """A network so small that ONNX Runtime runs it fastest, with one output.
+    """A network so small that ONNX Runtime runs it fastest.
 
     Parameters
     ----------
@@ -31,6 +31,8 @@ class SmallNetwork:
         What the inputs are, for the error.
     command : str
         The command that trains such a network, for the error.
+    outputs : int
+        Number of outputs.
 
     Raises
     ------
@@ -46,11 +48,12 @@ class SmallNetwork:
         shapes: Sequence[tuple[int, ...]],
         takes: str,
         command: str,
+        outputs: int = 1,
     ) -> None:
         chosen = "onnxruntime" if runtime == "auto" else runtime
         self._network = open_network(path, chosen, full_precision=True)
         inputs = [tuple(tensor.shape[1:]) for tensor in self._network.inputs]
-        if inputs != list(shapes) or len(self._network.outputs) != 1:
+        if inputs != list(shapes) or len(self._network.outputs) != outputs:
             raise ModelError(
                 f"takes {inputs}, not {takes}",
                 source=path,

@@ -18,6 +18,7 @@ from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.ends import EndClassifier
+from cucumbervision.perception.fruit_look import FruitLooker
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
@@ -51,6 +52,8 @@ class Detectors:
     depth_votes : bool
         Whether depth may raise or lower the confidence (`with_depth_votes`): it knows the shipped
         detector's confidences and the sizes of cucumbers.
+    fruit : FruitLooker, optional
+        Gives the outlines and the keypoints of what is found.
     """
 
     def __init__(
@@ -60,9 +63,10 @@ class Detectors:
         confidence: float = DEFAULT_CONFIDENCE,
         *,
         depth_votes: bool = False,
+        fruit: FruitLooker | None = None,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._depth_votes = depth_votes
+        self._depth_votes, self._fruit = depth_votes, fruit
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -72,7 +76,8 @@ class Detectors:
     @property
     def gives_keypoints(self) -> bool:
         """Whether fruit may come with keypoints."""
-        return self._pose is not None or self._detector.task == "pose"
+        from_detector = self._detector.task == "pose"
+        return from_detector or self._pose is not None or self._fruit is not None
 
     def find(
         self,
@@ -103,7 +108,7 @@ class Detectors:
         )
         detections = detector.detect(color_rgb, least_confidence)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
-        return each_fruit_once(
+        fruit = each_fruit_once(
             detections,
             posed,
             depth_m,
@@ -111,6 +116,10 @@ class Detectors:
             looks=detector.looks,
             focal_px=None if voting is None else focal_px,
         )
+        if self._fruit is None:
+            return fruit
+        refined = self._fruit.refine(color_rgb, depth_m, focal_px, fruit)
+        return with_disjoint_masks(refined, depth_m)
 
 
 def each_fruit_once(
@@ -279,7 +288,7 @@ def open_segmenter(
     return cast("NetworkSegmenter", opened)
 
 
-Classifier = TypeVar("Classifier", EndClassifier, CropClassifier)
+Classifier = TypeVar("Classifier", EndClassifier, CropClassifier, FruitLooker)
 
 
 class NetworkLoader:
@@ -491,7 +500,8 @@ class NetworkLoader:
             pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        return Detectors(detector, pose, self._confidence, depth_votes=file is None)
+        fruit = self._companion("fruit", FruitLooker) if file is None and keypoints else None
+        return Detectors(detector, pose, self._confidence, depth_votes=file is None, fruit=fruit)
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

@@ -134,6 +134,7 @@ _FINDING = {
     "segment",
     "detect",
     "crops",
+    "fruit",
     "pose",
     "ends",
 }  # tasks of networks; all others draw masks

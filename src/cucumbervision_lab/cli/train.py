@@ -203,6 +203,7 @@ class SmallNetwork(StrEnum):
 
     ENDS = "ends"
     CROPS = "crops"
+    FRUIT = "fruit"
     LOOK = "look"
 
 
@@ -211,15 +212,16 @@ def classifier(
     kind: Annotated[
         SmallNetwork,
         typer.Argument(
-            help="ends: finds the stem end. crops: looks at each detection alone. look: looks at "
-            "each end of a fruit, and fits its intervals."
+            help="ends: finds the stem end. crops: looks at each detection alone. fruit: draws "
+            "outline and keypoints of each detection. look: looks at each end of a fruit, and fits "
+            "its intervals."
         ),
     ],
     sets: Annotated[
         list[Path],
         typer.Argument(
-            help="Data sets: with keypoints for ends, completely labelled for crops, drawn with "
-            "depth (`synth`) for look.",
+            help="Data sets: with keypoints for ends, completely labelled for crops and fruit, "
+            "drawn with depth (`synth`) for look.",
             metavar="SET...",
         ),
     ],
@@ -227,7 +229,8 @@ def classifier(
     init: Annotated[
         str,
         typer.Option(
-            "--init", help="Weights of YOLO26n-seg (.pt), or for look an earlier training's (.pt)."
+            "--init",
+            help="Weights of YOLO26n-seg (.pt), or for fruit and look an earlier training's (.pt).",
         ),
     ],
     name: Annotated[
@@ -265,6 +268,8 @@ def classifier(
     trained: Trained
     if kind is SmallNetwork.LOOK:
         trained, further = _train_look(sets, out, name, init, epochs, seed, leaves)
+    elif kind is SmallNetwork.FRUIT:
+        trained = _train_fruit(sets, out / f"{name}.onnx", init, epochs, seed)
     else:
         trained = _train_crops_or_ends(kind, sets, out / f"{name}.onnx", init, epochs, seed)
     _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
@@ -294,6 +299,28 @@ def _train_crops_or_ends(
         if isinstance(parts, Strips):
             return train_ends(parts, init, file, options)
         return train_crops(parts, init, file, options)
+
+
+def _train_fruit(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:
+    from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.classifier import ClassifierOptions
+    from cucumbervision_lab.training.fruit_crops import collect_sets
+    from cucumbervision_lab.training.fruit_look import train_fruit
+
+    opened = [open_dataset(folder) for folder in sets]
+    with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
+        crops = collect_sets(opened, file.with_name(f"{file.stem}-crops"), tick)
+    with ticking("training", epochs) as tick:
+        options = ClassifierOptions(
+            epochs,
+            seed,
+            _threads(),
+            batch=48,
+            keep=file.with_name(f"{file.stem}-training.pt"),
+            progress=lambda *_: tick(1),
+        )
+        return train_fruit(crops, init, file, options)
 
 
 def _collect_ends(

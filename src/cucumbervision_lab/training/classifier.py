@@ -229,11 +229,11 @@ def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: s
     """
     import torch
 
-    export_network(network, out, {"pictures": torch.zeros(2, 3, *size_px)}, "logits", task)
+    export_network(network, out, {"pictures": torch.zeros(2, 3, *size_px)}, ("logits",), task)
 
 
 def export_network(
-    network: Any, out: Path, inputs: Mapping[str, Any], output: str, task: str
+    network: Any, out: Path, inputs: Mapping[str, Any], outputs: Sequence[str], task: str
 ) -> None:
     """Export a network to ONNX, for any number of each input, with weights in half precision.
 
@@ -245,8 +245,8 @@ def export_network(
         The file to write.
     inputs : mapping of str to torch.Tensor
         Name and an example of each input, in the network's order.
-    output : str
-        Name of the output.
+    outputs : sequence of str
+        Names of the outputs.
     task : str
         Task to note in the file.
     """
@@ -261,8 +261,8 @@ def export_network(
             tuple(inputs.values()),
             str(out),
             input_names=list(inputs),
-            output_names=[output],
-            dynamic_axes={name: {0: "count"} for name in (*inputs, output)},
+            output_names=list(outputs),
+            dynamic_axes={name: {0: "count"} for name in (*inputs, *outputs)},
             opset_version=17,
             dynamo=False,
         )
@@ -281,7 +281,7 @@ class Trained(Protocol):
 
     @property
     def task(self) -> str:
-        """'ends', 'crops' or 'look', as the command that trains it."""
+        """'ends', 'crops', 'fruit' or 'look', as the command that trains it."""
 
     @property
     def limits(self) -> Sequence[str]:

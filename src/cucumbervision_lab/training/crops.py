@@ -135,7 +135,7 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
             judged = picture.split == "val" or scene % _HELD_OUT == 0
             color = read_color(dataset.path(picture))
             instances = detector.detect(color)
-            labels = _labels(picture, dataset, np.array([instance.box for instance in instances]))
+            labels = labels_of(picture, dataset, np.array([instance.box for instance in instances]))
             judged_instances = [
                 (o, y) for o, y in zip(instances, labels, strict=True) if y is not None
             ][:_MOST]
@@ -160,7 +160,7 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
     return Crops(np.stack(pictures), np.array(is_fruit), np.array(confidence), np.array(held_out))
 
 
-def _labels(
+def labels_of(
     picture: LabelledPicture, data: DataSet, boxes: NDArray[np.float64]
 ) -> list[bool | None]:
     """Return whether each box is a true positive; None where that cannot be told."""

@@ -53,7 +53,7 @@ def make_network(init: Path | str) -> Any:
         def __init__(self) -> None:
             super().__init__()
             layers = first_layers(init)
-            layers[0].conv = _with_planes(layers[0].conv)
+            layers[0].conv = with_planes(layers[0].conv)
             self.trunk = nn.Sequential(*layers).float()
             self.pool = nn.AvgPool2d(END_PX // 16 // _GRID)
             self.register_buffer("mean", torch.tensor(_SHAPE_MEAN))
@@ -76,7 +76,7 @@ def make_network(init: Path | str) -> Any:
     return Look().requires_grad_(True)
 
 
-def _with_planes(conv: Any) -> Any:
+def with_planes(conv: Any) -> Any:
     """Return a convolution over `PLANES` planes that begins with the colours' weights alone."""
     import torch
     from torch import nn
@@ -295,7 +295,7 @@ def export_look(network: Any, out: Path) -> None:
     import torch
 
     inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
-    export_network(network.eval(), out, inputs, "looks", "look")
+    export_network(network.eval(), out, inputs, ("looks",), "look")
 
 
 def area_under_curve(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:

@@ -28,6 +28,9 @@ _WHAT = {
     "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
     "crops": "Tells a cucumber from what the detector takes for one, from the square around the "
     "detection. It may only lower the detector's confidence.",
+    "fruit": "Draws the outline and five keypoints of one detected cucumber at the camera's "
+    "resolution, from colour, depth and the detector's mask around it, turned along the mask; and "
+    "tells whether it is a cucumber and which end is the stem's.",
     "look": "Looks at each end of a measured cucumber, from the picture, the depth and the mask "
     "around it, turned along the fruit: whether the fruit ends there, goes on behind something or "
     "stops before, how much of its length may be missing, and whether it is the stem end.",
@@ -55,7 +58,7 @@ class ModelCard:
     name : str
         Name of the model in commands.
     task : str
-        'segment', 'pose', 'ends', 'crops' or 'look'.
+        'segment', 'pose', 'ends', 'crops', 'fruit' or 'look'.
     file : str
         Name of the ONNX file.
     sha256 : str
@@ -198,6 +201,7 @@ _TITLES = {
     "pose": "YOLO26 for cucumbers: boxes and five keypoints",
     "ends": "Which end of a cucumber is the stem's",
     "crops": "Whether a detection is a cucumber",
+    "fruit": "Outline and keypoints of one cucumber at the camera's resolution",
     "look": "Whether a cucumber ends where it was measured to",
 }
 

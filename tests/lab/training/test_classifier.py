@@ -117,7 +117,7 @@ def test_a_network_of_two_inputs_is_exported_under_their_names(tmp_path: Path) -
             return first + 2 * second
 
     inputs = {"first": torch.zeros(2, 3), "second": torch.zeros(2, 3)}
-    export_network(Sum().eval(), tmp_path / "sum.onnx", inputs, "total", "look")
+    export_network(Sum().eval(), tmp_path / "sum.onnx", inputs, ("total",), "look")
     opened = open_network(tmp_path / "sum.onnx", "onnxruntime", full_precision=True)
     ones = np.ones((5, 3), np.float32)
     np.testing.assert_array_equal(opened.run({"first": ones, "second": ones})["total"], 3 * ones)

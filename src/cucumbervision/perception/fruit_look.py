@@ -1,0 +1,169 @@
+"""Look at each fruit alone: its outline at the camera's resolution, its keypoints, what it is.
+
+A detector sees the picture at 640 pixels and draws masks on a quarter of them; the crop of one
+detection shows the fruit at the camera's own resolution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import expit
+
+from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.instances.masks import mask_iou
+from cucumbervision.perception.classifier import SmallNetwork
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.instances.fruit_crops import FruitCrop
+    from cucumbervision.instances.instance import Instance
+
+LEAST_AGREEMENT = 0.6
+"""IoU of a new outline with the detector's mask below which the detector's stays."""
+
+
+@dataclass(frozen=True, eq=False)
+class FruitLook:
+    """What the network says of one crop.
+
+    Parameters
+    ----------
+    outline : ndarray of float32, shape (HEIGHT_PX, WIDTH_PX)
+        Log-odds that a pixel of the crop shows the fruit.
+    points : ndarray of float64, shape (5, 3)
+        Keypoints in order of the crop's columns: x and y in its pixels, and the probability of
+        being visible.
+    fruit, stem_last : float
+        Log-odds that it is a cucumber, and that the last keypoint is the stem end.
+    """
+
+    outline: NDArray[np.float32]
+    points: NDArray[np.float64]
+    fruit: float
+    stem_last: float
+
+
+class FruitLooker(SmallNetwork):
+    """Looks at detected fruit.
+
+    Parameters
+    ----------
+    path : Path
+        An ONNX file as `cucumbervision train classifier fruit` writes it.
+    runtime : str
+        As for `open_network`; 'auto' is ONNX Runtime.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be loaded or is another kind of network.
+    """
+
+    def __init__(self, path: Path, runtime: str = "auto") -> None:
+        super().__init__(
+            path,
+            runtime,
+            shapes=[(PLANES, HEIGHT_PX, WIDTH_PX)],
+            takes="crops of fruit",
+            command="train classifier fruit",
+            outputs=3,
+        )
+
+    def look(self, crops: Sequence[FruitCrop]) -> list[FruitLook]:
+        """Return what the network says of crops, computed in one batch."""
+        if not crops:
+            return []
+        planes = np.stack([crop.planes for crop in crops]).transpose(0, 3, 1, 2)
+        answers = self._network.run(
+            {self._network.inputs[0].name: planes.astype(np.float32) / np.float32(255)}
+        )
+        outlines, points, verdicts = (
+            np.asarray(answers[name], np.float32) for name in ("outline", "points", "verdict")
+        )
+        points[..., 2] = expit(points[..., 2])
+        return [
+            FruitLook(outline, place.astype(np.float64), *verdict.tolist())
+            for outline, place, verdict in zip(outlines, points, verdicts, strict=True)
+        ]
+
+    def refine(
+        self,
+        color_rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.float32] | None,
+        focal_px: float | None,
+        instances: Sequence[Instance],
+    ) -> tuple[Instance, ...]:
+        """Return detections with the network's outlines and keypoints.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture.
+        depth_m : ndarray of float32, shape (H, W), optional
+            Metres, aligned to colour.
+        focal_px : float, optional
+            Focal length of the colour camera, pixels.
+        instances : sequence of Instance
+            Those without `detector_mask` stay as they are.
+
+        Returns
+        -------
+        tuple of Instance
+            In the same order. An outline that differs much from the detector's mask is not taken.
+        """
+        crops = {}
+        for number, instance in enumerate(instances):
+            mask = instance.detector_mask
+            crop = None if mask is None else fruit_crop(color_rgb, depth_m, mask, focal_px)
+            if crop is not None:
+                crops[number] = crop
+        looks = dict(zip(crops, self.look(list(crops.values())), strict=True))
+        masks = [instance.detector_mask for instance in instances]
+        refined_instances = list(instances)
+        for number, crop in crops.items():
+            neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
+            refined_instances[number] = refined(instances[number], crop, looks[number], neighbours)
+        return tuple(refined_instances)
+
+
+def refined(
+    instance: Instance,
+    crop: FruitCrop,
+    look: FruitLook,
+    neighbours: Sequence[NDArray[np.bool_]] = (),
+) -> Instance:
+    """Return a detection with the outline and the keypoints of a look at it.
+
+    Parameters
+    ----------
+    instance : Instance
+        With `detector_mask`.
+    crop : FruitCrop
+        Its crop.
+    look : FruitLook
+        What the network says of the crop.
+    neighbours : sequence of ndarray of bool, shape (H, W)
+        Masks of other fruit, whose pixels stay theirs.
+    """
+    mask = instance.detector_mask
+    if mask is not None:
+        outline = crop.mask_in_picture(look.outline, (mask.shape[0], mask.shape[1]))
+        for neighbour in neighbours:
+            outline &= ~neighbour
+        mask = outline if mask_iou(outline, mask) >= LEAST_AGREEMENT else mask
+    points = np.column_stack([crop.to_picture(look.points[:, :2]), look.points[:, 2]])
+    if look.stem_last < 0:
+        points = points[::-1].copy()
+    return replace(
+        instance,
+        detector_mask=mask,
+        keypoints=points,
+        end_confidence=float(expit(abs(look.stem_last))),
+    )

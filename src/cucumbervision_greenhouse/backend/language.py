@@ -75,7 +75,7 @@ def best_of(languages: str | None) -> str:
     """
 
     def wish(part: str) -> float:
-        quality = re.search(r";\s*q=([\d.]+)", part)
+        quality = re.search(r";\s*q=([01](?:\.\d{0,3})?)", part)
         return -float(quality[1]) if quality else -1.0
 
     parts = sorted((languages or "").split(","), key=wish)

@@ -98,3 +98,17 @@ def test_a_text_beside_the_catalogue_is_noticed(tmp_path: Path) -> None:
     page = tmp_path / "page.py"
     page.write_text('st.write(_("Fruit"))\nst.info("No fruit yet")\nst.caption(f"Row {row}")\n')
     assert list(bare_texts(page)) == ["page.py:2: 'No fruit yet'", "page.py:3: 'Row '"]
+
+
+@pytest.mark.parametrize(
+    ("header", "code"),
+    [
+        ("nl;q=1.2.3", "nl"),
+        ("es;q=, nl;q=x", "es"),
+        (";;,,;q=0.5", ""),
+        ("en;q=0.2, nl;q=0.9", "nl"),
+        ("*", ""),
+    ],
+)
+def test_a_malformed_wish_for_a_language_is_no_error(header: str, code: str) -> None:
+    assert language.best_of(header) == code

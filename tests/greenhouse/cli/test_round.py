@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +56,25 @@ def test_a_round_from_captures_to_its_fruit(house: list[str]) -> None:
         key = store.rounds()[0].key
         store.pick([store.detections(key)[0].key])
     assert "picked" in run("show", *house)
+
+
+def test_captures_that_two_runs_add_at_once_are_stored_once(
+    house: list[str], tmp_path: Path
+) -> None:
+    capture = capsule_capture(lying(0.16))  # without a time: each run reads its file's
+    folders = [tmp_path / f"stop-{k}" for k in range(2)]
+    for k, folder in enumerate(folders):
+        write_native(replace(capture, name=f"stop-{k}"), folder)
+    where = ("--row", "4", "--side", "left", "--position", "2", "--spacing", "3")
+    command = [sys.executable, "-c", "from cucumbervision.cli.app import main; main()"]
+    command += ["round", "add", *map(str, folders), *where, "--instances", "dataset", *house]
+    runs = [subprocess.Popen(command, stdout=-1, stderr=-2, text=True) for _ in range(3)]
+    said = [run.communicate(timeout=300)[0] for run in runs]
+    assert [run.returncode for run in runs] == [0, 0, 0], said
+    with open_store(house[1]) as store:
+        (walk,) = store.rounds()
+        assert walk.stops == 2
+        assert len(store.detections(walk.key)) == 2
 
 
 def test_what_the_data_make_doubtful_is_said_with_the_remedy(

@@ -166,6 +166,9 @@ def test_fruit_are_reviewed_by_keys(
     button("clear").get_by_text("Accepted").wait_for()
     page.keyboard.press("u")
     page.wait_for_url(lambda url: "fruit=" in url and url != first)
+    # A key judges the fruit that is shown.
+    shown = page.url.split("fruit=")[1].split("&")[0]
+    page.locator(f".st-key-rejected_{shown} button").wait_for()
     page.keyboard.press("x")
     button("clear").get_by_text("Marked: not a fruit").wait_for()
     page.keyboard.press("z")

@@ -159,24 +159,29 @@ def test_fruit_are_reviewed_by_keys(
     def button(key: str) -> Any:
         return page.locator(f"[class*='st-key-{key}_'] button")
 
+    def press(key: str) -> None:
+        # A key is for what is shown: nothing is drawn any more.
+        page.locator("[data-test-script-state=notRunning]").wait_for()
+        page.keyboard.press(key)
+
     button("accepted").wait_for()
     assert button("accepted").locator("kbd").inner_text() == "A"
     first = page.url
-    page.keyboard.press("a")
+    press("a")
     button("clear").get_by_text("Accepted").wait_for()
-    page.keyboard.press("u")
+    press("u")
     page.wait_for_url(lambda url: "fruit=" in url and url != first)
-    # A key judges the fruit that is shown.
     shown = page.url.split("fruit=")[1].split("&")[0]
     page.locator(f".st-key-rejected_{shown} button").wait_for()
-    page.keyboard.press("x")
+    press("x")
     button("clear").get_by_text("Marked: not a fruit").wait_for()
-    page.keyboard.press("z")
+    press("z")
     button("rejected").wait_for()
-    page.keyboard.press("z")
+    press("z")
+    page.get_by_text("Taken back: accepted").wait_for()
     page.goto(first)
     button("accepted").wait_for()
-    page.keyboard.press("Escape")
+    press("Escape")
     page.locator(".fruit button").first.wait_for()
     assert "fruit=" not in page.url
     page.context.close()

@@ -172,7 +172,7 @@ def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> Non
     page.get_by_role("button", name="M3", exact=True).click()
     assert picture.locator("polyline").count() >= 4
     page.get_by_role("button", name="Depth").click()
-    page.get_by_role("button", name="Colour").click()
+    page.get_by_role("button", name="Colour", exact=True).click()
 
     page.get_by_role("button", name="Ruler").click()
     box = picture.bounding_box()

@@ -57,6 +57,7 @@ def begin_round(page: Any, name: str) -> None:
     field = page.get_by_label("Name", exact=True).first
     field.fill(name)
     field.press("Enter")
+    page.locator("[data-test-script-state=notRunning]").wait_for()
     page.get_by_role("button", name="Start this round").click()
     page.get_by_role("dialog").wait_for(state="hidden")
     page.get_by_text("This round has no stops yet").wait_for()

@@ -88,8 +88,8 @@ def style_sheet() -> str:
 
     Examples
     --------
-    >>> style_sheet()[:54]
-    ':root { color-scheme: light; --st-primary-color: #14643'
+    >>> style_sheet()[:57]
+    ':root { color-scheme: light; --st-primary-color: #146432;'
     """
     light, dark = (
         f"color-scheme: {theme}; "

@@ -252,7 +252,7 @@ def _is_flat(body: _Body) -> bool:
 
 
 def _with_one(mask: NDArray[np.bool_], spacing: int = 1) -> NDArray[np.float64]:
-    """Return the homogeneous coordinates (u, v, 1) of a mask's pixels, or of every so manieth."""
+    """Return the homogeneous coordinates (u, v, 1) of every `spacing`-th pixel of a mask."""
     v, u = (places[::spacing] for places in np.nonzero(mask))
     return np.stack([u, v, np.ones(len(u))], axis=1).astype(np.float64)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -73,6 +74,27 @@ def first_layers(init: Path | str) -> list[Any]:
         As `load_yolo`.
     """
     return list(load_yolo(init).model.model)[:_LAYERS]
+
+
+def begun_network(init: Path | str, make: Callable[[Path | str], Any]) -> Any:
+    """Return a network with an earlier one's weights, or with the first layers of YOLO26n.
+
+    Parameters
+    ----------
+    init : Path
+        Checkpoint (.pt) of YOLO26n, or the weights of an earlier training of this network.
+    make : callable
+        Builds the network from what `first_layers` takes.
+    """
+    import torch
+
+    try:
+        state = torch.load(init, weights_only=True)
+    except (pickle.UnpicklingError, OSError):  # YOLO's hold classes; load_yolo names what is wrong
+        return make(init)
+    network = make("yolo26n-seg.yaml")
+    network.load_state_dict(state)
+    return network
 
 
 def fit(

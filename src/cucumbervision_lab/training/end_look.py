@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,6 +14,7 @@ from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
+    begun_network,
     export_network,
     first_layers,
     fit,
@@ -164,20 +164,7 @@ def fit_look(crops: EndCrops, init: Path | str, options: ClassifierOptions) -> A
         planes, shapes = scaled_planes(crops.planes[rows]), torch.from_numpy(crops.shapes[rows])
         return _loss(network(augmented(planes), shapes), torch.from_numpy(labels[rows]))
 
-    return fit(lambda: begun_network(init), len(learnt), loss_of, options)
-
-
-def begun_network(init: Path | str) -> Any:
-    """Return the network with an earlier one's weights, or with the first layers of YOLO26n."""
-    import torch
-
-    try:
-        state = torch.load(init, weights_only=True)
-    except (pickle.UnpicklingError, OSError):  # YOLO's hold classes; load_yolo names what is wrong
-        return make_network(init)
-    network = make_network("yolo26n-seg.yaml")
-    network.load_state_dict(state)
-    return network
+    return fit(lambda: begun_network(init, make_network), len(learnt), loss_of, options)
 
 
 def _loss(output: Any, target: Any) -> Any:

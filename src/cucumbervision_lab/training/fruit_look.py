@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +13,7 @@ from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
+    begun_network,
     export_network,
     first_layers,
     fit,
@@ -86,6 +86,14 @@ class FruitResult:
         }
 
 
+def _block(into: int, out: int) -> Any:
+    from torch import nn
+
+    return nn.Sequential(
+        nn.Conv2d(into, out, 3, padding=1, bias=False), nn.BatchNorm2d(out), nn.SiLU()
+    )
+
+
 def make_network(init: Path | str) -> Any:
     """Build the network: the first layers of YOLO26n on six planes, and a decoder.
 
@@ -106,11 +114,6 @@ def make_network(init: Path | str) -> Any:
     from torch import nn
     from torch.nn.functional import interpolate
 
-    def block(into: int, out: int) -> Any:
-        return nn.Sequential(
-            nn.Conv2d(into, out, 3, padding=1, bias=False), nn.BatchNorm2d(out), nn.SiLU()
-        )
-
     class FruitNetwork(nn.Module):  # type: ignore[misc]
         """Outline, keypoints and class of one fruit."""
 
@@ -127,10 +130,10 @@ def make_network(init: Path | str) -> Any:
                 nn.Conv2d(*pair, 1) for pair in ((CHANNELS, w8), (128, w8), (64, w4), (16, w2))
             )
             self.upward = nn.ModuleList(
-                block(*pair) for pair in ((w8, w8), (w8, w4), (w4, w2), (w2, w1))
+                _block(*pair) for pair in ((w8, w8), (w8, w4), (w4, w2), (w2, w1))
             )
-            self.outline = nn.Sequential(block(w1 + PLANES, w1), nn.Conv2d(w1, 1, 1))
-            self.points = nn.Sequential(block(w8, w8), nn.Conv2d(w8, POINTS * 4, 1))
+            self.outline = nn.Sequential(_block(w1 + PLANES, w1), nn.Conv2d(w1, 1, 1))
+            self.points = nn.Sequential(_block(w8, w8), nn.Conv2d(w8, POINTS * 4, 1))
             self.verdict = nn.Sequential(
                 nn.Dropout(0.2),
                 nn.Linear(CHANNELS * _ENDS, 64),
@@ -189,20 +192,7 @@ def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -
             answer = network(planes.contiguous(memory_format=torch.channels_last))
         return loss(tuple(part.float() for part in answer), *truth)
 
-    return fit(lambda: _begin(init), len(learnt), loss_of, options)
-
-
-def _begin(init: Path | str) -> Any:
-    """Return the network with the weights of an earlier training of it, or of YOLO26n."""
-    import torch
-
-    try:
-        state = torch.load(init, weights_only=True)
-    except (pickle.UnpicklingError, OSError):  # YOLO's hold classes; load_yolo names what is wrong
-        return make_network(init)
-    network = make_network("yolo26n-seg.yaml")
-    network.load_state_dict(state)
-    return network
+    return fit(lambda: begun_network(init, make_network), len(learnt), loss_of, options)
 
 
 def as_batch(crops: FruitCrops, rows: NDArray[np.intp]) -> tuple[Any, ...]:

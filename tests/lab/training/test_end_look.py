@@ -14,6 +14,7 @@ from cucumbervision.perception.end_look import ERROR_SCALE, EndLooker  # noqa: E
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.training.classifier import (  # noqa: E402
     ClassifierOptions,
+    begun_network,
     write_classifier_card,
 )
 from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
@@ -21,7 +22,6 @@ from cucumbervision_lab.training.end_look import (  # noqa: E402
     _loss,
     area_under_curve,
     augmented,
-    begun_network,
     export_look,
     fit_look,
     judge_look,
@@ -169,6 +169,6 @@ def test_area_under_curve_counts_ties_half() -> None:
 def test_training_begins_with_an_earlier_network(tmp_path: Path) -> None:
     earlier = make_network(CHECKPOINT)
     torch.save(earlier.state_dict(), tmp_path / "earlier.pt")
-    begun = begun_network(tmp_path / "earlier.pt").state_dict()
+    begun = begun_network(tmp_path / "earlier.pt", make_network).state_dict()
     assert begun.keys() == earlier.state_dict().keys()
     assert all(torch.equal(begun[name], part) for name, part in earlier.state_dict().items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 from zlib import crc32
 
 import numpy as np
@@ -31,11 +31,17 @@ from cucumbervision_lab.training.classifier import (
     predict,
 )
 
+if TYPE_CHECKING:
+    from cucumbervision.instances.instance import Instance
+    from cucumbervision.perception.yolo import YoloDetector
+
 SURROUND_PX = 128
 """Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
 
 _HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split val
-_MOST = 12  # candidates of a picture
+MOST = 12
+"""Candidates of a picture that are cut out."""
+
 _SMOOTH = 0.02
 _REPEATS = 4  # of false positives that the detector alone would report: few, and what it is for
 _TURN_RAD, _SCALE, _SHIFT = 0.25, 0.12, 0.08  # largest random changes of a crop
@@ -122,23 +128,19 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
     CaptureError
         If a picture cannot be read.
     """
-    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * _MOST)
-    # By its file, so that no earlier classifier takes part.
-    detector = loader.yolo(loader.verify("cucumber-seg")["network"])
+    detector = proposing_detector()
     rows: list[tuple[NDArray[np.uint8], bool, float, bool]] = []
     for dataset in sets:
         for picture in ticked(dataset.pictures, progress):
             if picture.split == "test":
                 continue
-            # By the scene's name: a scene comes back in windows and sheets of other sets.
-            scene = crc32((picture.scene or picture.file).encode())
-            judged = picture.split == "val" or scene % _HELD_OUT == 0
+            judged = is_held_out(picture)
             color = read_color(dataset.path(picture))
             instances = detector.detect(color)
-            labels = labels_of(picture, dataset, np.array([instance.box for instance in instances]))
+            labels = labels_of(picture, dataset, instances)
             judged_instances = [
                 (o, y) for o, y in zip(instances, labels, strict=True) if y is not None
-            ][:_MOST]
+            ][:MOST]
             margin = CROP_MARGIN * SURROUND_PX / CROP_PX
             rows += [
                 (
@@ -151,20 +153,39 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
             ]
     held = [row[3] for row in rows]
     if not rows or all(held) or not any(held):
-        raise TrainingError(
-            "too few scenes in which the detector proposes anything",
-            source=sets[0].folder if sets else None,
-            remedy=f"give at least {_HELD_OUT} scenes with fruit",
-        )
+        raise too_few_scenes(sets)
     pictures, is_fruit, confidence, held_out = zip(*rows, strict=True)
     return Crops(np.stack(pictures), np.array(is_fruit), np.array(confidence), np.array(held_out))
 
 
+def proposing_detector() -> YoloDetector:
+    """Load the packaged detector, which reports what it hardly believes, too."""
+    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * MOST)
+    # By its file, so that no earlier classifier takes part.
+    return loader.yolo(loader.verify("cucumber-seg")["network"])
+
+
+def is_held_out(picture: LabelledPicture) -> bool:
+    """Return whether crops of a picture are for validation: an eighth of the scenes, and 'val'."""
+    # By the scene's name: a scene comes back in windows and sheets of other sets.
+    scene = crc32((picture.scene or picture.file).encode())
+    return picture.split == "val" or scene % _HELD_OUT == 0
+
+
+def too_few_scenes(sets: Sequence[DataSet]) -> TrainingError:
+    """Return the error of sets of which no scenes can be held out."""
+    return TrainingError(
+        "too few scenes in which the detector proposes anything",
+        source=sets[0].folder if sets else None,
+        remedy=f"give at least {_HELD_OUT} scenes with fruit",
+    )
+
+
 def labels_of(
-    picture: LabelledPicture, data: DataSet, boxes: NDArray[np.float64]
+    picture: LabelledPicture, data: DataSet, instances: Sequence[Instance]
 ) -> list[bool | None]:
-    """Return whether each box is a true positive; None where that cannot be told."""
-    boxes = boxes.reshape(-1, 4)
+    """Return whether each detection is a true positive; None where that cannot be told."""
+    boxes = np.array([instance.box for instance in instances]).reshape(-1, 4)
     frame = frame_of(picture, data, None)
     unknown = np.array([fruit.box for fruit in frame.true if fruit.ignore or fruit.optional])
     overlap = box_ious(boxes, unknown.reshape(-1, 4)).max(axis=1, initial=0.0)

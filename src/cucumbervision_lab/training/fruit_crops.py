@@ -14,26 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.errors import TrainingError
 from cucumbervision.files import write_bytes
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
 from cucumbervision.instances.masks import mask_iou
-from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
-from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.detection.pictures import capture_of
-from cucumbervision_lab.training.crops import labels_of
+from cucumbervision_lab.training.crops import (
+    MOST,
+    is_held_out,
+    labels_of,
+    proposing_detector,
+    too_few_scenes,
+)
 
 if TYPE_CHECKING:
     from cucumbervision.instances.fruit_crops import FruitCrop
     from cucumbervision.instances.instance import Instance
+    from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 SURROUND_PX = (HEIGHT_PX + 16, WIDTH_PX + 32)
 """Size of the crops to train on: larger than the network sees, to move it in."""
 
-_HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split val
-_MOST = 12  # detections of a picture
 _LEAST_IOU = 0.3  # of a detection's mask with a label's
 _KEPT_TOGETHER = 50  # pictures
 _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -119,14 +121,15 @@ def collect_sets(
         If a picture cannot be read.
     """
     keep.mkdir(parents=True, exist_ok=True)
-    parts = []
+    parts, detector = [], None
     for number, dataset in enumerate(sets):
         for start in range(0, len(dataset.pictures), _KEPT_TOGETHER):
             pictures = dataset.pictures[start : start + _KEPT_TOGETHER]
             identity = f"{[(picture.file, len(picture.labels)) for picture in pictures]}"
             file = keep / f"{number}-{start:06d}-{crc32(identity.encode()):08x}.npz"
             if not file.exists():
-                crops = collect_fruit_crops(replace(dataset, pictures=pictures))
+                detector = detector or proposing_detector()
+                crops = collect_fruit_crops(replace(dataset, pictures=pictures), None, detector)
                 packed = BytesIO()
                 np.savez(packed, **{name: getattr(crops, name) for name in _FIELDS})
                 write_bytes(file, packed.getvalue())
@@ -137,16 +140,14 @@ def collect_sets(
     crops = FruitCrops.stacked(parts or [_of_rows([])])
     taught = crops.has_outline | ~np.isnan(crops.is_fruit) | ~np.isnan(crops.points).any((1, 2))
     if not (taught & crops.held_out).any() or crops.held_out[taught].all():
-        raise TrainingError(
-            "too few scenes in which the detector proposes anything",
-            source=sets[0].folder if sets else None,
-            remedy=f"give at least {_HELD_OUT} scenes with fruit",
-        )
+        raise too_few_scenes(sets)
     return crops.only(taught)
 
 
 def collect_fruit_crops(
-    dataset: DataSet, progress: Callable[[int], None] | None = None
+    dataset: DataSet,
+    progress: Callable[[int], None] | None = None,
+    detector: YoloDetector | None = None,
 ) -> FruitCrops:
     """Cut out what the packaged detector proposes in a data set.
 
@@ -157,28 +158,26 @@ def collect_fruit_crops(
         skipped; the split 'val' is used for validation.
     progress : callable, optional
         Called with 1 after each picture.
+    detector : YoloDetector, optional
+        Result of `proposing_detector`, which is loaded if it is not given.
 
     Raises
     ------
     CaptureError
         If a picture cannot be read.
     """
-    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * _MOST)
-    # By its file, so that no earlier classifier takes part.
-    detector = loader.yolo(loader.verify("cucumber-seg")["network"])
+    detector = proposing_detector() if detector is None else detector
     rows: list[tuple[Any, ...]] = []
     for picture in ticked(dataset.pictures, progress):
         if picture.split == "test":
             continue
-        # By the scene's name: a scene comes back in other sets.
-        scene = crc32((picture.scene or picture.file).encode())
-        held = picture.split == "val" or scene % _HELD_OUT == 0
+        held = is_held_out(picture)
         color = read_color(dataset.path(picture))
         capture = capture_of(picture, dataset, color)
         depth_m = None if capture is None else capture.depth_m
         focal_px = None if capture is None else capture.intrinsics.fx_px
-        instances = detector.detect(color)[:_MOST]
-        verdicts = labels_of(picture, dataset, np.array([instance.box for instance in instances]))
+        instances = detector.detect(color)[:MOST]
+        verdicts = labels_of(picture, dataset, instances)
         for instance, is_fruit in zip(instances, verdicts, strict=True):
             if instance.detector_mask is None:
                 continue

@@ -40,18 +40,23 @@ def find_sets(folder: Folder) -> CaptureLister | None:
     """Find sets whose pictures have depth and a camera, and mark their pictures as used."""
     pictures: list[tuple[str, Any]] = []
     for place, names in folder.files.items():
-        if ANNOTATIONS in names and f"{place}/depth".lstrip("/") in folder.files:
+        if ANNOTATIONS in names and _within(place, "depth") in folder.files:
             entries = _entries(folder.path / place / ANNOTATIONS)
             pictures += [(place, entry) for entry in entries]
     # What the set names elsewhere, such as ../x.png, is no file of this folder.
     known = set(folder)
-    taken = {f"{place}/{entry[key]}".lstrip("/") for place, entry in pictures for key in _FILES}
+    taken = {_within(place, entry[key]) for place, entry in pictures for key in _FILES}
     for place, names in folder.files.items():
-        names[:] = [name for name in names if f"{place}/{name}".lstrip("/") not in taken]
+        names[:] = [name for name in names if _within(place, name) not in taken]
     return partial(_open_sets, folder.path, pictures, known) if pictures else None
 
 
 _FILES = ("file_name", "depth_file")
+
+
+def _within(place: str, name: str) -> str:
+    """Return the path of a file below the folder that is read; `place` is '' for itself."""
+    return f"{place}/{name}".lstrip("/")
 
 
 def _entries(path: Path) -> list[dict[str, Any]]:
@@ -78,7 +83,7 @@ def _open_sets(
     camera_file: CameraFile | None,
 ) -> Iterator[CaptureEntry]:
     for frame, (place, entry) in enumerate(pictures):
-        folder, files = path / place, [f"{place}/{entry[key]}".lstrip("/") for key in _FILES]
+        folder, files = path / place, [_within(place, entry[key]) for key in _FILES]
         color = path / files[0]
         prefix = "_".join((path.resolve().name, *Path(place).parts))
         name = safe_name(f"{prefix}_{Path(entry['file_name']).stem}")

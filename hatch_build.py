@@ -30,19 +30,19 @@ class KernelHook(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, and name the platform in the wheel's tag; py3-none, as no Python is called."""
-        wanted = os.environ.get("CUCUMBERVISION_KERNEL", "").strip().lower()
+        choice = os.environ.get("CUCUMBERVISION_KERNEL", "").strip().lower()
         folder = Path(self.root) / KERNEL
         library = folder / "kernel.so"
         if version != "editable":
             self._scratch = tempfile.TemporaryDirectory()
             library = Path(self._scratch.name) / library.name
         library.unlink(missing_ok=True)
-        if wanted == "numpy":
+        if choice == "numpy":
             return
         try:
             self._compile(sorted(folder.glob("*.[ch]")), library)
         except (OSError, subprocess.CalledProcessError) as error:
-            if wanted == "compiled":
+            if choice == "compiled":
                 raise
             self.app.display_warning(f"M6's kernel is not compiled, NumPy computes: {error}")
             return

@@ -46,15 +46,15 @@ def ruler_px_per_m(picture: NDArray[np.uint8]) -> float | None:
     closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
     height, width = picture.shape[:2]
-    found = {}
+    rulers_px = {}
     for _, _, w, h, area in np.asarray(stats)[1:].tolist():
         if area < 0.55 * w * h:
             continue
         if 0.35 * height < h < 0.75 * height and h > 7 * w:
-            found["upright"] = h
+            rulers_px["upright"] = h
         if 0.45 * width < w < 0.9 * width and w > 7 * h:
-            found["lying"] = w
-    return float(np.mean(list(found.values()))) / RULER_M if len(found) == 2 else None
+            rulers_px["lying"] = w
+    return float(np.mean(list(rulers_px.values()))) / RULER_M if len(rulers_px) == 2 else None
 
 
 def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
@@ -79,21 +79,21 @@ def measured_fruit(
     folder: Path, name: str, scale: float, focal_share: float
 ) -> list[dict[str, float]]:
     """Return the lengths of a picture's fruit from left to right, cm."""
-    high, wide = read_picture(folder, name).shape[:2]
-    focal = focal_share * max(high, wide)
-    camera = Intrinsics(wide, high, focal, focal, wide / 2, high / 2)
+    height, width = read_picture(folder, name).shape[:2]
+    focal = focal_share * max(height, width)
+    camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     lines = (folder / "labels_seg" / f"{name}.txt").read_text().splitlines()
     polygons = [np.array(line.split()[1:], float).reshape(-1, 2) for line in lines]
     rows = []
     for polygon in sorted(polygons, key=lambda p: float(p[:, 0].mean())):
-        mask = np.zeros((high, wide), np.uint8)
-        corners = np.rint(polygon * (wide, high)).astype(np.int32)
+        mask = np.zeros((height, width), np.uint8)
+        corners = np.rint(polygon * (width, height)).astype(np.int32)
         cv2.fillPoly(mask, [corners], 1)
         depth = lying_body(mask > 0, focal / scale, scale)
-        found = measure_m6(depth, mask > 0, camera)
+        m6 = measure_m6(depth, mask > 0, camera)
         row = {"bend": np.nan, **dict.fromkeys(KINDS, np.nan)}
-        if found.fit is not None:
-            traits = found.fit.traits
+        if m6.fit is not None:
+            traits = m6.fit.traits
             row = {kind: 100 * getattr(traits.lengths, f"{kind}_m") for kind in KINDS}
             row["bend"] = traits.inner_arc_mm_per_10cm
         rows.append(row)
@@ -107,15 +107,15 @@ def all_fruit(folder: Path, focal_share: float) -> pd.DataFrame:
         truth[row.file_name].append(float(row.length))
     names, rows = (folder / "complete.txt").read_text().split(), []
     pictures = (read_picture(folder, name) for name in names)
-    scales = [scale for one in pictures if (scale := ruler_px_per_m(one)) is not None]
+    scales = [scale for picture in pictures if (scale := ruler_px_per_m(picture)) is not None]
     spread = 100 * (max(scales) / min(scales) - 1)
     print(
         f"{len(scales)} pictures show both rulers whole: {np.median(scales):.0f} pixels a metre, "
         f"the largest {spread:.1f} % over the least"
     )
     for name in names:
-        found = measured_fruit(folder, name, float(np.median(scales)), focal_share)
-        for tape, row in zip(truth[name], found, strict=False):
+        picture_rows = measured_fruit(folder, name, float(np.median(scales)), focal_share)
+        for tape, row in zip(truth[name], picture_rows, strict=False):
             rows.append({"picture": name, "tape": tape, **row})
     return pd.DataFrame(rows).dropna()
 
@@ -148,27 +148,27 @@ def main() -> None:
     )
     for head in heads:
         table.add_column(head, justify="right")
-    for name, some in (("all", fruit), ("straight", fruit[~curved]), ("curved", fruit[curved])):
+    for name, group in (("all", fruit), ("straight", fruit[~curved]), ("curved", fruit[curved])):
         for kind in KINDS:
-            off = 100 * np.log(some[kind] / some["tape"])
+            error_percent = 100 * np.log(group[kind] / group["tape"])
             # One scale a picture, fitted to its fruit: the rulers' own error is out of it.
             free = (
-                off
+                error_percent
                 - (100 * np.log(fruit[kind] / fruit["tape"]))
                 .groupby(fruit["picture"])
                 .transform("median")
-                .loc[some.index]
+                .loc[group.index]
             )
-            size = off.abs()
-            figures = (off.median(), size.median(), size.mean(), free.abs().mean())
-            table.add_row(name, str(len(some)), kind, *(f"{x:.1f}" for x in figures))
+            size = error_percent.abs()
+            figures = (error_percent.median(), size.median(), size.mean(), free.abs().mean())
+            table.add_row(name, str(len(group)), kind, *(f"{x:.1f}" for x in figures))
     Console(width=100, highlight=False).print(table)
     rng = np.random.default_rng(0)
     samples = [resampled(fruit, rng) for _ in range(BOOTSTRAPS)]
     for kind in KINDS:
-        medians = [100 * np.log(one[kind] / one["tape"]).median() for one in samples]
-        low, high = np.quantile(medians, [0.025, 0.975])
-        print(f"{kind} against the tape by the rulers' scale: 95 % [{low:+.1f}, {high:+.1f}] %")
+        medians = [100 * np.log(sample[kind] / sample["tape"]).median() for sample in samples]
+        lower, upper = np.quantile(medians, [0.025, 0.975])
+        print(f"{kind} against the tape by the rulers' scale: 95 % [{lower:+.1f}, {upper:+.1f}] %")
 
 
 if __name__ == "__main__":

@@ -92,34 +92,34 @@ def run_house(scenario: Scenario, profile: CropProfile, seed: int) -> Outcome:
     settings = HouseSettings(mean, spreads, links=scenario.links, scale_sd=scenario.scale_sd)
     house = simulate_house(replace(settings, full_m=scenario.full_m), seed)
     growth = fit_growth(house.links, prior)
-    found = forecast(
+    prediction = forecast(
         house.fruit, growth, profile, seed=seed, detection=DETECTION, scale_sd=scenario.scale_sd
     )
-    return compare(found, house, profile)
+    return compare(prediction, house, profile)
 
 
-def compare(found: Forecast, house: SimulatedHouse, profile: CropProfile) -> Outcome:
+def compare(prediction: Forecast, house: SimulatedHouse, profile: CropProfile) -> Outcome:
     """Hold a forecast against the truth, over complete cells of the true classes, days 1 on."""
     classes = len(profile.classes)
-    true = classes_of(house.lengths_m, profile)
-    counted = np.stack([(true == k).sum(axis=1) for k in range(classes)], axis=1)
-    usable = found.complete[:, :classes].copy()
+    true_class = classes_of(house.lengths_m, profile)
+    counted = np.stack([(true_class == k).sum(axis=1) for k in range(classes)], axis=1)
+    usable = prediction.complete[:, :classes].copy()
     usable[0] = False
-    hits = np.where(usable, _inside(found.house, counted, classes), np.nan)
-    rows = [int(name) for name in found.rows]
+    hits = np.where(usable, _inside(prediction.house, counted, classes), np.nan)
+    rows = [int(name) for name in prediction.rows]
     by_row = np.stack(
-        [[((true == k) & (house.row == r)).sum(axis=1) for k in range(classes)] for r in rows]
+        [[((true_class == k) & (house.row == r)).sum(axis=1) for k in range(classes)] for r in rows]
     ).transpose(0, 2, 1)
-    low, high = found.by_row.low[..., :classes], found.by_row.high[..., :classes]
-    closed, inside = (low <= by_row) & (by_row <= high), (low < by_row) & (by_row < high)
-    pick = [found.classes.index(name) for name in found.pick]
-    ready = np.isin(true, pick)
+    lower, upper = prediction.by_row.low[..., :classes], prediction.by_row.high[..., :classes]
+    closed, inside = (lower <= by_row) & (by_row <= upper), (lower < by_row) & (by_row < upper)
+    pick = [prediction.classes.index(name) for name in prediction.pick]
+    ready = np.isin(true_class, pick)
     first = ready & (np.cumsum(ready, axis=0) == 1)
-    picked = np.stack([(first & (true == k)).sum(axis=1) for k in range(classes)], axis=1)
+    picked = np.stack([(first & (true_class == k)).sum(axis=1) for k in range(classes)], axis=1)
     pick_cells = usable & np.isin(np.arange(classes), pick)
     naive = classes_of(
         np.array([f.length_m for f in house.fruit])
-        + NAIVE_M_PER_DAY * np.arange(len(true))[:, None],
+        + NAIVE_M_PER_DAY * np.arange(len(true_class))[:, None],
         profile,
     )
     naive_counts = np.stack([(naive == k).sum(axis=1) for k in range(classes)], axis=1)
@@ -127,10 +127,10 @@ def compare(found: Forecast, house: SimulatedHouse, profile: CropProfile) -> Out
         hits,
         float(closed[:, usable].mean()),
         float(inside[:, usable].mean()),
-        np.where(pick_cells, _inside(found.picks, picked, classes), np.nan),
-        float(np.abs(found.house.expected[:, :classes] - counted)[usable].mean()),
+        np.where(pick_cells, _inside(prediction.picks, picked, classes), np.nan),
+        float(np.abs(prediction.house.expected[:, :classes] - counted)[usable].mean()),
         float(np.abs(naive_counts - counted)[usable].mean()),
-        *_scores(found, house, true, classes_of_fruit(house, profile)),
+        *_scores(prediction, house, true_class, classes_of_fruit(house, profile)),
     )
 
 
@@ -147,19 +147,26 @@ def _inside(counts: Counts, truth: NDArray[np.intp], classes: int) -> NDArray[np
 
 
 def _scores(
-    found: Forecast, house: SimulatedHouse, true: NDArray[np.intp], naive: NDArray[np.intp]
+    prediction: Forecast,
+    house: SimulatedHouse,
+    true_class: NDArray[np.intp],
+    naive: NDArray[np.intp],
 ) -> tuple[float, float, float, float]:
     """Return Brier and log score of forecast and naive, for each real fruit and day from 1 on."""
-    at = {f.fruit_id: k for k, f in enumerate(found.fruit)}
+    column_of = {f.fruit_id: k for k, f in enumerate(prediction.fruit)}
     real = house.of_fruit[house.of_fruit >= 0]
-    said = found.probability[[at[str(k)] for k in real]].transpose(1, 0, 2)[1:]
-    width = said.shape[2]
-    became = np.eye(width)[true[1:, real]]
+    columns = [column_of[str(fruit_id)] for fruit_id in real]
+    forecast_share = prediction.probability[columns].transpose(1, 0, 2)[1:]
+    width = forecast_share.shape[2]
+    became = np.eye(width)[true_class[1:, real]]
     naive_share = np.eye(width)[naive[1:]]
-    brier = [float(((p - became) ** 2).sum(axis=2).mean()) for p in (said, naive_share)]
+    brier = [
+        float(((shares - became) ** 2).sum(axis=2).mean())
+        for shares in (forecast_share, naive_share)
+    ]
     logs = [
-        float(-np.log(np.clip((p * became).sum(axis=2), CLIP, 1 - CLIP)).mean())
-        for p in (said, naive_share)
+        float(-np.log(np.clip((shares * became).sum(axis=2), CLIP, 1 - CLIP)).mean())
+        for shares in (forecast_share, naive_share)
     ]
     return brier[0], brier[1], logs[0], logs[1]
 
@@ -168,8 +175,8 @@ def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
     """Return the exact 95 % interval of a share."""
     from scipy.stats import binomtest
 
-    found = binomtest(hits, trials).proportion_ci(0.95, method="exact")
-    return float(found.low), float(found.high)
+    interval = binomtest(hits, trials).proportion_ci(0.95, method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def report(scenario: Scenario, outcomes: list[Outcome]) -> str:
@@ -177,11 +184,13 @@ def report(scenario: Scenario, outcomes: list[Outcome]) -> str:
     hits = np.array([o.hits for o in outcomes])
     shares = np.array([np.nanmean(h) for h in hits])
     rng = np.random.default_rng(0)
-    again = rng.integers(0, len(shares), (2000, len(shares)))
-    low, high = np.quantile(shares[again].mean(axis=1), [0.025, 0.975])
+    resampled = rng.integers(0, len(shares), (2000, len(shares)))
+    lower, upper = np.quantile(shares[resampled].mean(axis=1), [0.025, 0.975])
     cell = hits[:, 2, 0]
     cell = cell[~np.isnan(cell)]
-    a, b = clopper_pearson(int(cell.sum()), len(cell)) if len(cell) else (np.nan, np.nan)
+    cell_low, cell_high = (
+        clopper_pearson(int(cell.sum()), len(cell)) if len(cell) else (np.nan, np.nan)
+    )
     picks = np.nanmean([o.pick_hits for o in outcomes])
     mean = {
         name: float(np.mean([getattr(o, name) for o in outcomes]))
@@ -189,9 +198,9 @@ def report(scenario: Scenario, outcomes: list[Outcome]) -> str:
         if name not in {"hits", "pick_hits"}
     }
     return (
-        f"| {scenario.name} | {100 * shares.mean():.0f} ({100 * low:.0f} to {100 * high:.0f}) "
-        f"| {100 * cell.mean():.0f} ({100 * a:.0f} to {100 * b:.0f}) | {100 * picks:.0f} "
-        f"| {100 * mean['row_open']:.0f} to {100 * mean['row_closed']:.0f} "
+        f"| {scenario.name} | {100 * shares.mean():.0f} ({100 * lower:.0f} to {100 * upper:.0f}) "
+        f"| {100 * cell.mean():.0f} ({100 * cell_low:.0f} to {100 * cell_high:.0f}) "
+        f"| {100 * picks:.0f} | {100 * mean['row_open']:.0f} to {100 * mean['row_closed']:.0f} "
         f"| {mean['count_error']:.1f} / {mean['naive_count_error']:.1f} "
         f"| {mean['brier']:.3f} / {mean['naive_brier']:.3f} "
         f"| {mean['log']:.2f} / {mean['naive_log']:.2f} |"

@@ -54,7 +54,7 @@ _DEPTH_SPREAD_M = 0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ComparedCapture:
     """One capture: its true fruit with what was found of each, and the false positives."""
 
     name: str
@@ -66,32 +66,34 @@ class Judged:
 
     def hits(self, *, marked: bool) -> tuple[int, int]:
         """Return how many fruit were found, and how many there are."""
-        wanted = [found for true, found in self.fruit if true["marked"] or not marked]
-        return sum(found is not None for found in wanted), len(wanted)
+        fruit = [measured for truth, measured in self.fruit if truth["marked"] or not marked]
+        return sum(measured is not None for measured in fruit), len(fruit)
 
 
-def judge(result: CaptureResult, marks: dict[str, Any]) -> Judged:
+def compare(result: CaptureResult, marks: dict[str, Any]) -> ComparedCapture:
     """Compare what was found in a capture with what is marked in it."""
-    found = sorted(result.fruit, key=lambda fruit: -fruit.instance.confidence)
+    measured = sorted(result.fruit, key=lambda fruit: -fruit.instance.confidence)
     boxes = [
-        fruit.instance.box if fruit.mask is None else box_of_mask(fruit.mask) for fruit in found
+        fruit.instance.box if fruit.mask is None else box_of_mask(fruit.mask) for fruit in measured
     ]
-    true = [one["box"] for one in marks["fruit"]]
-    matches = match_boxes(boxes, true, ignored=marks["ignored"])
+    true_boxes = [truth["box"] for truth in marks["fruit"]]
+    matches = match_boxes(boxes, true_boxes, ignored=marks["ignored"])
     hits = dict(matches.pairs)
-    pairs = [(one, found[hits[k]] if k in hits else None) for k, one in enumerate(marks["fruit"])]
-    false = [found[k] for k in matches.false]
-    marked = [_marked_m(result.capture, true, fruit) for true, fruit in pairs]
-    return Judged(marks["name"], marks["trained"], pairs, false, marked)
+    pairs = [
+        (truth, measured[hits[k]] if k in hits else None) for k, truth in enumerate(marks["fruit"])
+    ]
+    false = [measured[k] for k in matches.false]
+    marked = [_marked_m(result.capture, truth, fruit) for truth, fruit in pairs]
+    return ComparedCapture(marks["name"], marks["trained"], pairs, false, marked)
 
 
 def _marked_m(
     capture: Capture, marks: dict[str, Any], fruit: FruitMeasurement | None
 ) -> tuple[float, float]:
-    tube = None if fruit is None else fruit.measurements.get(MethodName.M6)
-    if "ends" not in marks or tube is None or tube.fit is None:
+    m6 = None if fruit is None else fruit.measurements.get(MethodName.M6)
+    if "ends" not in marks or m6 is None or m6.fit is None:
         return float("nan"), float("nan")
-    traits = tube.fit.traits
+    traits = m6.fit.traits
     first, second = (
         length_between_m(capture, ends, traits.axis_m, traits.diameter_max_m / 2)
         for ends in marks["ends"]
@@ -102,9 +104,9 @@ def _marked_m(
 def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[np.uint8]:
     """Return a capture's colours with the sticker painted over from around it."""
     covered = np.zeros(color.shape[:2], np.uint8)
-    for one in marks["fruit"]:
-        if "sticker" in one:
-            x, y, radius = one["sticker"]
+    for truth in marks["fruit"]:
+        if "sticker" in truth:
+            x, y, radius = truth["sticker"]
             cv2.circle(covered, (x, y), radius, 1, cv2.FILLED)
     return cv2.inpaint(color, covered, 7, cv2.INPAINT_TELEA)  # type: ignore[return-value]
 
@@ -148,76 +150,77 @@ def length_between_m(
     columns, rows = np.rint(line).astype(int).T
     depth = np.array(
         [
-            np.median(part[valid_depth(part)]) if valid_depth(part).any() else np.nan
+            np.median(patch[valid_depth(patch)]) if valid_depth(patch).any() else np.nan
             for x, y in zip(columns, rows, strict=True)
-            for part in [capture.depth_m[max(y - 5, 0) : y + 6, max(x - 5, 0) : x + 6]]
+            for patch in [capture.depth_m[max(y - 5, 0) : y + 6, max(x - 5, 0) : x + 6]]
         ]
     )
     inner = (share > _CAP) & (share < 1 - _CAP) & np.isfinite(depth)
     if inner.sum() < len(share) / 2:
         return float("nan")
     terms = np.vander(share, 3)
-    first = np.linalg.lstsq(terms[inner], depth[inner], rcond=None)[0]
+    first_guess = np.linalg.lstsq(terms[inner], depth[inner], rcond=None)[0]
 
-    def off(shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual_m(shape: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(terms[inner] @ shape - depth[inner])
 
-    fit = least_squares(off, first, loss="soft_l1", f_scale=_DEPTH_SPREAD_M)
+    fit = least_squares(residual_m, first_guess, loss="soft_l1", f_scale=_DEPTH_SPREAD_M)
     z = terms @ fit.x + radius_m
     x, y = capture.intrinsics.rays(line[:, 0], line[:, 1])
     return polyline_length(np.stack([x * z, y * z, z], axis=1))
 
 
-def fruit_table(judged: list[Judged]) -> Table:
+def fruit_table(compared: list[ComparedCapture]) -> Table:
     """Return one line a fruit, and one a false positive."""
     table = Table("capture", "trained on", "marked", "between ends", "found", title="Every fruit")
-    for one in judged:
-        for (true, found), lengths in zip(one.fruit, one.marked_m, strict=True):
+    for capture in compared:
+        for (truth, measured), lengths in zip(capture.fruit, capture.marked_m, strict=True):
             table.add_row(
-                one.name[:26],
-                "yes" if one.trained else "no",
-                "yes" if true["marked"] else "",
+                capture.name[:26],
+                "yes" if capture.trained else "no",
+                "yes" if truth["marked"] else "",
                 "" if np.isnan(lengths[0]) else f"{100 * np.mean(lengths):.1f} cm",
-                length_text(found),
+                length_text(measured),
             )
-        for fruit in one.false:
-            table.add_row(one.name[:26], "", "", "", f"false positive {length_text(fruit)}")
+        for fruit in capture.false:
+            table.add_row(capture.name[:26], "", "", "", f"false positive {length_text(fruit)}")
     return table
 
 
-def summary(judged: list[Judged]) -> list[str]:
+def summary(compared: list[ComparedCapture]) -> list[str]:
     """Return recall, precision, how often `end-hidden` is right, and how sure lengths are."""
     lines = []
-    for name, chosen in (
-        ("all captures", judged),
-        ("captures never trained on", [one for one in judged if not one.trained]),
+    for name, captures in (
+        ("all captures", compared),
+        ("captures never trained on", [capture for capture in compared if not capture.trained]),
     ):
-        marked, every = (
-            np.sum([one.hits(marked=only) for one in chosen], axis=0) for only in (True, False)
+        marked, fruit = (
+            np.sum([capture.hits(marked=only_marked) for capture in captures], axis=0)
+            for only_marked in (True, False)
         )
-        false = sum(len(one.false) for one in chosen)
+        false = sum(len(capture.false) for capture in captures)
         lines.append(
-            f"{name}: marked fruit {marked[0]} of {marked[1]}, all fruit {every[0]} of "
-            f"{every[1]}, false positives {false}, precision {every[0] / (every[0] + false):.2f}"
+            f"{name}: marked fruit {marked[0]} of {marked[1]}, all fruit {fruit[0]} of "
+            f"{fruit[1]}, false positives {false}, precision {fruit[0] / (fruit[0] + false):.2f}"
         )
     ends = [
-        (Flag.END_HIDDEN in found.flags or Flag.CUT_BY_FRAME in found.flags) == true["end_hidden"]
-        for one in judged
-        for true, found in one.fruit
-        if found is not None and true["end_hidden"] is not None
+        (Flag.END_HIDDEN in fruit.flags or Flag.CUT_BY_FRAME in fruit.flags) == truth["end_hidden"]
+        for capture in compared
+        for truth, fruit in capture.fruit
+        if fruit is not None and truth["end_hidden"] is not None
     ]
     lines.append(f"a hidden end is flagged, a visible one is not: {sum(ends)} of {len(ends)}")
     repeats = [
-        found.length.value_m
-        for one in judged
-        for true, found in one.fruit
-        if one.name.startswith("sample") and true["marked"] and found and found.length
+        fruit.length.value_m
+        for capture in compared
+        for truth, fruit in capture.fruit
+        if capture.name.startswith("sample") and truth["marked"] and fruit and fruit.length
     ]
     lengths = [
-        found.length
-        for one in judged
-        for true, found in one.fruit
-        if found is not None and found.length and not found.at_least and not true["end_hidden"]
+        fruit.length
+        for capture in compared
+        for truth, fruit in capture.fruit
+        if fruit is not None and fruit.length and not fruit.at_least and not truth["end_hidden"]
     ]
     widths = [100 * (k.high_m - k.low_m) / k.value_m for k in lengths if k.high_m and k.low_m]
     lines.append(
@@ -227,16 +230,16 @@ def summary(judged: list[Judged]) -> list[str]:
     if len(repeats) > 1:
         spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
         lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
-    return lines + interval_lines(judged) + marked_lines(judged)
+    return lines + interval_lines(compared) + marked_lines(compared)
 
 
-def interval_lines(judged: list[Judged]) -> list[str]:
+def interval_lines(compared: list[ComparedCapture]) -> list[str]:
     """Return how wide the intervals are of fruit whose both ends the eye sees, in percent."""
     lengths = [
         fruit.length
-        for one in judged
-        for true, fruit in one.fruit
-        if fruit is not None and fruit.length is not None and true["end_hidden"] is False
+        for capture in compared
+        for truth, fruit in capture.fruit
+        if fruit is not None and fruit.length is not None and truth["end_hidden"] is False
     ]
     widths = [
         100 * (length.high_m - length.low_m) / length.value_m
@@ -251,30 +254,31 @@ def interval_lines(judged: list[Judged]) -> list[str]:
     ]
 
 
-def marked_lines(judged: list[Judged]) -> list[str]:
+def marked_lines(compared: list[ComparedCapture]) -> list[str]:
     """Return how far lengths are off those between marked ends, and how many intervals hold."""
-    chosen = [
+    pairs = [
         (fruit.length, lengths)
-        for one in judged
-        for (_, fruit), lengths in zip(one.fruit, one.marked_m, strict=True)
+        for capture in compared
+        for (_, fruit), lengths in zip(capture.fruit, capture.marked_m, strict=True)
         if fruit is not None and fruit.length is not None and not np.isnan(lengths).any()
     ]
-    if not chosen:
+    if not pairs:
         return []
-    passes = np.array([lengths for _, lengths in chosen])
+    passes = np.array([lengths for _, lengths in pairs])
     marked = passes.mean(axis=1)
-    off = 100 * (np.array([length.value_m for length, _ in chosen]) / marked - 1)
+    errors = 100 * (np.array([length.value_m for length, _ in pairs]) / marked - 1)
     holds = [
-        length.low_m <= true <= length.high_m
-        for (length, _), true in zip(chosen, marked, strict=True)
+        length.low_m <= marked_length <= length.high_m
+        for (length, _), marked_length in zip(pairs, marked, strict=True)
         if length.low_m is not None and length.high_m is not None
     ]
-    apart = 100 * np.abs(passes[:, 1] - passes[:, 0]) / marked
+    differences = 100 * np.abs(passes[:, 1] - passes[:, 0]) / marked
+    worst = errors[np.abs(errors).argmax()]
     return [
-        f"length between marked ends, {len(chosen)} fruit: off by {np.median(np.abs(off)):.1f} % "
-        f"(median), {off[np.abs(off).argmax()]:+.1f} % (worst), {off.mean():+.1f} % (mean); "
+        f"length between marked ends, {len(pairs)} fruit: off by {np.median(np.abs(errors)):.1f} % "
+        f"(median), {worst:+.1f} % (worst), {errors.mean():+.1f} % (mean); "
         f"intervals hold {sum(holds)} of {len(holds)}; the passes differ by "
-        f"{np.median(apart):.1f} % (median)"
+        f"{np.median(differences):.1f} % (median)"
     ]
 
 
@@ -287,29 +291,29 @@ def main() -> None:
     parser.add_argument(
         "--end-look", action=argparse.BooleanOptionalAction, default=MeasureOptions().end_look
     )
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     options = MeasureOptions(
         instances="models",
-        confidence=given.confidence,
-        end_look=given.end_look,
-        input_sizes=parse_input_sizes(given.input_size),
+        confidence=arguments.confidence,
+        end_look=arguments.end_look,
+        input_sizes=parse_input_sizes(arguments.input_size),
     )
     measurer = Measurer(options)
-    marks = {one["name"]: one for one in json.loads(MARKED.read_text())["captures"]}
-    reading = ReadOptions(intrinsics=given.folder / "intrinsics.json")
-    judged, with_stickers = [], []
-    for capture in read_captures([given.folder / "on_plant"], reading):
+    marks = {capture["name"]: capture for capture in json.loads(MARKED.read_text())["captures"]}
+    reading = ReadOptions(intrinsics=arguments.folder / "intrinsics.json")
+    compared, with_stickers = [], []
+    for capture in read_captures([arguments.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
-        own = marks[capture.name.removesuffix("_color")]
-        with_stickers.append(judge(measurer.measure(capture), own))
-        plain = replace(capture, color=without_sticker(capture.color, own))
-        judged.append(judge(measurer.measure(plain), own))
+        truth = marks[capture.name.removesuffix("_color")]
+        with_stickers.append(compare(measurer.measure(capture), truth))
+        plain = replace(capture, color=without_sticker(capture.color, truth))
+        compared.append(compare(measurer.measure(plain), truth))
     console = Console(width=120, highlight=False)
-    console.print(fruit_table(judged))
-    for title, ones in (("stickers painted over", judged), ("as captured", with_stickers)):
+    console.print(fruit_table(compared))
+    for title, captures in (("stickers painted over", compared), ("as captured", with_stickers)):
         console.print(f"\n{title}:")
-        for line in summary(ones):
+        for line in summary(captures):
             console.print(line, soft_wrap=True)
 
 

@@ -38,11 +38,11 @@ def leaf_over(
 ) -> NDArray[np.bool_]:
     """Return the pixels of a leaf from the first of two points over the second and beyond."""
     run = axis_px[1] - axis_px[0]
-    long = float(np.hypot(*run))
+    length_px = float(np.hypot(*run))
     v, u = np.indices(shape)
-    off = np.stack([u - axis_px[0, 0], v - axis_px[0, 1]], axis=-1) / long
+    off = np.stack([u - axis_px[0, 0], v - axis_px[0, 1]], axis=-1) / length_px
     along, across = off @ run, off @ np.array([-run[1], run[0]])
-    over = (along > 0) & (along < long + beyond_px) & (np.abs(across) < half_px)
+    over = (along > 0) & (along < length_px + beyond_px) & (np.abs(across) < half_px)
     return np.asarray(over, np.bool_)
 
 
@@ -69,10 +69,10 @@ def measured(number: int) -> list[dict[str, Any]]:
         if fit is not None:
             row = {"kind": kind, "share": share, "true": taken.truth.centreline_m}
             row |= {"seen": fit.traits.lengths.centreline_m, "flagged": not all(fit.ends_seen)}
-            whole = fit.hidden_length
-            row["median"] = np.nan if whole is None else whole.median_m
-            row["low"] = np.nan if whole is None else whole.low_m
-            row["high"] = np.nan if whole is None else whole.high_m
+            estimate = fit.hidden_length
+            row["median"] = np.nan if estimate is None else estimate.median_m
+            row["low"] = np.nan if estimate is None else estimate.low_m
+            row["high"] = np.nan if estimate is None else estimate.high_m
             rows.append(row)
     return rows
 
@@ -107,13 +107,13 @@ def main() -> None:
     for head in heads:
         table.add_column(head, justify="right")
     for name, chosen in groups.items():
-        some = estimated[chosen]
-        off = 100 * (some["median"] / some["true"] - 1)
-        covers = 100 * some["true"].between(some["low"], some["high"]).mean()
-        width = 100 * ((some["high"] - some["low"]) / some["median"]).mean()
-        seen = 100 * (some["seen"] / some["true"] - 1).median()
-        cells = (seen, off.median(), off.abs().mean(), covers, width)
-        table.add_row(name, str(len(some)), *(f"{x:.1f}" for x in cells))
+        readings = estimated[chosen]
+        error_percent = 100 * (readings["median"] / readings["true"] - 1)
+        covers = 100 * readings["true"].between(readings["low"], readings["high"]).mean()
+        width = 100 * ((readings["high"] - readings["low"]) / readings["median"]).mean()
+        seen_percent = 100 * (readings["seen"] / readings["true"] - 1).median()
+        cells = (seen_percent, error_percent.median(), error_percent.abs().mean(), covers, width)
+        table.add_row(name, str(len(readings)), *(f"{x:.1f}" for x in cells))
     Console(width=100, highlight=False).print(table)
 
 

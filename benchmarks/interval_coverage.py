@@ -47,8 +47,8 @@ def read(folder: Path, split: str, fruit: int, keep: Path) -> pd.DataFrame:
         if fruit:
             records += run_cases(stress_cases(fruit), options, keep / "stress.jsonl", 1)
     readings = with_intervals(readings_frame(records), shipped_interval_models())
-    true = readings["method"].map(TRUTH_OF)
-    readings = readings[true.notna() & readings["length_m"].notna()].copy()
+    truth_kind = readings["method"].map(TRUTH_OF)
+    readings = readings[truth_kind.notna() & readings["length_m"].notna()].copy()
     readings["true_m"] = [row[TRUTH_OF[row["method"]]] for _, row in readings.iterrows()]
     readings["cut"] = readings["cut_off"].astype("boolean").fillna(value=False).astype(bool)
     return readings
@@ -57,26 +57,26 @@ def read(folder: Path, split: str, fruit: int, keep: Path) -> pd.DataFrame:
 def parts(readings: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """Yield the readings by where they are from, whose masks they have, and what hides them."""
     drawn = readings["suite"] == "detection"
-    for name, own in (("pictures", readings[drawn]), ("stress set", readings[~drawn])):
-        for masks, some in own.groupby("masks", sort=False):
-            hidden = some["hidden_share"] > IN_SIGHT
+    for name, suite_readings in (("pictures", readings[drawn]), ("stress set", readings[~drawn])):
+        for masks, mask_readings in suite_readings.groupby("masks", sort=False):
+            hidden = mask_readings["hidden_share"] > IN_SIGHT
             kinds = {
-                "all": some,
-                "in sight": some[~hidden & ~some["cut"]],
-                "partly hidden": some[hidden & ~some["cut"]],
-                "cut by the edge": some[some["cut"]],
+                "all": mask_readings,
+                "in sight": mask_readings[~hidden & ~mask_readings["cut"]],
+                "partly hidden": mask_readings[hidden & ~mask_readings["cut"]],
+                "cut by the edge": mask_readings[mask_readings["cut"]],
             }
             for kind, chosen in kinds.items():
                 if len(chosen):
                     yield f"{name}, {WAYS[Masks(masks)]}", kind, chosen
 
 
-def cells(some: pd.DataFrame) -> list[str]:
+def cells(readings: pd.DataFrame) -> list[str]:
     """Return count, how many have no interval, and of the others coverage and median width."""
-    given = some[some["high_m"] <= WIDEST * some["low_m"]]
-    held = 100 * given["true_m"].between(given["low_m"], given["high_m"]).mean()
-    wide = 100 * ((given["high_m"] - given["low_m"]) / given["length_m"]).median()
-    return [str(len(some)), str(len(some) - len(given)), f"{held:.1f}", f"{wide:.1f}"]
+    stated = readings[readings["high_m"] <= WIDEST * readings["low_m"]]
+    covered = 100 * stated["true_m"].between(stated["low_m"], stated["high_m"]).mean()
+    width = 100 * ((stated["high_m"] - stated["low_m"]) / stated["length_m"]).median()
+    return [str(len(readings)), str(len(readings) - len(stated)), f"{covered:.1f}", f"{width:.1f}"]
 
 
 def main() -> None:
@@ -90,17 +90,20 @@ def main() -> None:
         readings = read(options.folder, options.split, options.fruit, Path(folder))
     heads = ("readings", "not given", "covered %", "median width %")
     console = Console(width=120, highlight=False)
-    lengths, others = ("M6", "M6 thread", "M6 chord"), ("M1", "M2", "M3", "M4", "M5")
-    for keys, title in ((lengths, "M6: centreline, thread, chord"), (others, "The other methods")):
+    m6_lengths, paper_methods = ("M6", "M6 thread", "M6 chord"), ("M1", "M2", "M3", "M4", "M5")
+    for keys, title in (
+        (m6_lengths, "M6: centreline, thread, chord"),
+        (paper_methods, "The other methods"),
+    ):
         table = Table(title=f"{title}: 90 % intervals, depth scale known")
         for head in ("fruit", "", "length", *heads):
             table.add_column(head, justify="left" if head in ("fruit", "") else "right")
-        for name, kind, some in parts(readings):
-            if keys is others and kind != "all":
+        for name, kind, part_readings in parts(readings):
+            if keys is paper_methods and kind != "all":
                 continue
             for key in keys:
-                if len(own := some[some["method"] == key]):
-                    table.add_row(name, kind, key, *cells(own))
+                if len(method_readings := part_readings[part_readings["method"] == key]):
+                    table.add_row(name, kind, key, *cells(method_readings))
         console.print(table)
 
 

@@ -62,12 +62,12 @@ def drawn_case(number: int) -> Case:
     """Draw a fruit as it hangs in a row."""
     (case,) = stress_cases(1, first=FIRST + number)
     rng = np.random.default_rng(FIRST + number)
-    near = max(0.5, case.length_m * 1.5)
+    nearest_m = max(0.5, case.length_m * 1.5)
     return replace(
         case,
         tilt_deg=float(np.clip(rng.normal(0, 15), -50, 50)),
         roll_deg=float(rng.normal(-90, 15)),
-        distance_m=float(rng.uniform(near, max(near, 0.9))),
+        distance_m=float(rng.uniform(nearest_m, max(nearest_m, 0.9))),
         hidden_share=min(case.hidden_share, 0.4),
         hidden_end=False,
         condition="plain",
@@ -80,12 +80,12 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
     views = []
     for k in (0, -1, 1):
         rng = np.random.default_rng([case.capture_seed, k + 5])
-        seen = scene.moved(np.eye(3), np.array([-k * SPACING_M, 0.0, 0.0]))
-        drawn = render(seen, CAMERA)
+        moved_scene = scene.moved(np.eye(3), np.array([-k * SPACING_M, 0.0, 0.0]))
+        drawn = render(moved_scene, CAMERA)
         mask = drawn.mask(0)
         if np.count_nonzero(mask) < LEAST_PX:
             continue
-        depth = median_depth(sense(seen, D4xx.like(CAMERA), rng, 3))
+        depth = median_depth(sense(moved_scene, D4xx.like(CAMERA), rng, 3))
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec(np.deg2rad(rng.normal(0, TURN_SD_DEG, 3))).as_matrix()
         pose[:3, 3] = np.array([k * SPACING_M, 0.0, 0.0]) + rng.normal(0, PLACE_SD_M, 3)
@@ -93,11 +93,11 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
             mask = disturb_mask(mask, draw_disturbance(mask.shape, 1.5, rng))
             fruit = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
         else:
-            color = paint_scene(seen, drawn, np.random.default_rng(case.capture_seed + 2))
-            found = found_at(box_of_mask(mask), find(Capture(color, depth, CAMERA, "drawn")))
-            if found is None or found.mask is None:
+            color = paint_scene(moved_scene, drawn, np.random.default_rng(case.capture_seed + 2))
+            instance = found_at(box_of_mask(mask), find(Capture(color, depth, CAMERA, "drawn")))
+            if instance is None or instance.mask is None:
                 continue
-            fruit, mask = found, found.mask
+            fruit, mask = instance, instance.mask
         capture = Capture(np.zeros((*mask.shape, 3), np.uint8), depth, CAMERA, "drawn")
         views.append(FruitView(capture, fruit, pose))
     return scene.fruit[0].centreline_m, views
@@ -117,50 +117,50 @@ def measured(number: int, find: Find | None) -> dict[str, Any]:
     alone = [
         figures(
             measure_fruit(
-                *(one.capture, one.instance, (MethodName.M6,), Selector.BEST, CENTRELINE),
+                *(view.capture, view.instance, (MethodName.M6,), Selector.BEST, CENTRELINE),
                 scale_known=True,
             )
         )
-        for one in views
+        for view in views
     ]
-    good = [k for k, one in enumerate(alone) if one is not None]
-    found: dict[str, Any] = {"number": number, "true_m": true_m, "one": []}
-    found["alone"] = [alone[k] for k in good]
+    good = [k for k, view in enumerate(alone) if view is not None]
+    row: dict[str, Any] = {"number": number, "true_m": true_m, "one": []}
+    row["alone"] = [alone[k] for k in good]
     for count in range(1, len(good) + 1):
         start = process_time()
         joint = measure_views([views[k] for k in good[:count]], CENTRELINE, scale_known=True)
         ms = 1e3 * (process_time() - start)
-        found["one"].append((figures(None if joint is None else joint.fruit), ms))
-    return found
+        row["one"].append((figures(None if joint is None else joint.fruit), ms))
+    return row
 
 
 def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
     """Return a fruit's errors in percent by number of views and way, and what intervals hold."""
-    if len(row["alone"]) < 3 or any(one is None for one, _ in row["one"]):
+    if len(row["alone"]) < 3 or any(view is None for view, _ in row["one"]):
         return None
-    true_m, found = row["true_m"], {}
+    true_m, errors = row["true_m"], {}
     for count in (1, 2, 3):
-        some = row["alone"][:count]
-        some = [one for one in some if one[3]] or some  # as rounds do
-        lengths, low, high = np.array([one[:3] for one in some]).T
-        sds = np.log(high / low) / (2 * INTERVAL_Z)
-        combined, sd_m = pooled_length(lengths, sds, np.zeros(len(some), bool)) or (0.0, 0.0)
+        views = row["alone"][:count]
+        views = [view for view in views if view[3]] or views  # as rounds do
+        lengths, lower_m, upper_m = np.array([view[:3] for view in views]).T
+        sds = np.log(upper_m / lower_m) / (2 * INTERVAL_Z)
+        combined, sd_m = pooled_length(lengths, sds, np.zeros(len(views), bool)) or (0.0, 0.0)
         spread = float(np.exp(INTERVAL_Z * sd_m / combined))
         (one_m, *ends, _), ms = row["one"][count - 1]
         best = int(np.argmin(sds))
         ways = {
-            "best": (lengths[best], low[best], high[best]),
+            "best": (lengths[best], lower_m[best], upper_m[best]),
             "combined": (combined, combined / spread, combined * spread),
             "one tube": (one_m, *ends),
         }
         stands = joint_tube_is_used(Length(one_m, low_m=ends[0], high_m=ends[1]), (combined, sd_m))
         ways["as rounds"] = ways["one tube" if stands else "combined"]
-        for way, (length, least, most) in ways.items():
-            found[f"{way} {count}"] = 100 * (length / true_m - 1)
-            found[f"{way} {count} covers"] = least < true_m < most
-            found[f"{way} {count} width"] = 100 * (most - least) / length
-        found[f"ms {count}"] = ms
-    return found
+        for way, (length, lower, upper) in ways.items():
+            errors[f"{way} {count}"] = 100 * (length / true_m - 1)
+            errors[f"{way} {count} covers"] = lower < true_m < upper
+            errors[f"{way} {count} width"] = 100 * (upper - lower) / length
+        errors[f"ms {count}"] = ms
+    return errors
 
 
 def main() -> None:
@@ -171,27 +171,27 @@ def main() -> None:
     options = parser.parse_args()
     finder = make_finder(MeasureOptions(instances="models")) if options.perceived else None
     find = None if finder is None else lambda capture: finder.find(capture).instances
-    found = [measured(k, find) for k in track(range(options.fruit), "fruit")]
-    views = np.bincount([len(row["alone"]) for row in found], minlength=4)
+    rows = [measured(k, find) for k in track(range(options.fruit), "fruit")]
+    views = np.bincount([len(row["alone"]) for row in rows], minlength=4)
     print("views of a fruit that were measured:", dict(enumerate(views.tolist())))
-    kept = [row for row in map(errors_of, found) if row]
-    table = Table(title=f"{len(kept)} fruit seen from three stops: error of the centreline, %")
+    errors = [row for row in map(errors_of, rows) if row]
+    table = Table(title=f"{len(errors)} fruit seen from three stops: error of the centreline, %")
     heads = ("views", "way", "mean", "median", "90 % below", "bias", "of the best view's")
     for head in (*heads, "90 % interval covers", "width, %"):
         table.add_column(head, justify="right")
     for count in (1, 2, 3):
-        usual = np.mean([abs(row[f"best {count}"]) for row in kept])
+        usual = np.mean([abs(row[f"best {count}"]) for row in errors])
         for way in ("best", "combined", "one tube", "as rounds"):
-            off = np.array([row[f"{way} {count}"] for row in kept])
+            off = np.array([row[f"{way} {count}"] for row in errors])
             size = np.abs(off)
             spread_of = (size.mean(), np.median(size), np.quantile(size, 0.9), np.median(off))
             cells = [f"{x:.2f}" for x in (*spread_of, size.mean() / usual)]
-            covers = np.mean([row[f"{way} {count} covers"] for row in kept])
-            width = np.mean([row[f"{way} {count} width"] for row in kept])
+            covers = np.mean([row[f"{way} {count} covers"] for row in errors])
+            width = np.mean([row[f"{way} {count} width"] for row in errors])
             table.add_row(str(count), way, *cells, f"{100 * covers:.0f} %", f"{width:.1f}")
     Console(width=110, highlight=False).print(table)
     for count in (1, 2, 3):
-        print(f"{count} views: {np.median([row[f'ms {count}'] for row in kept]):.0f} ms")
+        print(f"{count} views: {np.median([row[f'ms {count}'] for row in errors]):.0f} ms")
 
 
 if __name__ == "__main__":

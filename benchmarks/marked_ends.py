@@ -105,17 +105,17 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     shipped = load_registry().resolve("cucumber-look")["network"]
     parser.add_argument("--look", type=Path, nargs="+", default=[shipped], help="the networks")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     measurer = Measurer(MeasureOptions(instances="models", confidence=_CONFIDENCE))
     ends = [
         end
         for photo in json.loads(MARKED.read_text(encoding="utf-8"))["photos"]
-        for end in marked_ends(photo, photo_capture(given.folder / photo["file"]), measurer)
+        for end in marked_ends(photo, photo_capture(arguments.folder / photo["file"]), measurer)
     ]
     marks = np.array([end.mark for end in ends])
     trained = np.array([end.trained for end in ends])
     console = Console(width=120, highlight=False)
-    for file in given.look:
+    for file in arguments.look:
         looks = EndLooker(file).look([end.crop for end in ends])
         covered = np.array([look.covered for look in looks])
         console.print(f"\n{file.name}")
@@ -145,12 +145,15 @@ def calibration_table(covered: NDArray[np.float64], marks: NDArray[np.str_]) -> 
     """Return how often ends are covered where the look gives a probability, without cut ones."""
     table = Table("probability", "ends", "mean", "covered", title="Photos not trained on")
     told = marks != "x"
-    for low, high in pairwise(_EDGES):
-        rows = told & (covered >= low) & (covered < high)
+    for lower, upper in pairwise(_EDGES):
+        rows = told & (covered >= lower) & (covered < upper)
         if rows.any():
             share = (marks[rows] == "c").mean()
             table.add_row(
-                f"{low} to {high}", str(rows.sum()), f"{covered[rows].mean():.2f}", f"{share:.2f}"
+                f"{lower} to {upper}",
+                str(rows.sum()),
+                f"{covered[rows].mean():.2f}",
+                f"{share:.2f}",
             )
     return table
 

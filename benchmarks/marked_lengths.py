@@ -90,14 +90,14 @@ class MarkedLengths:
 def camera_over(
     matrix: NDArray[np.float64],
     distortion: NDArray[np.float64],
-    known: NDArray[np.float64],
+    grid: NDArray[np.float64],
 ) -> PlaneCamera:
     """Return the camera that sees known points (N, 4: u, v in pixels, x, y in cm) of a plane."""
-    pixels, places = known[:, :2].copy(), np.c_[known[:, 2:], np.zeros(len(known))]
+    pixels, places = grid[:, :2].copy(), np.c_[grid[:, 2:], np.zeros(len(grid))]
     _, turn, shift = cv2.solvePnP(places, pixels, matrix, distortion, flags=cv2.SOLVEPNP_IPPE)
     _, turn, shift = cv2.solvePnP(places, pixels, matrix, distortion, turn, shift, True)
-    seen = np.asarray(cv2.projectPoints(places, turn, shift, matrix, distortion)[0])
-    error = np.linalg.norm(seen.reshape(-1, 2) - pixels, axis=1)
+    projected_px = np.asarray(cv2.projectPoints(places, turn, shift, matrix, distortion)[0])
+    error = np.linalg.norm(projected_px.reshape(-1, 2) - pixels, axis=1)
     rotation = np.asarray(cv2.Rodrigues(turn)[0], float)
     centre = -rotation.T @ np.asarray(shift, float).ravel()
     if centre[2] < 0:  # x and y were counted so that z points away: turn the axes about x
@@ -110,8 +110,8 @@ def level_hits(
     camera: PlaneCamera, rays: NDArray[np.float64], height_cm: float
 ) -> NDArray[np.float64]:
     """Return where rays (N, 3) meet the level at a height over the plane, cm."""
-    far = (camera.centre[2] - height_cm) / -rays[:, 2]
-    return np.asarray(camera.centre + far[:, None] * rays)
+    range_cm = (camera.centre[2] - height_cm) / -rays[:, 2]
+    return np.asarray(camera.centre + range_cm[:, None] * rays)
 
 
 def rounded_end_excess(radius_cm: float, angle: float) -> float:

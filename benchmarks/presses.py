@@ -110,9 +110,9 @@ class Server:
     def kept(self) -> int:
         """Return how many presses are stops, or wait on disk to be measured."""
         waiting = WaitingCaptures(waiting_folder(str(self.store)))
-        keys = {one.key for one in (*waiting.captures(), *waiting.set_aside())}
+        keys = {record.key for record in (*waiting.captures(), *waiting.set_aside())}
         with open_store(self.store) as store:
-            return len(keys | {one.key for one in store.stops(WALK.key)})
+            return len(keys | {record.key for record in store.stops(WALK.key)})
 
 
 @dataclass
@@ -149,19 +149,19 @@ def walk(page: Any, server: Server, plan: Plan) -> dict[str, Any]:
                 banners += page.locator("#lost").is_visible()
             page.context.set_offline(event == "lost")
     page.wait_for_function(f"window.pressed === {number}", timeout=1000 * _PATIENCE_S)
-    left: list[list[str]] = []
+    presses: list[list[str]] = []
     until = time.monotonic() + _PATIENCE_S
     while time.monotonic() < until:
         page.wait_for_timeout(2000)
-        left = page.evaluate(_LEFT)
-        if all(state != "waiting" for state, _ in left):
+        presses = page.evaluate(_LEFT)
+        if all(state != "waiting" for state, _ in presses):
             break
-    words = [words for state, words in left if state != "waiting"]
+    words = [words for state, words in presses if state != "waiting"]
     return {
         "pressed": number,
         "saved": server.kept(),
         "refused": len(words),
-        "still_waiting": len(left) - len(words),
+        "still_waiting": len(presses) - len(words),
         "gaps_with_banner": banners,
         "notices": page.locator("#presses .refused span").all_inner_texts(),
     }

@@ -57,12 +57,12 @@ def carrot_table(folder: Path) -> Table:
                 continue
             spread = 100 * lengths.std(ddof=1) / lengths.mean()
             cells.append(f"{lengths.mean():.2f} ({spread:.2f}) [{len(lengths)}]")
-        wide = [
+        widths = [
             100 * (r["interval_high_cm"] - r["interval_low_cm"]) / r["length_cm"]
             for r in rows
             if r["interval_low_cm"] is not None
         ]
-        cells.append(f"{np.mean(wide):.1f} % wide [{len(wide)}]" if wide else "–")
+        cells.append(f"{np.mean(widths):.1f} % wide [{len(widths)}]" if widths else "–")
         table.add_row(name, *cells)
     return table
 
@@ -75,11 +75,11 @@ def ycb_table(folder: Path) -> Table:
         table.add_column(head, justify="right")
     for name, prompt in MASKS.items():
         for row in rows_of(folder, prompt):
-            known = truth[str(row["frame"])]["length_m"]
+            true_length_m = truth[str(row["frame"])]["length_m"]
             cells = [
                 name,
                 truth[str(row["frame"])]["object"],
-                f"{100 * known:.2f}" if known else "–",
+                f"{100 * true_length_m:.2f}" if true_length_m else "–",
             ]
             for method in AVAILABLE:
                 read = row[f"{method.lower()}_cm"]
@@ -87,7 +87,9 @@ def ycb_table(folder: Path) -> Table:
                     cells.append("not measured")
                 else:
                     cells.append(
-                        f"{100 * (read / 100 / known - 1):+.1f}" if known else f"{read:.1f} cm"
+                        f"{100 * (read / 100 / true_length_m - 1):+.1f}"
+                        if true_length_m
+                        else f"{read:.1f} cm"
                     )
             table.add_row(*cells)
     return table

@@ -76,16 +76,16 @@ class Truth:
 
     def cm(self, kind: str) -> float:
         """Return the mean of both passes."""
-        return float(np.mean([getattr(one, f"{kind}_cm") for one in self.passes]))
+        return float(np.mean([getattr(lengths, f"{kind}_cm") for lengths in self.passes]))
 
     def apart_percent(self, kind: str) -> float:
         """Return how far the passes are from one another."""
-        first, second = (getattr(one, f"{kind}_cm") for one in self.passes)
+        first, second = (getattr(lengths, f"{kind}_cm") for lengths in self.passes)
         return float(200 * abs(second - first) / (first + second))
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class Comparison:
     """A marked fruit and what was measured of it; None where it was not found."""
 
     truth: Truth
@@ -99,8 +99,10 @@ class Compared:
             return None
         if method is None:
             return None if self.fruit.length is None else 100 * self.fruit.length.value_m
-        one = self.fruit.measurements[method]
-        return 100 * one.length_m if one.is_direct and one.length_m is not None else None
+        measurement = self.fruit.measurements[method]
+        if not measurement.is_direct or measurement.length_m is None:
+            return None
+        return 100 * measurement.length_m
 
     def end_errors_mm(self) -> tuple[float, float] | None:
         """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
@@ -123,10 +125,10 @@ class Compared:
         camera, axis = self.truth.camera, self.truth.passes[0].axis_cm
         points = (axis - camera.centre) @ camera.rotation.T
         lens = camera.distortion
-        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
-        flat = self.intrinsics.rays(*np.asarray(seen).reshape(-1, 2).T)
-        read = np.column_stack([*flat, np.ones(len(points))]) * points[:, 2:] * self.scale
-        lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (read, points)]
+        pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
+        ray = self.intrinsics.rays(*np.asarray(pixels).reshape(-1, 2).T)
+        read_cm = np.column_stack([*ray, np.ones(len(points))]) * points[:, 2:] * self.scale
+        lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (read_cm, points)]
         return float(100 * (lengths[0] / lengths[1] - 1))
 
 
@@ -134,66 +136,66 @@ def read_truth(matrix: NDArray[np.float64], file: Path = MARKED) -> list[Truth]:
     """Return the marked fruit, seen by a camera of that matrix."""
     marked = json.loads(file.read_text())
     lens, fruit = np.array(marked["distortion"]), []
-    for one in marked["fruit"]:
-        known, place = marked["known"].get(one["capture"]), "on_grid"
-        if known is None:
-            known, place = marked["ruler"], "beside_ruler"
-        camera = camera_over(matrix, lens, np.array(known))
+    for fruit_marks in marked["fruit"]:
+        pose, place = marked["known"].get(fruit_marks["capture"]), "on_grid"
+        if pose is None:
+            pose, place = marked["ruler"], "beside_ruler"
+        camera = camera_over(matrix, lens, np.array(pose))
         if place == "beside_ruler":
             camera.centre[2] += marked["ruler_over_table_cm"]
         passes = [
-            Marks(np.array(p["tips"]), tuple(one["rounded"]), np.array(p["pairs"]))
-            for p in one["passes"]
+            Marks(np.array(p["tips"]), tuple(fruit_marks["rounded"]), np.array(p["pairs"]))
+            for p in fruit_marks["passes"]
         ]
         first, second = (marked_lengths(camera, marks) for marks in passes)
-        low, high = (
+        shorter, longer = (
             marked_lengths(camera, passes[0], share).centreline_cm
             for share in (1 + HEIGHT_ERROR, 1 - HEIGHT_ERROR)
         )
-        parts = (
+        error_parts = (
             50 * (second.centreline_cm / first.centreline_cm - 1),
-            50 * (high / low - 1),
+            50 * (longer / shorter - 1),
             PLANE_ERROR_PERCENT[place],
         )
         pairs = passes[0].pairs
         middle = pairs[len(pairs) // 2].reshape(2, 2).mean(0)
-        error = float(np.linalg.norm(parts))
-        fruit.append(Truth(one["capture"], place, middle, camera, (first, second), error))
+        error = float(np.linalg.norm(error_parts))
+        fruit.append(Truth(fruit_marks["capture"], place, middle, camera, (first, second), error))
     return fruit
 
 
 def depth_scale(capture: Capture, truths: list[Truth], covered: NDArray[np.bool_]) -> float:
     """Return the plane's distance by depth over that by its lines, beside the fruit."""
     camera = truths[0].camera
-    around = np.vstack([one.passes[0].axis_cm[:, :2] for one in truths])
+    around = np.vstack([truth.passes[0].axis_cm[:, :2] for truth in truths])
     columns, lines = np.meshgrid(np.arange(4, 1280, 8), np.arange(4, 720, 8))
     pixels = np.c_[columns.ravel(), lines.ravel()].astype(float)
     rays = camera.rays(pixels)
-    far = camera.centre[2] / -np.minimum(rays[:, 2], -0.05)
-    spots = (camera.centre + far[:, None] * rays)[:, :2]
-    beside = ((spots > around.min(0) - 3) & (spots < around.max(0) + 3)).all(1)
-    at = pixels.astype(int)
-    read = capture.depth_m[at[:, 1], at[:, 0]]
-    free = beside & (read > 0) & ~covered[at[:, 1], at[:, 0]]
-    expected = far * (rays @ camera.rotation.T)[:, 2] / 100
-    ratio = read[free] / expected[free]
+    range_cm = camera.centre[2] / -np.minimum(rays[:, 2], -0.05)
+    plane_cm = (camera.centre + range_cm[:, None] * rays)[:, :2]
+    is_near = ((plane_cm > around.min(0) - 3) & (plane_cm < around.max(0) + 3)).all(1)
+    pixel = pixels.astype(int)
+    depth_m = capture.depth_m[pixel[:, 1], pixel[:, 0]]
+    free = is_near & (depth_m > 0) & ~covered[pixel[:, 1], pixel[:, 0]]
+    expected = range_cm * (rays @ camera.rotation.T)[:, 2] / 100
+    ratio = depth_m[free] / expected[free]
     return float(np.median(ratio[np.abs(ratio - 1) < 0.06]))
 
 
-def compare(folder: Path, options: MeasureOptions) -> tuple[list[Compared], int]:
+def compare(folder: Path, options: MeasureOptions) -> tuple[list[Comparison], int]:
     """Measure all captures; return the marked fruit, and how many others were found."""
     camera = json.loads((folder / "intrinsics.json").read_text())
     matrix = np.array(
         [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1.0]]
     )
-    truths, compared, others = read_truth(matrix), [], 0
+    truths, comparisons, further_fruit = read_truth(matrix), [], 0
     measurer = Measurer(options)
     reading = ReadOptions(intrinsics=folder / "intrinsics.json")
     for capture in read_captures([folder / place for place in PLACES], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
         result = measurer.measure(capture)
-        here = [one for one in truths if capture.name.startswith(one.capture)]
+        capture_truths = [truth for truth in truths if capture.name.startswith(truth.capture)]
         covered = np.zeros(capture.depth_m.shape, bool)
         for fruit in result.fruit:
             left, top, right, bottom = np.rint(fruit.instance.box).astype(int)
@@ -204,15 +206,15 @@ def compare(folder: Path, options: MeasureOptions) -> tuple[list[Compared], int]
                     max(top - 12, 0) : bottom + 12, max(left - 12, 0) : right + 12
                 ]
             )
-        scale, free = depth_scale(result.capture, here, covered), list(result.fruit)
-        for truth in here:
+        scale, free = depth_scale(result.capture, capture_truths, covered), list(result.fruit)
+        for truth in capture_truths:
             column, line = np.rint(truth.middle_px).astype(int)
             hit = [f for f in free if f.mask is not None and f.mask[line, column]]
-            found = hit[0] if hit else None
-            compared.append(Compared(truth, found, scale, result.capture.intrinsics))
+            measured = hit[0] if hit else None
+            comparisons.append(Comparison(truth, measured, scale, result.capture.intrinsics))
             free = [f for f in free if f not in hit[:1]]
-        others += len(free)
-    return compared, others
+        further_fruit += len(free)
+    return comparisons, further_fruit
 
 
 def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -220,7 +222,7 @@ def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((25, 25), np.uint8)) > 0)
 
 
-def methods_table(compared: list[Compared]) -> Table:
+def methods_table(comparisons: list[Comparison]) -> Table:
     """Return each method's errors against the truth of a kind."""
     table = Table(title="Length against what was marked")
     for head in ("method", "against", "found", "median |error| %", "bias %", "worst %"):
@@ -229,8 +231,10 @@ def methods_table(compared: list[Compared]) -> Table:
         for kind in (
             ("centreline",) if method in (MethodName.M6, None) else ("centreline", "thread")
         ):
-            pairs = [(c.read_cm(method), c.truth.cm(kind)) for c in compared]
-            errors = np.array([100 * (read / true - 1) for read, true in pairs if read is not None])
+            pairs = [(c.read_cm(method), c.truth.cm(kind)) for c in comparisons]
+            errors = np.array(
+                [100 * (read_cm / true_cm - 1) for read_cm, true_cm in pairs if read_cm is not None]
+            )
             table.add_row(
                 "reported" if method is None else str(method),
                 kind,
@@ -248,91 +252,92 @@ def methods_table(compared: list[Compared]) -> Table:
     return table
 
 
-def fruit_table(compared: list[Compared]) -> Table:
+def fruit_table(comparisons: list[Comparison]) -> Table:
     """Return one line a fruit."""
     table = Table(title="Every fruit: centreline, cm; M6's ends against the marked ones, mm")
     heads = "capture|true|± %|passes %|reported|error %|camera's %|interval|ends mm|flags"
     for head in heads.split("|"):
         table.add_column(head, justify="right")
-    for one in compared:
-        true, read, ends = one.truth.cm("centreline"), one.read_cm(None), one.end_errors_mm()
-        length = None if one.fruit is None else one.fruit.length
+    for comparison in comparisons:
+        true_cm, read_cm = comparison.truth.cm("centreline"), comparison.read_cm(None)
+        ends = comparison.end_errors_mm()
+        length = None if comparison.fruit is None else comparison.fruit.length
         interval = "–"
         if length is not None and length.low_m is not None and length.high_m is not None:
             interval = f"{100 * length.low_m:.1f}–{100 * length.high_m:.1f}"
         table.add_row(
-            one.truth.capture,
-            f"{true:.2f}",
-            f"{one.truth.error_percent:.1f}",
-            f"{one.truth.apart_percent('centreline'):.1f}",
-            "–" if read is None else f"{read:.2f}",
-            "–" if read is None else f"{100 * (read / true - 1):+.1f}",
-            f"{one.camera_percent():+.1f}",
+            comparison.truth.capture,
+            f"{true_cm:.2f}",
+            f"{comparison.truth.error_percent:.1f}",
+            f"{comparison.truth.apart_percent('centreline'):.1f}",
+            "–" if read_cm is None else f"{read_cm:.2f}",
+            "–" if read_cm is None else f"{100 * (read_cm / true_cm - 1):+.1f}",
+            f"{comparison.camera_percent():+.1f}",
             interval,
             "–" if ends is None else f"{ends[0]:+.1f} {ends[1]:+.1f}",
-            "not found" if one.fruit is None else " ".join(one.fruit.flags),
+            "not found" if comparison.fruit is None else " ".join(comparison.fruit.flags),
         )
     return table
 
 
-def narrowest(compared: list[Compared]) -> str:
+def narrowest(comparisons: list[Comparison]) -> str:
     """Return how narrow one interval for all could be, chosen in hindsight."""
     errors = np.array(
-        [np.log(r / c.truth.cm("centreline")) for c in compared if (r := c.read_cm(None))]
+        [np.log(r / c.truth.cm("centreline")) for c in comparisons if (r := c.read_cm(None))]
     )
-    cameras = np.log1p([c.camera_percent() / 100 for c in compared if c.read_cm(None)])
-    said = []
-    for some in (errors, errors - cameras):
-        held, ordered = int(np.ceil(0.9 * len(some))), np.sort(some)
-        span = (ordered[held - 1 :] - ordered[: len(ordered) - held + 1]).min()
-        said.append(f"{100 * span:.1f} %")
+    cameras = np.log1p([c.camera_percent() / 100 for c in comparisons if c.read_cm(None)])
+    widths = []
+    for log_ratios in (errors, errors - cameras):
+        count, ordered = int(np.ceil(0.9 * len(log_ratios))), np.sort(log_ratios)
+        span = (ordered[count - 1 :] - ordered[: len(ordered) - count + 1]).min()
+        widths.append(f"{100 * span:.1f} %")
     return (
-        f"in hindsight the narrowest interval that holds 90 %: {said[0]} wide; without the "
-        f"camera's own error {said[1]}"
+        f"in hindsight the narrowest interval that holds 90 %: {widths[0]} wide; without the "
+        f"camera's own error {widths[1]}"
     )
 
 
-def summary(compared: list[Compared], others: int) -> list[str]:
+def summary(comparisons: list[Comparison], further_fruit: int) -> list[str]:
     """Return what the tables do not say."""
     lines = []
     for kind in ("chord", "centreline"):
-        apart = [one.truth.apart_percent(kind) for one in compared]
-        median, most = np.median(apart), np.percentile(apart, 90)
-        lines.append(f"{kind}, marked twice: median {median:.2f} % apart, 90 % within {most:.2f} %")
-    held, widths = [], []
+        apart = [comparison.truth.apart_percent(kind) for comparison in comparisons]
+        median, p90 = np.median(apart), np.percentile(apart, 90)
+        lines.append(f"{kind}, marked twice: median {median:.2f} % apart, 90 % within {p90:.2f} %")
+    holds, widths = [], []
     flags: Counter[Flag] = Counter()
-    for one in compared:
-        if one.fruit is None:
+    for comparison in comparisons:
+        if comparison.fruit is None:
             continue
-        flags.update(flag for flag in END_FLAGS if flag in one.fruit.flags)
-        length, true = one.fruit.length, one.truth.cm("centreline") / 100
+        flags.update(flag for flag in END_FLAGS if flag in comparison.fruit.flags)
+        length, true_m = comparison.fruit.length, comparison.truth.cm("centreline") / 100
         if length is not None and length.low_m is not None and length.high_m is not None:
-            held.append(length.low_m <= true <= length.high_m)
+            holds.append(length.low_m <= true_m <= length.high_m)
             widths.append(100 * (length.high_m - length.low_m) / length.value_m)
-    cover, width, middle = 100 * np.mean(held), np.mean(widths), np.median(widths)
-    width_said = f"width {width:.1f} % (mean), {middle:.1f} % (median)"
-    lines.append(f"{len(held)} intervals: cover {cover:.0f} %, {width_said}")
-    lines.append(narrowest(compared))
-    said = ", ".join(f"{flag} {flags[flag]}" for flag in END_FLAGS)
-    lines.append(f"both ends are in sight, and yet flagged: {said} of {len(compared)}")
+    coverage, width, median_width = 100 * np.mean(holds), np.mean(widths), np.median(widths)
+    width_text = f"width {width:.1f} % (mean), {median_width:.1f} % (median)"
+    lines.append(f"{len(holds)} intervals: cover {coverage:.0f} %, {width_text}")
+    lines.append(narrowest(comparisons))
+    counts = ", ".join(f"{flag} {flags[flag]}" for flag in END_FLAGS)
+    lines.append(f"both ends are in sight, and yet flagged: {counts} of {len(comparisons)}")
     for place in PLACES:
-        scales = 100 * (np.array([c.scale for c in compared if c.truth.place == place]) - 1)
+        scales = 100 * (np.array([c.scale for c in comparisons if c.truth.place == place]) - 1)
         lines.append(
             f"{place}: the plane by depth is {np.median(scales):+.2f} % further than by its lines "
             f"({scales.min():+.2f} to {scales.max():+.2f})"
         )
-    reads = [(c.read_cm(None), c) for c in compared]
-    errors = [100 * (read / c.truth.cm("centreline") - 1) for read, c in reads if read]
-    cameras = [c.camera_percent() for read, c in reads if read]
-    own = np.subtract(errors, cameras)
+    reads = [(c.read_cm(None), c) for c in comparisons]
+    errors = [100 * (read_cm / c.truth.cm("centreline") - 1) for read_cm, c in reads if read_cm]
+    cameras = [c.camera_percent() for read_cm, c in reads if read_cm]
+    net_errors = np.subtract(errors, cameras)
     lines.append(
         f"depth's scale and the lens alone: {np.mean(cameras):+.2f} %; without them what is "
-        f"reported errs by {np.median(np.abs(own)):.2f} % (median), bias {np.mean(own):+.2f} "
-        f"(median {np.median(own):+.2f}) %"
+        f"reported errs by {np.median(np.abs(net_errors)):.2f} % (median), bias "
+        f"{np.mean(net_errors):+.2f} (median {np.median(net_errors):+.2f}) %"
     )
-    sources = Counter(str(c.fruit.mask_source) for c in compared if c.fruit is not None)
+    sources = Counter(str(c.fruit.mask_source) for c in comparisons if c.fruit is not None)
     lines.append("masks by " + ", ".join(f"{name}: {n}" for name, n in sources.most_common()))
-    lines.append(f"{others} other fruit found")
+    lines.append(f"{further_fruit} other fruit found")
     return lines
 
 
@@ -343,17 +348,17 @@ def main() -> None:
     parser.add_argument("--segmenter", help="as `measure --segmenter`")
     parser.add_argument("--calibration", type=Path, help="as `measure --calibration`")
     parser.add_argument("--input-size", default="", help="as `measure --input-size`")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     options = MeasureOptions(
-        segmenter=given.segmenter,
-        calibration=given.calibration,
-        input_sizes=parse_input_sizes(given.input_size),
+        segmenter=arguments.segmenter,
+        calibration=arguments.calibration,
+        input_sizes=parse_input_sizes(arguments.input_size),
     )
-    compared, others = compare(given.folder, options)
+    comparisons, further_fruit = compare(arguments.folder, options)
     console = Console(width=170, highlight=False)
-    console.print(fruit_table(compared))
-    console.print(methods_table(compared))
-    for line in summary(compared, others):
+    console.print(fruit_table(comparisons))
+    console.print(methods_table(comparisons))
+    for line in summary(comparisons, further_fruit):
         console.print(line, soft_wrap=True)
 
 

@@ -78,10 +78,10 @@ def truth(row: Walk) -> NDArray[np.int64]:
     return np.where(invented, 10**6 + np.arange(len(invented)), row.of_fruit)
 
 
-def shares(found: set[int], true: set[int]) -> tuple[float, float]:
+def shares(measured: set[int], truth: set[int]) -> tuple[float, float]:
     """Return precision and recall."""
-    hits = len(found & true)
-    return hits / max(len(found), 1), hits / max(len(true), 1)
+    hits = len(measured & truth)
+    return hits / max(len(measured), 1), hits / max(len(truth), 1)
 
 
 def by_position(row: Walk) -> NDArray[np.int64]:
@@ -92,12 +92,12 @@ def by_position(row: Walk) -> NDArray[np.int64]:
     last: NDArray[np.float64] = np.zeros(0)
     gate = 3 * np.sqrt(2) * float(stops.sd_m[0, 0])
     for capture in np.unique(views.capture):
-        own = np.flatnonzero(views.capture == capture)
-        gap = np.abs(along[own][:, None] - last)
+        readings = np.flatnonzero(views.capture == capture)
+        gap = np.abs(along[readings][:, None] - last)
         a, b = linear_sum_assignment(np.minimum(gap, gate))
-        kept = gap[a, b] < gate
-        cluster[own[a[kept]]] = b[kept]
-        new = own[cluster[own] < 0]
+        is_near = gap[a, b] < gate
+        cluster[readings[a[is_near]]] = b[is_near]
+        new = readings[cluster[readings] < 0]
         cluster[new] = len(last) + np.arange(len(new))
         last = np.append(last, along[new])
     return cluster
@@ -105,15 +105,15 @@ def by_position(row: Walk) -> NDArray[np.int64]:
 
 def merged_quality(row: Walk, merged: Merged) -> Quality:
     """Hold a merged row against its truth."""
-    true = codes(truth(row))
+    true_codes = codes(truth(row))
     naive = by_position(row)
     count = count_fruit(merged, row.stops, row.views)
     error = count.expected - row.in_view
     return Quality(
-        *shares(codes(merged.cluster), true),
+        *shares(codes(merged.cluster), true_codes),
         error / row.in_view,
         error / count.sd,
-        *shares(codes(naive), true),
+        *shares(codes(naive), true_codes),
         (int(naive.max()) + 1) / row.in_view - 1,
         float(merged.stops.sd_m[:, 0].mean()),
     )
@@ -139,14 +139,14 @@ def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> ND
     names = [row.of_fruit[f.best] for row, f in zip(rows, fruit, strict=True)]
     right = names[0][links.pairs[:, 0]] == names[1][links.pairs[:, 1]]
     right &= names[0][links.pairs[:, 0]] >= 0
-    both = len(set(names[0][names[0] >= 0]) & set(names[1][names[1] >= 0]))
+    in_both = len(set(names[0][names[0] >= 0]) & set(names[1][names[1] >= 0]))
     sure = links.sure
     return np.array(
         [
             right.mean(),
-            right.sum() / both,
+            right.sum() / in_both,
             right[sure].mean() if sure.any() else np.nan,
-            right[sure].sum() / both,
+            right[sure].sum() / in_both,
             links.probability.mean() - right.mean(),
         ]
     )
@@ -157,8 +157,8 @@ def interval(values: NDArray[np.float64]) -> str:
     rng = np.random.default_rng(0)
     values = values[np.isfinite(values)]
     means = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return f"{values.mean():7.4f} [{low:.4f}, {high:.4f}]"
+    lower, upper = np.quantile(means, [0.025, 0.975])
+    return f"{values.mean():7.4f} [{lower:.4f}, {upper:.4f}]"
 
 
 def main() -> None:
@@ -167,11 +167,11 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=20, help="rows of each case")
     rows = parser.parse_args().rows
     for name, settings in CASES.items():
-        found = []
+        qualities = []
         for seed in range(rows):
             row = simulate_row(settings, seed)
-            found.append(merged_quality(row, merge_row(row.stops, row.views)))
-        table = np.array([list(vars(one).values()) for one in found])
+            qualities.append(merged_quality(row, merge_row(row.stops, row.views)))
+        table = np.array([list(vars(quality).values()) for quality in qualities])
         heads = ("precision", "recall", "count error", "", "by position: precision", "recall")
         print(f"\n{name}")
         for k in (0, 1, 2, 4, 5, 6):

@@ -30,11 +30,11 @@ def mutmut(*names: str) -> None:
 
 def outcomes() -> dict[str, int | None]:
     """Return each mutant's exit code by name; None where it was not run."""
-    found: dict[str, int | None] = {}
+    exit_codes: dict[str, int | None] = {}
     for room in ROOMS:
         for file in Path("mutants/src/cucumbervision", room).glob("*.meta"):
-            found |= json.loads(file.read_text(encoding="utf-8"))["exit_code_by_key"]
-    return found
+            exit_codes |= json.loads(file.read_text(encoding="utf-8"))["exit_code_by_key"]
+    return exit_codes
 
 
 def main() -> None:

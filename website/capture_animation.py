@@ -40,11 +40,11 @@ def partly_measured(
 ) -> NDArray[np.uint8]:
     """Return the picture with masks, and a share of each measured line."""
     picture, size = capture.color.copy(), max(capture.height / 720, 0.5)
-    for one, colour in zip(fruit, COLORS, strict=False):
-        draw_region(picture, one, colour, size)
-        if share > 0 and one.selected is not None and one.selected.path_m is not None:
-            count = max(2, round(share * len(one.selected.path_m)))
-            part = replace(one.selected, path_m=one.selected.path_m[:count])
+    for measured, colour in zip(fruit, COLORS, strict=False):
+        draw_region(picture, measured, colour, size)
+        if share > 0 and measured.selected is not None and measured.selected.path_m is not None:
+            count = max(2, round(share * len(measured.selected.path_m)))
+            part = replace(measured.selected, path_m=measured.selected.path_m[:count])
             draw_path(picture, part, capture.intrinsics, colour, size)
     return picture
 
@@ -65,23 +65,23 @@ def main() -> None:
     """Measure the capture and write the animation."""
     (ref,) = open_source(example_captures() / SCENE)
     result = Measurer(MeasureOptions()).measure(ref.load())
-    shown = list(pictures(result.capture, result.fruit))
+    frames_shown = list(pictures(result.capture, result.fruit))
     height = round(WIDTH_PX * result.capture.height / result.capture.width)
     small = [
         Image.fromarray(cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA))
-        for picture, _ in shown
+        for picture, _ in frames_shown
     ]
     # One palette for all, so that unchanged parts are stored once.
     together = Image.new("RGB", (WIDTH_PX, 3 * height))
     for row, picture in enumerate((small[0], small[1], small[-1])):
         together.paste(picture, (0, row * height))
     palette = together.quantize(COLOURS)
-    frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in small]
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in small]
     frames[0].save(
         OUT,
         save_all=True,
         append_images=frames[1:],
-        duration=[stands for _, stands in shown],
+        duration=[stands for _, stands in frames_shown],
         loop=0,
         optimize=True,
     )

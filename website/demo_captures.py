@@ -164,11 +164,13 @@ def build_scene(demo: DemoScene) -> tuple[Scene, tuple[str, ...], tuple[str, ...
     if demo.setting is Setting.BENCH:
         stubs = tuple(_stub(tube) for tube in fruit)
         return Scene(fruit, (), stubs, (Plane.facing(_BENCH_M),)), (), ("stalk",) * len(stubs)
-    back = max(float((tube.centres_m[:, 2] + tube.radii_m).max()) for tube in fruit)
-    layers = [foliage(rng, CAMERA, back + near, 0.2, density) for near, density in _LAYERS]
+    deepest_m = max(float((tube.centres_m[:, 2] + tube.radii_m).max()) for tube in fruit)
+    layers = [
+        foliage(rng, CAMERA, deepest_m + behind_m, 0.2, density) for behind_m, density in _LAYERS
+    ]
     leaves = tuple(replace(leaf, teeth=0.04) for layer in reversed(layers) for leaf in layer)
     vines = [stem for tube in fruit for stem in _vine(rng, tube)]
-    wall = Plane.facing(back + 1.2)
+    wall = Plane.facing(deepest_m + 1.2)
     scene = Scene(fruit, leaves, tuple(vines), (wall,))
     return scene, ("leaf",) * len(leaves), ("stem", "stalk", "string") * len(fruit)
 

@@ -81,18 +81,21 @@ def load_example() -> Example:
 
 def reading_table(example: Example) -> str:
     """Return a Markdown table of each method's length."""
-    read: list[tuple[str, float | None, str | None]] = [
-        (method, one.length_m, one.kind) for method, one in example.measured.items()
+    readings: list[tuple[str, float | None, str | None]] = [
+        (method, reading.length_m, reading.kind) for method, reading in example.measured.items()
     ]
     tube = example.measured[MethodName.M6].tube
     if tube is not None:
-        read += [(MethodName.M6, tube.thread_m, "thread"), (MethodName.M6, tube.chord_m, "chord")]
-    rows = [f"| {method} | {_cm(length)} | `{kind}` |" for method, length, kind in read]
-    true = example.truth
+        readings += [
+            (MethodName.M6, tube.thread_m, "thread"),
+            (MethodName.M6, tube.chord_m, "chord"),
+        ]
+    rows = [f"| {method} | {_cm(length)} | `{kind}` |" for method, length, kind in readings]
+    truth = example.truth
     for kind, length in (
-        ("centreline", true.centreline_m),
-        ("thread", true.thread_m),
-        ("chord", true.chord_m),
+        ("centreline", truth.centreline_m),
+        ("thread", truth.thread_m),
+        ("chord", truth.chord_m),
     ):
         rows.append(f"| *as drawn* | {_cm(length)} | `{kind}` |")
     return "\n".join(["| method | length | kind |", "|---|--:|---|", *rows])
@@ -150,13 +153,13 @@ def _lifted(region: Region, u: Any, v: Any, depths_m: Any) -> NDArray[np.float64
 def draw_method(example: Example, method: MethodName) -> Figure:
     """Return the figure of one method: the picture, and the fruit from the side."""
     figure = Figure(figsize=(7.2, 5.6), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
-    used, one = used_by(method, example.region), example.measured[method]
-    _draw_picture(left, example, method, used)
-    _draw_side(right, example, method, used)
+    picture_axes, side_axes = figure.subplots(1, 2, width_ratios=(1, 1.5))
+    used, reading = used_by(method, example.region), example.measured[method]
+    _draw_picture(picture_axes, example, method, used)
+    _draw_side(side_axes, example, method, used)
     truth = example.truth.centreline_m
     figure.suptitle(
-        f"{method}: {_cm(one.length_m)} ({one.kind}); centreline as drawn: {_cm(truth)}"
+        f"{method}: {_cm(reading.length_m)} ({reading.kind}); centreline as drawn: {_cm(truth)}"
     )
     return figure
 
@@ -203,13 +206,15 @@ def _side(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _draw_side(axes: Axes, example: Example, method: MethodName, used: Used) -> None:
-    colour, one = COLOURS[str(method)], example.measured[method]
+    colour, reading = COLOURS[str(method)], example.measured[method]
     centres, radii = _side(example.body.centres_m), 100 * example.body.radii_m
     for x, y, radius in zip(*centres, radii, strict=True):
         axes.add_patch(Circle((x, y), radius, color=GREY, lw=0))
     if used.gate_m is not None:
-        low, high = (100 * (used.gate_m + side * GATE_M) for side in (-1, 1))
-        axes.axvspan(low, high, color="#ffe9a8", alpha=0.5, zorder=0, label="gate, ± 3.5 cm")
+        gate_start, gate_end = (100 * (used.gate_m + side * GATE_M) for side in (-1, 1))
+        axes.axvspan(
+            gate_start, gate_end, color="#ffe9a8", alpha=0.5, zorder=0, label="gate, ± 3.5 cm"
+        )
     dot = 22.0 if method in (MethodName.M1, MethodName.M4) else 3.0
     if len(used.refused_m):
         z, up = _side(used.refused_m)
@@ -219,17 +224,18 @@ def _draw_side(axes: Axes, example: Example, method: MethodName, used: Used) -> 
     )
     z, up = _side(used.points_m)
     axes.scatter(z, up, s=dot, c=colour, label=named, zorder=5 if dot > SMALL else 3)
-    if one.fit is not None:
-        for number, edge in enumerate(_edges(one.fit.traits)):
+    if reading.fit is not None:
+        for number, edge in enumerate(_edges(reading.fit.traits)):
             axes.plot(
                 *edge, color=colour, lw=1.6, label=None if number else "fitted tube", zorder=4
             )
-    if one.path_m is not None:
-        axes.plot(*_side(one.path_m), color=DARK, lw=2, label="measured line", zorder=4)
-    (near, far), (low, high) = (
-        ((a - radii).min() - SIDE_CM / 2, (a + radii).max() + SIDE_CM / 2) for a in centres
+    if reading.path_m is not None:
+        axes.plot(*_side(reading.path_m), color=DARK, lw=2, label="measured line", zorder=4)
+    xlim, ylim = (
+        ((x - radii).min() - margin, (x + radii).max() + margin)
+        for x, margin in zip(centres, (SIDE_CM, SIDE_CM / 2), strict=True)
     )
-    axes.set(xlim=(near - SIDE_CM / 2, far + SIDE_CM / 2), ylim=(low, high), aspect="equal")
+    axes.set(xlim=xlim, ylim=ylim, aspect="equal")
     axes.set(xlabel="distance from the camera, cm", ylabel="up, cm", title="from the side")
     axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
 

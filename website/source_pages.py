@@ -116,12 +116,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     waiting = [repository_path(page) for page in re.findall(rf"{SHOWN}[\w./-]+", str(config.nav))]
     for page in files.documentation_pages():
         waiting += linked_files(page.content_string, DOCS + page.src_uri)
-    seen: set[str] = set()
+    added: set[str] = set()
     while waiting:
         file = waiting.pop()
-        if file in seen:
+        if file in added:
             continue
-        seen.add(file)
+        added.add(file)
         page = File.generated(config, site_path(file), content=source_page(file))
         files.append(page)
         if file.endswith(".md"):

@@ -41,10 +41,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Pictures of a workbook's printed pages.")
     parser.add_argument("workbook", type=Path)
     parser.add_argument("out", type=Path)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     if packages := missing():
         sys.exit(f"a program is missing: apt install {' '.join(packages)}")
-    print(f"{len(draw_pages(given.workbook, given.out))} pages in {given.out}")
+    print(f"{len(draw_pages(arguments.workbook, arguments.out))} pages in {arguments.out}")
 
 
 if __name__ == "__main__":

@@ -211,8 +211,10 @@ def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
 
 
 def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
-    about = point.dist
-    package, number = ("", "") if about is None else (about.name, about.version)
+    distribution = point.dist
+    package, number = (
+        ("", "") if distribution is None else (distribution.name, distribution.version)
+    )
     return Plugin(kind, point.name, point.value, package, number)
 
 

@@ -185,7 +185,7 @@ def _score(
     method: str, kind: LengthDefinition, chosen: Sequence[tuple[float | None, float, str]]
 ) -> MethodScore:
     lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
-    truth = np.array([true for _, true, _ in chosen])
+    truth = np.array([true_m for _, true_m, _ in chosen])
     fruit = [name for _, _, name in chosen]
     low_percent, high_percent = math.nan, math.nan
     if len(set(fruit)) >= _LEAST_FRUIT:

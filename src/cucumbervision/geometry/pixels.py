@@ -187,9 +187,9 @@ def sample_color(
 
     height, width = color_rgb.shape[:2]
     along = points_px[..., 0], points_px[..., 1]  # a plane each: both at once take several times
-    least, most = np.array([(plane.min(), plane.max()) for plane in along]).T
-    first_px = np.clip(np.floor(least) - 2, 0, (width - 1, height - 1)).astype(int)
-    end_px = np.clip(np.ceil(most) + 3, first_px + 1, (width, height)).astype(int)
+    lowest_px, highest_px = np.array([(plane.min(), plane.max()) for plane in along]).T
+    first_px = np.clip(np.floor(lowest_px) - 2, 0, (width - 1, height - 1)).astype(int)
+    end_px = np.clip(np.ceil(highest_px) + 3, first_px + 1, (width, height)).astype(int)
     part = color_rgb[first_px[1] : end_px[1], first_px[0] : end_px[0]]
     before = np.array([part.shape[1], part.shape[0]])
     after = before

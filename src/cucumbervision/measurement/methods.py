@@ -144,8 +144,8 @@ class TableMethod:
 
     def rank_for(self, mask_points: int | None, *, is_elongated: bool) -> int | None:
         """Return its rank for a mask with so many readings, or a box; None if it is not chosen."""
-        least = self.least_points
-        if least is not None and (mask_points is None or mask_points < least):
+        least_points = self.least_points
+        if least_points is not None and (mask_points is None or mask_points < least_points):
             return None
         return self.rank if is_elongated or self.rank_compact is None else self.rank_compact
 

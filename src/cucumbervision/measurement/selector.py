@@ -227,11 +227,11 @@ def _order(
     is_elongated: bool,
 ) -> list[TableMethod]:
     """Return the methods that may be chosen, by their ranks in the table."""
-    given = {str(method.name): method for method in methods}
+    method_of = {str(method.name): method for method in methods}
     ranked = []
     for name, measurement in measurements.items():
         if measurement.error is None:
-            method = TableMethod.of(given.get(name, name))
+            method = TableMethod.of(method_of.get(name, name))
             rank = method.rank_for(mask_points, is_elongated=is_elongated)
             if rank is not None:
                 ranked.append((rank, name, method))
@@ -311,8 +311,11 @@ def measure_fruit(
         keypoints=instance.keypoints,
     )
     names = {method if isinstance(method, str) else method.name: method for method in methods}
-    known = {} if tube is None or tube.method not in names else {tube.method: tube}
-    measured = run_methods(region, [names[name] for name in names if name not in known]) | known
+    tube_readings = {} if tube is None or tube.method not in names else {tube.method: tube}
+    measured = (
+        run_methods(region, [names[name] for name in names if name not in tube_readings])
+        | tube_readings
+    )
     if ends is not None:
         instance = with_tubes_ends(instance, measured.get(MethodName.M6), capture, ends)
     turned = {

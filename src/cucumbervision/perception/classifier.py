@@ -1,8 +1,8 @@
-"""A small network with one logit per picture."""
+"""Small networks that look at the pictures of single fruit or ends."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from cucumbervision.errors import ModelError
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -22,17 +21,9 @@ class SmallNetwork:
     Parameters
     ----------
     path : Path
-        The ONNX file.
+        An ONNX file as the class's `command` writes it.
     runtime : str
         As for `open_network`; 'auto' is ONNX Runtime.
-    shapes : sequence of tuple of int
-        Shape of each input, without the number of pictures.
-    takes : str
-        What the inputs are, for the error.
-    command : str
-        The command that trains such a network, for the error.
-    outputs : int
-        Number of outputs.
 
     Raises
     ------
@@ -40,24 +31,27 @@ class SmallNetwork:
         If the file cannot be loaded or is another kind of network.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        runtime: str,
-        *,
-        shapes: Sequence[tuple[int, ...]],
-        takes: str,
-        command: str,
-        outputs: int = 1,
-    ) -> None:
+    shapes: ClassVar[tuple[tuple[int, ...], ...]]
+    """Shape of each input, without the number of pictures; the first input is the pictures."""
+
+    takes: ClassVar[str]
+    """What the pictures show, for the error."""
+
+    command: ClassVar[str]
+    """The command that trains such a network, for the error."""
+
+    outputs: ClassVar[int] = 1
+    """Number of outputs."""
+
+    def __init__(self, path: Path, runtime: str = "auto") -> None:
         chosen = "onnxruntime" if runtime == "auto" else runtime
         self._network = open_network(path, chosen, full_precision=True)
-        inputs = [tuple(tensor.shape[1:]) for tensor in self._network.inputs]
-        if inputs != list(shapes) or len(self._network.outputs) != outputs:
+        inputs = tuple(tuple(tensor.shape[1:]) for tensor in self._network.inputs)
+        if inputs != self.shapes or len(self._network.outputs) != self.outputs:
             raise ModelError(
-                f"takes {inputs}, not {takes}",
+                f"takes {list(inputs)}, not {self.takes}",
                 source=path,
-                remedy=f"name a network by `cucumbervision {command}`",
+                remedy=f"name a network by `cucumbervision {self.command}`",
             )
 
     @property
@@ -65,22 +59,18 @@ class SmallNetwork:
         """What runs it, as `Network.runtime`."""
         return self._network.runtime
 
+    def _run(
+        self, pictures: NDArray[np.uint8], *values: NDArray[np.float32]
+    ) -> dict[str, NDArray[np.float32]]:
+        """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
+        planes = np.empty((len(pictures), pictures.shape[3], *pictures.shape[1:3]), np.float32)
+        np.divide(pictures.transpose(0, 3, 1, 2), np.float32(255), out=planes, dtype=np.float32)
+        names = [tensor.name for tensor in self._network.inputs]
+        return self._network.run(dict(zip(names, (planes, *values), strict=True)))
+
 
 class PictureClassifier(SmallNetwork):
-    """Classifies pictures of one size.
-
-    Parameters
-    ----------
-    path, runtime, takes, command
-        As for `SmallNetwork`.
-    size_px : tuple of int
-        Height and width of a picture.
-    """
-
-    def __init__(
-        self, path: Path, runtime: str, *, size_px: tuple[int, int], takes: str, command: str
-    ) -> None:
-        super().__init__(path, runtime, shapes=[(3, *size_px)], takes=takes, command=command)
+    """A small network that gives one logit per picture."""
 
     def mean_logits(
         self, pictures: NDArray[np.uint8], mirrored: NDArray[np.uint8]
@@ -96,8 +86,5 @@ class PictureClassifier(SmallNetwork):
         -------
         ndarray of float64, shape (N,)
         """
-        batch = np.concatenate([pictures, mirrored])
-        planes = np.empty((len(batch), 3, *batch.shape[1:3]), np.float32)
-        np.divide(batch.transpose(0, 3, 1, 2), np.float32(255), out=planes, dtype=np.float32)
-        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
-        return np.asarray(answer.reshape(2, -1).mean(axis=0), np.float64)
+        (logits,) = self._run(np.concatenate([pictures, mirrored])).values()
+        return np.asarray(logits.reshape(2, -1).mean(axis=0), np.float64)

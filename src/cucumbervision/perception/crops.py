@@ -20,7 +20,6 @@ from cucumbervision.perception.classifier import PictureClassifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -109,27 +108,12 @@ def lowered(confidence: float, log_odds: float) -> float:
 class CropClassifier(PictureClassifier):
     """Classifies crops as cucumbers or false detections.
 
-    Parameters
-    ----------
-    path : Path
-        An ONNX file as `cucumbervision train classifier crops` writes it.
-    runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be loaded or is another kind of network.
+    Parameters and errors are those of `SmallNetwork`.
     """
 
-    def __init__(self, path: Path, runtime: str = "auto") -> None:
-        super().__init__(
-            path,
-            runtime,
-            size_px=(CROP_PX, CROP_PX),
-            takes=f"crops of {CROP_PX} px",
-            command="train classifier crops",
-        )
+    shapes = ((3, CROP_PX, CROP_PX),)
+    takes = f"crops of {CROP_PX} px"
+    command = "train classifier crops"
 
     def rescore(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]

@@ -16,7 +16,6 @@ from cucumbervision.perception.classifier import SmallNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -31,24 +30,12 @@ ERROR_SCALE = 0.02
 class EndLooker(SmallNetwork):
     """Evaluates the ends of fruit.
 
-    Parameters
-    ----------
-    path : Path
-        An ONNX file as `cucumbervision train classifier look` writes it.
-    runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be loaded or is another kind of network.
+    Parameters and errors are those of `SmallNetwork`.
     """
 
-    def __init__(self, path: Path, runtime: str = "auto") -> None:
-        shapes = [(PLANES, END_PX, END_PX), (2,)]
-        super().__init__(
-            path, runtime, shapes=shapes, takes="crops of ends", command="train classifier look"
-        )
+    shapes = ((PLANES, END_PX, END_PX), (2,))
+    takes = "crops of ends"
+    command = "train classifier look"
 
     def look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
         """Return the evaluation of ends, computed in one batch.
@@ -61,12 +48,9 @@ class EndLooker(SmallNetwork):
         if not crops:
             return []
         planes = np.stack([crop.planes for crop in crops])
-        batch = np.concatenate([planes, planes[:, ::-1]]).transpose(0, 3, 1, 2)
         shapes = np.tile(np.array([crop.shape for crop in crops], np.float32), (2, 1))
-        names = [tensor.name for tensor in self._network.inputs]
-        scaled = batch.astype(np.float32) / np.float32(255)
-        (answer,) = self._network.run(dict(zip(names, (scaled, shapes), strict=True))).values()
-        mean = np.asarray(answer, np.float64).reshape(2, len(crops), -1).mean(axis=0)
+        (rows,) = self._run(np.concatenate([planes, planes[:, ::-1]]), shapes).values()
+        mean = np.asarray(rows, np.float64).reshape(2, len(crops), -1).mean(axis=0)
         return [looked_at(row) for row in mean]
 
 

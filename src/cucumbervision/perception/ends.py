@@ -19,7 +19,6 @@ from cucumbervision.perception.classifier import PictureClassifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -83,27 +82,12 @@ def orient(
 class EndClassifier(PictureClassifier):
     """Classifies which end of a fruit is the stem's.
 
-    Parameters
-    ----------
-    path : Path
-        An ONNX file as `cucumbervision train classifier ends` writes it.
-    runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be loaded or is another kind of network.
+    Parameters and errors are those of `SmallNetwork`.
     """
 
-    def __init__(self, path: Path, runtime: str = "auto") -> None:
-        super().__init__(
-            path,
-            runtime,
-            size_px=STRIP_PX,
-            takes="fruit laid level",
-            command="train classifier ends",
-        )
+    shapes = ((3, *STRIP_PX),)
+    takes = "fruit laid level"
+    command = "train classifier ends"
 
     def order_ends(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]

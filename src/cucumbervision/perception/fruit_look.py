@@ -18,7 +18,6 @@ from cucumbervision.perception.classifier import SmallNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -53,37 +52,19 @@ class FruitLook:
 class FruitLooker(SmallNetwork):
     """Looks at detected fruit.
 
-    Parameters
-    ----------
-    path : Path
-        An ONNX file as `cucumbervision train classifier fruit` writes it.
-    runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be loaded or is another kind of network.
+    Parameters and errors are those of `SmallNetwork`.
     """
 
-    def __init__(self, path: Path, runtime: str = "auto") -> None:
-        super().__init__(
-            path,
-            runtime,
-            shapes=[(PLANES, HEIGHT_PX, WIDTH_PX)],
-            takes="crops of fruit",
-            command="train classifier fruit",
-            outputs=3,
-        )
+    shapes = ((PLANES, HEIGHT_PX, WIDTH_PX),)
+    takes = "crops of fruit"
+    command = "train classifier fruit"
+    outputs = 3
 
     def look(self, crops: Sequence[FruitCrop]) -> list[FruitLook]:
         """Return what the network says of crops, computed in one batch."""
         if not crops:
             return []
-        planes = np.stack([crop.planes for crop in crops]).transpose(0, 3, 1, 2)
-        answers = self._network.run(
-            {self._network.inputs[0].name: planes.astype(np.float32) / np.float32(255)}
-        )
+        answers = self._run(np.stack([crop.planes for crop in crops]))
         outlines, points, verdicts = (
             np.asarray(answers[name], np.float32) for name in ("outline", "points", "verdict")
         )

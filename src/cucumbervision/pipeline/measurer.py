@@ -357,8 +357,8 @@ class Measurer:
         """
         capture, detections = detected.capture, detected.detections
         pairs = list(zip_longest(detections.instances, detections.tubes))
-        wanted = [k for k in range(len(pairs)) if chosen is None or k in chosen]
-        judges = dict(zip(wanted, self._judges(capture, [pairs[k] for k in wanted]), strict=True))
+        numbers = [k for k in range(len(pairs)) if chosen is None or k in chosen]
+        judges = dict(zip(numbers, self._judges(capture, [pairs[k] for k in numbers]), strict=True))
         measured = [
             self._measured(capture, instance, tube, judges[k])
             if k in judges

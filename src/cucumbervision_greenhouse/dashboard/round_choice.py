@@ -156,11 +156,11 @@ def _house(round_summary: RoundSummary) -> None:
     if typed == house:
         return
     of_house = [x.key for x in resources.rounds() if x.record.house == house]
-    known = same_house(typed, [name for name in resources.houses() if name != house])
-    merged = known in resources.houses()
+    same_name = same_house(typed, [name for name in resources.houses() if name != house])
+    merged = same_name in resources.houses()
     words = _("Rename the house")
     if merged:
-        words = _("Merge the house with '{house}'").format(house=known)
+        words = _("Merge the house with '{house}'").format(house=same_name)
     words = f"{plain(words)} ({counted(len(of_house), '{n} round', '{n} rounds')})"
     for label, keys in ((_("Move this round"), [key]), (words, of_house)):
         if house or keys == [key]:  # rounds without a house are not of one house

@@ -233,8 +233,8 @@ class Corrections(Database):
         house = checked_name(house, "house")
         with self.writing() as connection:
             lines = [line_of(connection, RoundLine, key) for key in keys]
-            others = select(RoundLine.house).where(~RoundLine.deleted, RoundLine.key.not_in(keys))
-            house = same_house(house, connection.execute(others.order_by(RoundLine.id)).scalars())
+            houses = select(RoundLine.house).where(~RoundLine.deleted, RoundLine.key.not_in(keys))
+            house = same_house(house, connection.execute(houses.order_by(RoundLine.id)).scalars())
             moved = [line for line in lines if line.house != house]
             for line in moved:
                 _edit(connection, RoundLine, line, "move-round", {"house": house})

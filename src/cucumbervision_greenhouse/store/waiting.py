@@ -319,12 +319,19 @@ class _Description(BaseModel):
 
 
 def _read(path: Path) -> Waiting:
-    said = _Description.model_validate(json.loads(path.read_text(encoding="utf-8")))
+    description = _Description.model_validate(json.loads(path.read_text(encoding="utf-8")))
     try:
-        stop = Stop(**said.stop)  # type: ignore[arg-type]
+        stop = Stop(**description.stop)  # type: ignore[arg-type]
     except (TypeError, AttributeError, NameRefusedError) as error:  # no such field, or no name
         raise ValueError(str(error)) from None
-    return Waiting(said.key, said.round, stop, said.pressed_s, path.parent, said.source)
+    return Waiting(
+        description.key,
+        description.round,
+        stop,
+        description.pressed_s,
+        path.parent,
+        description.source,
+    )
 
 
 def _sync(folder: Path) -> None:

@@ -69,15 +69,15 @@ def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.D
     >>> len(comparable_readings(frame, LengthDefinition.CHORD))
     0
     """
-    method, true = readings["method"], readings[f"{truth}_m"]
+    method, true_m = readings["method"], readings[f"{truth}_m"]
     suffixes = tuple(
         f" {kind}" for kind in (LengthDefinition.THREAD, LengthDefinition.CHORD) if kind != truth
     )
-    fits = true.notna() & ~method.str.endswith(suffixes)
+    fits = true_m.notna() & ~method.str.endswith(suffixes)
     if truth is LengthDefinition.CHORD:
         fits &= ~method.isin(["M6", "selector best"])
     scored = readings[fits].copy()
-    scored["true_m"] = true[fits]
+    scored["true_m"] = true_m[fits]
     scored["error_cm"] = 100 * (scored["length_m"].fillna(0) - scored["true_m"]).abs()
     scored["error_percent"] = scored["error_cm"] / scored["true_m"]
     order = {name: k for k, name in enumerate(DESCRIPTIONS)}

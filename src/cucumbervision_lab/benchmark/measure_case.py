@@ -155,9 +155,9 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
     return found_at(exact.box, find(taken.capture))
 
 
-def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | None:
+def found_at(box: NDArray[np.float64], instances: Sequence[Instance]) -> Instance | None:
     """Return the detection that matches a box x1, y1, x2, y2 in pixels, or None."""
-    best = max(found, key=lambda instance: box_iou(instance.box, box), default=None)
+    best = max(instances, key=lambda instance: box_iou(instance.box, box), default=None)
     return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
 
 

@@ -140,7 +140,7 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
         return []
     frame, instances = frame_of(picture, data, None), package_finder().find(capture).instances
     matches, required = match_fruit(frame, [instance.box for instance in instances])
-    perceived = {required[true]: instances[index] for true, index in matches.pairs}
+    perceived = {required[number]: instances[index] for number, index in matches.pairs}
     return length_records(frame, capture, perceived)
 
 
@@ -296,8 +296,10 @@ def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None
     """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
     hits = {index for _, index in match_fruit(frame, list(boxes))[0].pairs}
-    true = np.array([fruit.box for fruit in frame.true]).reshape(-1, 4)
-    on_fruit = np.maximum(box_ious(boxes, true).max(axis=1, initial=0.0), share_inside(boxes, true))
+    true_boxes = np.array([fruit.box for fruit in frame.true]).reshape(-1, 4)
+    on_fruit = np.maximum(
+        box_ious(boxes, true_boxes).max(axis=1, initial=0.0), share_inside(boxes, true_boxes)
+    )
     return [
         True if k in hits else None if on_fruit[k] > _AMBIGUOUS_OVERLAP else False
         for k in range(len(boxes))

@@ -350,10 +350,10 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     for frame in frames:
         matches, detections, required = match_detections(frame, confidence, Stage.KEPT)
         for t, s in matches.pairs:
-            true, points = frame.true[required[t]].keypoints, detections[s].keypoints
-            if true is None or points is None or not _placed(true):
+            true_points, points = frame.true[required[t]].keypoints, detections[s].keypoints
+            if true_points is None or points is None or not _placed(true_points):
                 continue
-            rows.append(_ends(frame, required[t], true, points))
+            rows.append(_ends(frame, required[t], true_points, points))
     return rows
 
 
@@ -363,13 +363,13 @@ def _placed(keypoints: NDArray[np.float64]) -> bool:
 
 
 def _ends(
-    frame: Frame, number: int, true: NDArray[np.float64], points: NDArray[np.float64]
+    frame: Frame, number: int, true_points: NDArray[np.float64], points: NDArray[np.float64]
 ) -> EndRow:
-    length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
-    ends, points_px = true[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
+    length = float(np.linalg.norm(np.diff(true_points[:, :2], axis=0), axis=1).sum())
+    ends, points_px = true_points[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
     straight = np.linalg.norm(points_px - ends, axis=1)
     crossed = np.linalg.norm(points_px[::-1] - ends, axis=1)
-    labelled = true[[_BLOSSOM, STEM], 2] > 0
+    labelled = true_points[[_BLOSSOM, STEM], 2] > 0
     percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
     return EndRow(
         frame.name,
@@ -378,8 +378,8 @@ def _ends(
         length,
         float(percent[0]),
         float(percent[1]),
-        bool(true[_BLOSSOM, 2] == 2),
-        bool(true[STEM, 2] == 2),
+        bool(true_points[_BLOSSOM, 2] == 2),
+        bool(true_points[STEM, 2] == 2),
         bool(crossed.sum() < straight.sum()) if labelled.all() else None,
         float(points[_BLOSSOM, 2]),
         float(points[STEM, 2]),
@@ -420,19 +420,19 @@ class GroupScore:
     precision: Estimate | None
 
 
-def overall(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> GroupScore:
+def overall(fruit: Sequence[FruitRow], detections: Sequence[DetectionRow]) -> GroupScore:
     """Compute recall and precision of all fruit and detections."""
-    return GroupScore("all", "all", _recall(fruit), _precision(found))
+    return GroupScore("all", "all", _recall(fruit), _precision(detections))
 
 
-def group_scores(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> list[GroupScore]:
+def group_scores(fruit: Sequence[FruitRow], detections: Sequence[DetectionRow]) -> list[GroupScore]:
     """Compute recall and precision by group.
 
     Parameters
     ----------
     fruit : sequence of FruitRow
         Fruit for recall, grouped by distance, size, occluded share and `cut_off`.
-    found : sequence of DetectionRow
+    detections : sequence of DetectionRow
         Detections for precision, grouped by distance, size and `cut_off`; the occluded share of a
         false positive is unknown.
 
@@ -441,12 +441,12 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[DetectionRow]) -> li
     list of GroupScore
         Scores of all groups that are not empty.
     """
-    scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, found)
-    scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
+    scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, detections)
+    scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, detections)
     scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
         cut_fruit = [r for r in fruit if r.cut_off is cut]
-        cut_detections = [r for r in found if r.cut_off is cut]
+        cut_detections = [r for r in detections if r.cut_off is cut]
         if cut_fruit or cut_detections:
             scores.append(GroupScore("edge", name, _recall(cut_fruit), _precision(cut_detections)))
     return scores
@@ -457,16 +457,16 @@ def _by_scale(
     field: str,
     edges: Sequence[float],
     fruit: Sequence[FruitRow],
-    found: Sequence[DetectionRow] | None,
+    detections: Sequence[DetectionRow] | None,
 ) -> list[GroupScore]:
-    """Compute recall and, if `found` is given, precision in the intervals between `edges`."""
+    """Compute recall and, if `detections` are given, precision in the intervals between `edges`."""
     scores = []
     for start, end in pairwise(edges):
         fruit_inside = [r for r in fruit if start <= getattr(r, field) < end]
-        detections_inside = [r for r in found or () if start <= getattr(r, field) < end]
+        detections_inside = [r for r in detections or () if start <= getattr(r, field) < end]
         if fruit_inside or detections_inside:
-            precision = None if found is None else _precision(detections_inside)
-            name = _name(start, end, 100.0 if found is None else 1.0)
+            precision = None if detections is None else _precision(detections_inside)
+            name = _name(start, end, 100.0 if detections is None else 1.0)
             scores.append(GroupScore(factor, name, _recall(fruit_inside), precision))
     return scores
 

@@ -49,7 +49,7 @@ class PhotoResult:
         Number of evaluated photos, of their scenes, and of audited photos that are missing.
     scores : tuple of (str, GroupScore)
         Recall and precision of all photos, and by setting.
-    fruit, found : tuple
+    fruit, detections : tuple
         Rows of all fruit and of all detections.
     tests : tuple of (str, GroupScore)
         Recall and precision by test: 'first audit', 'trial board', 'on the plant', ...
@@ -66,7 +66,7 @@ class PhotoResult:
     missing: int
     scores: Scores
     fruit: tuple[FruitRow, ...]
-    found: tuple[DetectionRow, ...]
+    detections: tuple[DetectionRow, ...]
     tests: Scores = ()
     small: Scores = ()
     ends: tuple[EndRow, ...] = ()
@@ -119,7 +119,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     data = photo_audit.audited(folder, split)
     photos = []
     for picture in data.pictures:
-        true = tuple(
+        true_fruit = tuple(
             TrueFruit(
                 label.box,
                 keypoints=_keypoints(label.extras.get("ends_px")),
@@ -129,7 +129,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
             )
             for label in picture.labels
         )
-        truth = Frame(picture.file, picture.scene, picture.width, picture.height, true)
+        truth = Frame(picture.file, picture.scene, picture.width, picture.height, true_fruit)
         extras = picture.extras
         photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
     return photos, len(photo_audit.load_audit().in_split(split)) - len(photos)
@@ -221,13 +221,13 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     out = np.full_like(color, _GREY)
     out[top : top + rows, margin : margin + columns] = inner
     gain = np.tile([columns / width, rows / height], 2)
-    true = tuple(
+    true_fruit = tuple(
         replace(
             fruit, box=(fruit.box + 0.5) * gain + np.tile([margin, top], 2) - 0.5, keypoints=None
         )
         for fruit in truth.true
     )
-    return replace(truth, true=true), out
+    return replace(truth, true=true_fruit), out
 
 
 def score_photos(

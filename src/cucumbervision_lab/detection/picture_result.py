@@ -200,13 +200,13 @@ def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
 
 
 def _placed(
-    kept: tuple[Instance, ...], segmenter: NetworkSegmenter, color: NDArray[np.uint8]
+    instances: tuple[Instance, ...], segmenter: NetworkSegmenter, color: NDArray[np.uint8]
 ) -> tuple[Instance, ...]:
     """Replace keypoints by those on the axes of SAM's masks, as used for measurement."""
-    drawn = place_keypoints(segmenter.segment(color, kept))
+    drawn = place_keypoints(segmenter.segment(color, instances))
     return tuple(
         replace(instance, keypoints=masked.keypoints)
-        for instance, masked in zip(kept, drawn, strict=True)
+        for instance, masked in zip(instances, drawn, strict=True)
     )
 
 

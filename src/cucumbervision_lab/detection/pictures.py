@@ -327,15 +327,15 @@ def frame_of(picture: LabelledPicture, data: DataSet, depth_m: NDArray[np.float3
     depth_m : ndarray of float32, shape (H, W), optional
         Depth in metres, for the distance of fruit without the label 'distance_m'.
     """
-    true = []
+    true_fruit = []
     for label in picture.labels:
         name = data.categories[label.category].lower()
         # A single class is the fruit, regardless of its name.
         fruit, optional = len(data.categories) == 1 or name == _FRUIT, name == _ALSO_FRUIT
         if fruit or optional or label.ignore:
-            true.append(replace(_true_fruit(label, depth_m), optional=optional))
+            true_fruit.append(replace(_true_fruit(label, depth_m), optional=optional))
     scene = picture.scene or picture.file
-    return Frame(picture.file, scene, picture.width, picture.height, tuple(true))
+    return Frame(picture.file, scene, picture.width, picture.height, tuple(true_fruit))
 
 
 def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:

@@ -73,7 +73,7 @@ class Summary:
         Recall and precision of reported detections by group.
     fruit : tuple of FruitRow
         All fruit to be detected.
-    found : tuple of DetectionRow
+    detections : tuple of DetectionRow
         All reported detections.
     ends : tuple of EndRow
         Errors of the ends of all fruit with keypoints.
@@ -85,7 +85,7 @@ class Summary:
     overall: tuple[tuple[Stage, GroupScore], ...]
     groups: tuple[GroupScore, ...]
     fruit: tuple[FruitRow, ...]
-    found: tuple[DetectionRow, ...]
+    detections: tuple[DetectionRow, ...]
     ends: tuple[EndRow, ...]
     readings: pd.DataFrame
 
@@ -106,16 +106,16 @@ def summarise(result: DetectionResult) -> Summary:
     if posed:
         asked += [(Stage.POSED, IouType.BOXES), (Stage.POSED, IouType.KEYPOINTS)]
         asked += [(Stage.KEPT, IouType.KEYPOINTS)]
-    fruit, found = fruit_rows(frames, confidence), detection_rows(frames, confidence)
+    fruit, detections = fruit_rows(frames, confidence), detection_rows(frames, confidence)
     return Summary(
         tuple(average_precision(frames, iou_type, stage) for stage, iou_type in asked),
         tuple(
             (s, overall(fruit_rows(frames, confidence, s), detection_rows(frames, confidence, s)))
             for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
         ),
-        tuple(group_scores(fruit, found)),
+        tuple(group_scores(fruit, detections)),
         tuple(fruit),
-        tuple(found),
+        tuple(detections),
         tuple(end_rows(frames, confidence)),
         readings_frame(result.records) if result.records else pd.DataFrame(),
     )
@@ -330,7 +330,7 @@ def photo_tables(photos: PhotoResult) -> list[ReportTable]:
 
 def _false_table(photos: PhotoResult) -> ReportTable:
     """Return the false positives on real photos, most confident first."""
-    false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
+    false = sorted((r for r in photos.detections if r.outcome == "false"), key=lambda r: -r.score)
     rows = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
         for r in false[:_FALSE_SHOWN]
@@ -397,7 +397,7 @@ def write_detection_report(
     written = write_tables(out / "results.json", _provenance(result), tables)
     with writing_report(out):
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
-        _write_rows(out / "detections.csv", summary.found, DetectionRow)
+        _write_rows(out / "detections.csv", summary.detections, DetectionRow)
         _write_rows(out / "ends.csv", summary.ends, EndRow)
         _write_csv(out / "lengths.csv", summary.readings.reindex(columns=_LENGTH_COLUMNS))
     return written
@@ -423,7 +423,7 @@ def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: 
     written = write_tables(out / "photos.json", {"confidence": photos.confidence}, tables)
     with writing_report(out):
         _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
-        _write_rows(out / "photo_detections.csv", photos.found, DetectionRow)
+        _write_rows(out / "photo_detections.csv", photos.detections, DetectionRow)
     return written
 
 

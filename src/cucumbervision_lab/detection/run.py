@@ -125,9 +125,9 @@ def chosen_networks(
     """
     registry = load_registry()
 
-    def choose(given: Path | None, task: str) -> Path | str | None:
+    def choose(file: Path | None, task: str) -> Path | str | None:
         model = registry.default(task)
-        return given or (model.name if model else None)
+        return file or (model.name if model else None)
 
     networks = choose(segment, "segment"), choose(pose, "pose")
     if networks == (None, None):

@@ -176,16 +176,16 @@ def _leaf(
     for _ in range(_TRIES):
         centre = middle + side_px * (ahead * rng.uniform(*along) + aside * rng.uniform(*across))
         color, alpha = _turned(piece, shape, centre, side_px, light, float(sharpness), rng)
-        under = _sampled(alpha, axis_px) > 0.5
+        over_axis = _sampled(alpha, axis_px) > 0.5
         if kind is CoverKind.LEAF_BEHIND and alpha.max() > 0.5:
             return color, alpha, 0.0
-        if kind is CoverKind.LEAF_BESIDE and not under.any():
+        if kind is CoverKind.LEAF_BESIDE and not over_axis.any():
             rows, columns = np.nonzero(alpha > 0.5)
             off = np.hypot(columns - axis_px[0, 0], rows - axis_px[0, 1])
             if off.min(initial=np.inf) < _BESIDE_RADII * radius_px:
                 return color, alpha, 0.0
-        first = int(np.argmin(under))  # of the axis that is visible
-        if kind is CoverKind.LEAF_OVER and first > 0 and not under[first:].any():
+        first = int(np.argmin(over_axis))  # of the axis that is visible
+        if kind is CoverKind.LEAF_OVER and first > 0 and not over_axis[first:].any():
             return color, alpha, first / len(axis_px)
     return None
 

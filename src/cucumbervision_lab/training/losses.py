@@ -148,12 +148,12 @@ def ignore_regions(loss: Any) -> None:
         current["region"] = batch.get("ignored")
         return original_loss(preds, batch)
 
-    def masked_bce(predicted: Any, true: Any) -> Any:
-        cost, region = original_bce(predicted, true), current["region"]
+    def masked_bce(predicted: Any, target: Any) -> Any:
+        cost, region = original_bce(predicted, target), current["region"]
         if region is None or not region.any():
             return cost
         cells = [_sample_at_stride(region, int(stride)) for stride in loss.stride]
-        skipped = torch.cat(cells, 1).unsqueeze(2) & (true.sum(2, keepdim=True) == 0)
+        skipped = torch.cat(cells, 1).unsqueeze(2) & (target.sum(2, keepdim=True) == 0)
         return cost.masked_fill(skipped, 0.0)
 
     loss.loss, loss.bce = with_regions, masked_bce
@@ -161,13 +161,13 @@ def ignore_regions(loss: Any) -> None:
         return
     original_bcedice = loss.bcedice_loss
 
-    def masked_bcedice(predicted: Any, true: Any) -> Any:
+    def masked_bcedice(predicted: Any, target: Any) -> Any:
         region = current["region"]
         if region is None or not region.any():
-            return original_bcedice(predicted, true)
+            return original_bcedice(predicted, target)
         size = predicted.shape[-2:]
         hidden = torch.nn.functional.interpolate(region[:, None].float(), size) > 0
-        return original_bcedice(predicted.masked_fill(hidden, _NO_FRUIT), true)
+        return original_bcedice(predicted.masked_fill(hidden, _NO_FRUIT), target)
 
     loss.bcedice_loss = masked_bcedice
 
@@ -485,9 +485,9 @@ def _patch_visibility_loss(loss: Any) -> None:
     # The position loss is always called before the confidence loss and receives visibility.
     visibilities: list[Any] = []
 
-    def position_loss(predicted: Any, true: Any, labelled: Any, area: Any) -> Any:
-        visibilities[:] = [true[..., 2]]
-        return keypoint_loss(predicted, true, labelled, area)
+    def position_loss(predicted: Any, target: Any, labelled: Any, area: Any) -> Any:
+        visibilities[:] = [target[..., 2]]
+        return keypoint_loss(predicted, target, labelled, area)
 
     def visibility_loss(confidence: Any, _: Any) -> Any:
         (visibility,) = visibilities

@@ -44,11 +44,11 @@ def find_sets(folder: Folder) -> CaptureLister | None:
             entries = _entries(folder.path / place / ANNOTATIONS)
             pictures += [(place, entry) for entry in entries]
     # What the set names elsewhere, such as ../x.png, is no file of this folder.
-    known = set(folder)
+    listed_files = set(folder)
     taken = {_within(place, entry[key]) for place, entry in pictures for key in _FILES}
     for place, names in folder.files.items():
         names[:] = [name for name in names if _within(place, name) not in taken]
-    return partial(_open_sets, folder.path, pictures, known) if pictures else None
+    return partial(_open_sets, folder.path, pictures, listed_files) if pictures else None
 
 
 _FILES = ("file_name", "depth_file")
@@ -78,7 +78,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
 def _open_sets(
     path: Path,
     pictures: list[tuple[str, Any]],
-    known: set[str],
+    listed_files: set[str],
     options: ReadOptions,
     camera_file: CameraFile | None,
 ) -> Iterator[CaptureEntry]:
@@ -87,7 +87,7 @@ def _open_sets(
         color = path / files[0]
         prefix = "_".join((path.resolve().name, *Path(place).parts))
         name = safe_name(f"{prefix}_{Path(entry['file_name']).stem}")
-        missing = next((file for file in files if file not in known), None)
+        missing = next((file for file in files if file not in listed_files), None)
         if missing is not None:
             fault = CaptureError(
                 f"is not there, which {ANNOTATIONS} names",

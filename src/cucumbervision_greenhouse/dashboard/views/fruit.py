@@ -94,7 +94,7 @@ def _neighbours(
     keys = [view.key for view in listed]
     if key not in keys:
         walk = list(graded.grades)
-        later = (k for k, other in enumerate(keys) if walk.index(other) > walk.index(key))
+        later = (k for k, later_key in enumerate(keys) if walk.index(later_key) > walk.index(key))
         keys.insert(next(later, len(keys)), key)
     index = keys.index(key)
     return (keys[index - 1] if index else None), next(iter(keys[index + 1 :]), None)

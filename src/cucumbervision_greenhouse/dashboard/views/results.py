@@ -203,14 +203,14 @@ def _filters(graded: GradedRound) -> None:
 def _listed(graded: GradedRound) -> list[DetectionSummary]:
     """Return the fruit that pass the viewer's filters, in the order that was chosen."""
     chosen = {name: st.session_state.get(f"only_{name}") for name in _FILTERS}
-    row, label, verdict, other = chosen.values()
+    row, label, verdict, reading_filter = chosen.values()
     only = DetectionFilter(row=row, verdict=verdict)
     fruit = [
         view
         for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
         if only.keeps(view)
         and label in (None, graded.grades[view.key].label)
-        and (other is None or other in _with(view))
+        and (reading_filter is None or reading_filter in _with(view))
     ]
     return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", _WALK)])
 

@@ -2,11 +2,16 @@
 
     python benchmarks/speed.py [PART ...] [--quick]
     python benchmarks/speed.py dashboard    # in Chromium, with what the tests draw
+    python benchmarks/speed.py card    # on a machine with an NVIDIA card: frames a second by stage
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
 Parts: pipeline, processor, start, kernels, peers, workers, dashboard. `peers` compares with
 PlantCV and skan on a mask, and with Ultralytics' own prediction. Each prints a table. The exit code
 is 1 if an aim or a limit is missed.
+
+`card` runs only where it is named. It needs onnxruntime-gpu in place of onnxruntime, and takes 2
+minutes on CUDA; where TensorRT is installed too, what it compiles at first takes some minutes more,
+after the tables of CUDA. `timeout 600` keeps it within 12 minutes with the installation.
 """
 
 from __future__ import annotations
@@ -39,16 +44,18 @@ from scipy.interpolate import CubicSpline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tests draw
 
-from cucumbervision.capture.frames import median_depth
+from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.geometry.tube_kernel import kernel_name
+from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.runtime import import_onnxruntime
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
 from cucumbervision.pipeline.folder import OutputFolder
@@ -56,6 +63,7 @@ from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
+from cucumbervision.streaming.sources import in_order
 from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.repository import open_store
@@ -89,7 +97,7 @@ STAGES = {
     "pictures decoded": ("capture.readers.native:_read_frame", "capture.readers.native:read_masks"),
     "a burst's motion": ("capture.motion:moved_px",),
     "a burst's median and sharpness": ("capture.frames:fuse_burst",),
-    "network inputs": ("perception.resize:Letterbox.as_input",),
+    "network inputs": ("perception.resize:Letterbox.as_input", "perception.card:Levels.planes"),
     "detector's masks": ("perception.resize:Letterbox.mask_back",),
     "second look's crops": ("perception.crops:CropClassifier.rescore",),
     "stem ends' strips": ("perception.ends:EndClassifier.log_odds",),
@@ -636,6 +644,103 @@ def dashboard(quick: bool) -> list[Figure]:
     ]
 
 
+ON_CARD = {
+    "card, float32": MeasureOptions(instances="models", runtime="cuda", full_precision=True),
+    "card, TF32": MeasureOptions(instances="models", runtime="cuda", full_precision=False),
+    "card, TensorRT in half precision": MeasureOptions(
+        instances="models", runtime="tensorrt", full_precision=False
+    ),
+}
+NEEDED = {"cuda": "CUDAExecutionProvider", "tensorrt": "TensorrtExecutionProvider"}
+
+
+def card_figures(options: MeasureOptions, quick: bool) -> list[Figure]:
+    """Time a stream's frames by stage on a card, and compare lengths with the processor's."""
+    rounds = 3 if quick else 20
+    captures = [ref.load() for ref in open_source(example_captures())]
+    measurer, clock = Measurer(options), StageClock(time.perf_counter)
+    figures = lengths_beside_the_processors(measurer, captures)
+    streams = {"--fast": FruitStream.fast(options), "all networks": FruitStream(measurer)}
+    aims = {"--fast": ">= 60", "all networks": ">= 30"}
+    for name, stream in streams.items():
+        stages_ms = by_turn_ms(clock, stream, captures, rounds)
+        fruit = sum(len(stream.take(capture).fruit) for capture in captures) / len(captures)
+        label = f"stream, {name}"
+        frame_ms = sum(stages_ms.values())
+        figures += [
+            Figure(f"{label}, {fruit:.1f} fruit a frame", 1e3 / frame_ms, "frames/s", aims[name]),
+            Figure(f"{label}, stages overlapped", overlapped(stream, captures, rounds), "frames/s"),
+            *(
+                Figure(f"{label}: {stage}, alone {1e3 / ms:.0f} frames/s", ms, "ms")
+                for stage, ms in sorted(stages_ms.items(), key=lambda pair: -pair[1])
+                if ms >= 0.05
+            ),
+        ]
+    return figures
+
+
+def by_turn_ms(
+    clock: StageClock, stream: FruitStream, captures: Sequence[Capture], rounds: int
+) -> dict[str, float]:
+    """Return the median time of a frame by stage, by the clock on the wall."""
+    turns = []
+    for turn in range(rounds + 2):
+        clock.start()
+        begun = time.perf_counter()
+        for capture in captures:
+            stream.take(capture)
+        taken_s = {**clock.taken_s, "rest": time.perf_counter() - begun}
+        taken_s["rest"] -= sum(clock.taken_s.values())
+        if turn > 1:
+            turns.append({stage: 1e3 * s / len(captures) for stage, s in taken_s.items()})
+    return {stage: median(turn[stage] for turn in turns) for stage in turns[0]}
+
+
+def overlapped(stream: FruitStream, captures: Sequence[Capture], rounds: int) -> float:
+    """Return frames a second of a whole stream, as the command runs it."""
+    times_s = [time.perf_counter() for _ in stream.follow(in_order(rounds * list(captures)))]
+    return (len(times_s) - len(captures)) / (times_s[-1] - times_s[len(captures) - 1])
+
+
+def lengths_beside_the_processors(measurer: Measurer, captures: Sequence[Capture]) -> list[Figure]:
+    """Compare the lengths of the same fruit with those that float32 on the processor gives."""
+    reference = Measurer(replace(MODELS, runtime="onnxruntime", full_precision=True))
+    errors_cm, unpaired = [], 0
+    for capture in captures:
+        on_card = list(measurer.measure(capture).fruit)
+        for fruit in reference.measure(capture).fruit:
+            boxes = np.array([candidate.instance.box for candidate in on_card]).reshape(-1, 4)
+            ious = box_ious(fruit.instance.box[None], boxes)[0]
+            if not ious.size or ious.max() <= 0.5:
+                unpaired += 1
+                continue
+            lengths = fruit.length, on_card.pop(int(ious.argmax())).length
+            values_m = [length.value_m for length in lengths if length is not None]
+            unpaired += len(values_m) == 1
+            errors_cm += [100 * abs(values_m[0] - values_m[1])] if len(values_m) == 2 else []
+        unpaired += len(on_card)
+    return [
+        Figure("fruit measured on both", len(errors_cm), "fruit"),
+        Figure("fruit measured on one alone", unpaired, "fruit", "<= 0"),
+        Figure("lengths off the processor's, most", max(errors_cm, default=0.0), "cm", "<= 0.02"),
+    ]
+
+
+def card_parts() -> dict[str, Callable[[bool], list[Figure]]]:
+    """Return what can be timed on the card of this machine; ends where there is none."""
+    providers = import_onnxruntime().get_available_providers()
+    if NEEDED["cuda"] not in providers:
+        raise SystemExit(
+            f"card: ONNX Runtime has no {NEEDED['cuda']} here; on a machine with an NVIDIA card "
+            "install onnxruntime-gpu in place of onnxruntime"
+        )
+    return {
+        name: partial(card_figures, options)
+        for name, options in ON_CARD.items()
+        if NEEDED[options.runtime] in providers
+    }
+
+
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
     part.__name__: part for part in (pipeline, processor, start, kernels, peers, workers, dashboard)
 }
@@ -704,18 +809,21 @@ def as_table(rows: list[Figure]) -> str:
 def main() -> None:
     """Measure the parts, print them, and keep them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join([*PARTS, "card"]))
     parser.add_argument("--quick", action="store_true", help="a few rounds of each")
     parser.add_argument("--check", action="store_true", help="compare quick ratios with limits")
     arguments = parser.parse_args()
     if arguments.check:
         sys.exit(check())
-    if unknown := set(arguments.parts) - set(PARTS):
-        parser.error(f"no part is called {', '.join(unknown)}; take {', '.join(PARTS)}")
-    missed = False
+    if unknown := set(arguments.parts) - {*PARTS, "card"}:
+        parser.error(f"no part is called {', '.join(unknown)}; take {', '.join([*PARTS, 'card'])}")
+    parts: dict[str, Callable[[bool], list[Figure]]] = {}
     for name in arguments.parts or PARTS:
+        parts |= card_parts() if name == "card" else {name: PARTS[name]}
+    missed = False
+    for name, part in parts.items():
         loaded, when = machine(), time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
-        figures = PARTS[name](arguments.quick)
+        figures = part(arguments.quick)
         missed |= not all(one.kept for one in figures)
         print(f"{name} ({when}; {loaded})\n{as_table(figures)}\n", flush=True)
     sys.exit(missed)

@@ -67,7 +67,12 @@ def test_each_option_reaches_what_it_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "runtime", "full_precision"),
-    [("auto", "auto", True), ("fast", "auto", False), ("cuda-fast", "cuda", False)],
+    [
+        ("auto", "auto", True),
+        ("fast", "auto", False),
+        ("cuda-fast", "cuda", False),
+        ("tensorrt-fast", "tensorrt", False),
+    ],
 )
 def test_a_fast_runtime_computes_in_half_precision(
     words: str, runtime: str, full_precision: bool

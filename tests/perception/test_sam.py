@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.perception.card import Levels
 from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.runtime import Network
@@ -60,8 +61,8 @@ class Remembered:
         self.inputs, self.runtime, self._encoder = encoder.inputs, encoder.runtime, encoder
         self._known: dict[bytes, dict[str, NDArray[Any]]] = {}
 
-    def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        key = feeds["image"].tobytes()
+    def run(self, feeds: Mapping[str, Levels], kept: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+        key = feeds["image"].pixels.tobytes()
         if key not in self._known:
             self._known[key] = dict(self._encoder.run(feeds))
         return self._known[key]
@@ -89,9 +90,9 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
 ) -> None:
     encoder, runs = segmenter._encoder, []
 
-    def run(feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def run(feeds: Mapping[str, Levels], kept: tuple[str, ...]) -> dict[str, NDArray[Any]]:
         runs.append(feeds)
-        return encoder.run(feeds)
+        return encoder.run(feeds, kept)
 
     monkeypatch.setattr(segmenter, "_encoder", SimpleNamespace(inputs=encoder.inputs, run=run))
     picture = drawn(480, 640, LEFT)

@@ -29,7 +29,7 @@ EXIT_CODES = (
 
 CameraUp: TypeAlias = Literal["top", "left", "right", "bottom"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
-_FAST = {"fast": "auto", "cuda-fast": "cuda"}
+_FAST = {"fast": "auto", "cuda-fast": "cuda", "tensorrt-fast": "tensorrt"}
 
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="Minimum confidence of a detection.")
@@ -44,10 +44,19 @@ InputSize = Annotated[
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
 RuntimeOrFast = Annotated[
-    Literal["auto", "fast", "onnxruntime", "openvino", "cuda", "cuda-fast", "tensorrt"],
+    Literal[
+        "auto",
+        "fast",
+        "onnxruntime",
+        "openvino",
+        "cuda",
+        "cuda-fast",
+        "tensorrt",
+        "tensorrt-fast",
+    ],
     typer.Option(
-        help="Runtime of the networks. fast: auto in half precision, if the processor supports it; "
-        "outlines and lengths may then differ slightly between machines."
+        help="Runtime of the networks. fast: auto in half precision, if the processor supports it, "
+        "so too on a card; outlines and lengths may then differ slightly between machines."
     ),
 ]
 Instances = Annotated[

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.card import Levels
+from cucumbervision.perception.runtime import open_network, runtime_for_batches
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +24,7 @@ class SmallNetwork:
     path : Path
         An ONNX file as the class's `command` writes it.
     runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime.
+        As for `open_network`, and as `runtime_for_batches` changes it.
 
     Raises
     ------
@@ -44,7 +45,7 @@ class SmallNetwork:
     """Number of outputs."""
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
-        chosen = "onnxruntime" if runtime == "auto" else runtime
+        chosen = runtime_for_batches(runtime)
         self._network = open_network(path, chosen, full_precision=True)
         inputs = tuple(tuple(tensor.shape[1:]) for tensor in self._network.inputs)
         if inputs != self.shapes or len(self._network.outputs) != self.outputs:
@@ -63,10 +64,8 @@ class SmallNetwork:
         self, pictures: NDArray[np.uint8], *values: NDArray[np.float32]
     ) -> dict[str, NDArray[np.float32]]:
         """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
-        planes = np.empty((len(pictures), pictures.shape[3], *pictures.shape[1:3]), np.float32)
-        np.divide(pictures.transpose(0, 3, 1, 2), np.float32(255), out=planes, dtype=np.float32)
         names = [tensor.name for tensor in self._network.inputs]
-        return self._network.run(dict(zip(names, (planes, *values), strict=True)))
+        return self._network.run(dict(zip(names, (Levels(pictures), *values), strict=True)))
 
 
 class PictureClassifier(SmallNetwork):

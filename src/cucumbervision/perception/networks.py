@@ -432,13 +432,13 @@ class NetworkLoader:
             network.crops = self._companion("crops", CropClassifier)
         return network
 
-    def _companion(self, task: str, kind: Callable[[Path], Classifier]) -> Classifier | None:
+    def _companion(self, task: str, kind: Callable[[Path, str], Classifier]) -> Classifier | None:
         """Load the registry's network for a task beside a detector, or return None without one."""
         model = self.registry.default(task)
         if model is None:
             return None
         path = self.verify(model.name)["network"]
-        opened = kind(path)
+        opened = kind(path, self._runtime)
         self._note(model.name, model.task, self.registry.hashes(model.name)[path.name], opened)
         return opened
 

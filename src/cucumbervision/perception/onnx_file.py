@@ -1,11 +1,12 @@
-"""Find external files and loops in an ONNX file by parsing its protocol buffer."""
+"""Read and write the protocol buffer of ONNX files: external files, loops, small networks."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
 _Kind: TypeAlias = Literal[
     "model", "training", "graph", "node", "attribute", "tensor", "sparse", "function", "entry"
@@ -139,3 +140,93 @@ def _varint(message: memoryview, position: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, position
     raise ValueError("is no protocol buffer")
+
+
+_TYPES = {"float32": 1, "uint8": 2, "int64": 7}
+_OPSET, _IR_VERSION = 13, 8
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of a small network.
+
+    Parameters
+    ----------
+    operator : str
+        Operator of ONNX, opset 13.
+    inputs : tuple of str
+        Names of its inputs.
+    output : str
+        Name of its output.
+    attributes : mapping of str to int, tuple of int or str
+        Its attributes.
+    """
+
+    operator: str
+    inputs: tuple[str, ...]
+    output: str
+    attributes: Mapping[str, int | tuple[int, ...] | str] = field(default_factory=dict)
+
+
+def small_network(
+    nodes: Sequence[Node],
+    inputs: Mapping[str, tuple[str, int]],
+    outputs: Mapping[str, tuple[str, int]],
+) -> bytes:
+    """Return the content of an ONNX file without weights.
+
+    The package onnx, which could write it, is not needed for measuring.
+
+    Parameters
+    ----------
+    nodes : sequence of Node
+        In the order of computing.
+    inputs, outputs : mapping of str to (str, int)
+        Type ('float32', 'uint8' or 'int64') and number of axes of each; their sizes are free.
+
+    Examples
+    --------
+    >>> double = small_network(
+    ...     [Node("Add", ("x", "x"), "y")], {"x": ("float32", 1)}, {"y": ("float32", 1)}
+    ... )
+    >>> external_files(double), has_loop(double)
+    ([], False)
+    """
+    graph = b"".join(_part(1, _node(node)) for node in nodes) + _part(2, b"graph")
+    for number, tensors in ((11, inputs), (12, outputs)):
+        for name, (kind, axes) in tensors.items():
+            sizes = b"".join(_part(1, _part(2, f"{name}{axis}".encode())) for axis in range(axes))
+            tensor = _number(1, _TYPES[kind]) + _part(2, sizes)
+            graph += _part(number, _part(1, name.encode()) + _part(2, _part(1, tensor)))
+    return _number(1, _IR_VERSION) + _part(7, graph) + _part(8, _number(2, _OPSET))
+
+
+def _node(node: Node) -> bytes:
+    content = b"".join(_part(1, name.encode()) for name in node.inputs)
+    content += _part(2, node.output.encode()) + _part(4, node.operator.encode())
+    for name, value in node.attributes.items():
+        attribute = _part(1, name.encode())
+        if isinstance(value, str):
+            attribute += _part(4, value.encode()) + _number(20, 3)
+        elif isinstance(value, int):
+            attribute += _number(3, value) + _number(20, 2)
+        else:
+            attribute += b"".join(_number(8, part) for part in value) + _number(20, 7)
+        content += _part(5, attribute)
+    return content
+
+
+def _part(number: int, content: bytes) -> bytes:
+    return _varint_bytes(number << 3 | _LENGTH) + _varint_bytes(len(content)) + content
+
+
+def _number(number: int, value: int) -> bytes:
+    return _varint_bytes(number << 3 | _VARINT) + _varint_bytes(value)
+
+
+def _varint_bytes(value: int) -> bytes:
+    digits = []
+    while value > 0x7F:
+        digits.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*digits, value])

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.perception.card import Levels
+
 if TYPE_CHECKING:
     from typing import Any
 
@@ -25,8 +27,8 @@ _SIDE = 1024
 
 _LOW = 256  # side of the masks that SAM's decoder gives
 _PATCH = 16
-_MEAN = np.array([123.675, 116.28, 103.53], np.float32)
-_STD = np.array([58.395, 57.12, 57.375], np.float32)
+_MEAN = (123.675, 116.28, 103.53)
+_STD = (58.395, 57.12, 57.375)
 _GREY = 114
 
 
@@ -84,7 +86,7 @@ class Letterbox:
         out[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = inner
         return out
 
-    def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def as_input(self, color_rgb: NDArray[np.uint8]) -> Levels:
         """Return the network input for a picture, resized and padded.
 
         Parameters
@@ -94,16 +96,10 @@ class Letterbox:
 
         Returns
         -------
-        ndarray of float32, shape (1, 3, input_height, input_width)
-            0 to 1; red first.
+        Levels
+            For an input (1, 3, input_height, input_width) of 0 to 1; red first.
         """
-        import cv2
-
-        planes = np.empty((1, 3, self.input_height, self.input_width), np.float32)
-        for levels, plane in zip(cv2.split(self.apply(color_rgb)), planes[0], strict=True):
-            # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
-            np.divide(levels, np.float32(255), out=plane, dtype=np.float32)
-        return planes
+        return Levels(self.apply(color_rgb)[None])
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Map boxes from the network's input to the picture, and clip them.
@@ -276,32 +272,31 @@ def rows_needed(height: int, width: int) -> int:
     return -(-scaled_size(height, width)[0] // _PATCH) * _PATCH
 
 
-def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> Levels:
     """Scale, normalise and pad a picture as SAM's encoder expects it.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
         Red, green, blue.
+    rows : int
+        Rows of the square that the encoder takes: at least `rows_needed`.
 
     Returns
     -------
-    ndarray of float32, shape (1, 3, 1024, 1024)
-        Less the mean colour, divided by its spread; zero to the right and below.
+    Levels
+        For an input (1, 3, rows, 1024): less the mean colour, divided by its spread; zero to the
+        right and below.
 
     Examples
     --------
-    >>> picture = prepare_picture(np.full((9, 16, 3), 255, np.uint8))
+    >>> picture = prepare_picture(np.full((9, 16, 3), 255, np.uint8)).planes()
     >>> picture.shape, round(float(picture[0, 0, 575, 0]), 3), float(picture[0, 0, 576, 0])
     ((1, 3, 1024, 1024), 2.249, 0.0)
     """
-    height, width = scaled_size(*color_rgb.shape[:2])
-    square = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
-    for channel, plane in enumerate(_scaled_planes(color_rgb, height, width)):
-        inside = square[0, channel, :height, :width]
-        np.subtract(plane, _MEAN[channel], out=inside)
-        inside /= _STD[channel]
-    return square
+    planes = _scaled_planes(color_rgb, *scaled_size(*color_rgb.shape[:2]))
+    pixels = np.stack([np.asarray(plane, np.uint8) for plane in planes], axis=-1)[None]
+    return Levels(pixels, _MEAN, _STD, (rows, _SIDE))
 
 
 def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,6 +25,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
+from cucumbervision.perception.card import (
+    Card,
+    CardArray,
+    Feed,
+    Levels,
+    engine_folder,
+    provider_options,
+)
 from cucumbervision.perception.onnx_file import external_files, has_loop
 
 RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
@@ -38,6 +46,12 @@ _PROVIDERS = {
     "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
     "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
 }
+_PRECISIONS = {  # by whether it is to be full
+    "onnxruntime": ("cpu", "cpu"),
+    "cuda": ("cuda, tf32", "cuda, f32"),
+    "tensorrt": ("tensorrt, f16", "tensorrt, f32"),
+}
+_CARD_MEMORY = "cuda"  # tests, which have no card, take the processor's
 # Two threads may each open a network.
 _STARTING_OPENVINO = threading.RLock()
 _GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
@@ -79,6 +93,8 @@ class Network:
         The file, for errors.
     compute : callable
         The runtime's own call, from arrays by name to arrays in the order of `outputs`.
+    card : Card, optional
+        What computes on a graphics card; `compute` is its `run`.
     """
 
     inputs: tuple[TensorInfo, ...]
@@ -86,15 +102,19 @@ class Network:
     metadata: Mapping[str, str]
     runtime: str
     source: str
-    compute: Callable[[dict[str, Array]], list[Array]]
+    compute: Callable[..., list[Array]]
+    card: Card | None = None
 
-    def run(self, feeds: Mapping[str, Array]) -> dict[str, Array]:
+    def run(self, feeds: Mapping[str, Feed], kept: Collection[str] = ()) -> dict[str, Any]:
         """Run the network once.
 
         Parameters
         ----------
-        feeds : mapping of str to ndarray
-            Every input by name; values are converted to the input's dtype.
+        feeds : mapping of str to ndarray, Levels or CardArray
+            Every input by name; values are converted to the input's dtype. Levels become numbers on
+            the card, if there is one.
+        kept : collection of str
+            Outputs that stay on the card, if there is one: as `CardArray`.
 
         Returns
         -------
@@ -114,28 +134,48 @@ class Network:
                 source=self.source,
                 remedy="name a network of the right kind",
             )
-        arrays = {i.name: np.ascontiguousarray(feeds[i.name], i.dtype) for i in self.inputs}
+        arrays = {i.name: self._fed(feeds[i.name], i.dtype) for i in self.inputs}
         try:
-            outputs = self.compute(arrays)
+            outputs = self.compute(arrays) if self.card is None else self.compute(arrays, kept)
         # The two runtimes raise their own classes and plain RuntimeError alike.
         except Exception as error:
-            sizes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+            sizes = ", ".join(f"{name} {_size(array)}" for name, array in arrays.items())
             raise ModelError(
                 f"the network fails on {sizes}: {_first_line(error)}",
                 source=self.source,
                 remedy="give pictures of the size that it was exported for",
             ) from error
-        for info, array in zip(self.outputs, outputs, strict=True):
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise ModelError(
-                    f"the network's output {info.name!r} has numbers that are not finite",
-                    source=self.source,
-                    remedy="export it again; half precision may overflow",
-                )
         return {
-            info.name: array.astype(np.float32) if array.dtype == np.float16 else array
+            info.name: array if isinstance(array, CardArray) else self._checked(info.name, array)
             for info, array in zip(self.outputs, outputs, strict=True)
         }
+
+    def mixed(self, name: str, kept: CardArray, weights: Array) -> Array:
+        """Return the weighted sums of an output (1, C, h, w) that stayed on the card, (N, h, w)."""
+        assert self.card is not None
+        return self._checked(name, self.card.mixed(kept, weights))
+
+    def _fed(self, feed: Feed, dtype: np.dtype[Any]) -> Feed:
+        if isinstance(feed, CardArray) and self.card is None:
+            feed = feed.numpy()
+        if isinstance(feed, Levels) and (self.card is None or dtype != np.float32):
+            feed = feed.planes()
+        return np.ascontiguousarray(feed, dtype) if isinstance(feed, np.ndarray) else feed
+
+    def _checked(self, name: str, array: Array) -> Array:
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ModelError(
+                f"the network's output {name!r} has numbers that are not finite",
+                source=self.source,
+                remedy="export it again; half precision may overflow",
+            )
+        return array.astype(np.float32) if array.dtype == np.float16 else array
+
+
+def _size(feed: Feed) -> tuple[int, ...]:
+    if isinstance(feed, CardArray):
+        return tuple(feed.value.shape())
+    return feed.pixels.shape if isinstance(feed, Levels) else feed.shape
 
 
 _most_threads: int | None = None
@@ -166,7 +206,7 @@ def open_network(
         OpenVINO (faster on a CPU) if it is installed and loads the file, otherwise ONNX Runtime.
     full_precision : bool
         Compute in float32 for reproducible results; otherwise OpenVINO uses bfloat16 where the CPU
-        supports it, and CUDA uses TF32.
+        supports it, CUDA uses TF32, and TensorRT half precision.
     name : str
         Name in errors of a network given as bytes.
     verified : bool
@@ -361,9 +401,13 @@ def _open_onnxruntime(
     options.add_session_config_entry("session.force_spinning_stop", "1")
     if _most_threads is not None:
         options.intra_op_num_threads = _most_threads
-    settings = {"CUDAExecutionProvider": {"use_tf32": "0"}} if full_precision else {}
+    engines = None
+    if runtime == "tensorrt":
+        engines = engine_folder(path, full_precision=full_precision)
     providers = [
-        (p, settings.get(p, {})) for p in wanted_providers if p in ort.get_available_providers()
+        (p, provider_options(p, full_precision=full_precision, engines=engines))
+        for p in wanted_providers
+        if p in ort.get_available_providers()
     ]
     try:
         session = ort.InferenceSession(
@@ -378,17 +422,48 @@ def _open_onnxruntime(
     if wanted_providers[0] not in session.get_providers():
         raise ModelError(f"{wanted_providers[0]} does not start", source=source, remedy=_GPU_REMEDY)
     names = [o.name for o in outputs]
-    provider = wanted_providers[0].removesuffix("ExecutionProvider").lower()
+    card = None if loops or runtime == "onnxruntime" else _card(ort, session, names)
+    compute: Callable[..., list[Array]] = partial(session.run, names)
+    if loops:
+        compute = partial(_run_for, _LONGEST_RUN_S, ort, session, names)
     return Network(
         inputs=inputs,
         outputs=outputs,
         metadata=MappingProxyType(metadata),
-        runtime=f"onnxruntime ({provider}{why})",
+        runtime=f"onnxruntime ({_PRECISIONS[runtime][full_precision]}{why})",
         source=source,
-        compute=partial(_run_for, _LONGEST_RUN_S, ort, session, names)
-        if loops
-        else partial(session.run, names),
+        compute=compute if card is None else card.run,
+        card=card,
     )
+
+
+def runtime_for_batches(runtime: str) -> str:
+    """Return the runtime of a network whose batches differ in size from picture to picture.
+
+    TensorRT would compile for minutes at each new size, so CUDA runs it. On a processor ONNX
+    Runtime is the fastest for small networks.
+
+    Examples
+    --------
+    >>> [runtime_for_batches(asked) for asked in ("tensorrt", "auto", "openvino")]
+    ['cuda', 'onnxruntime', 'openvino']
+    """
+    return {"auto": "onnxruntime", "tensorrt": "cuda"}.get(runtime, runtime)
+
+
+def _card(ort: Any, session: Any, names: list[str]) -> Card:
+    providers = [
+        (p, provider_options(p, full_precision=True))
+        for p in _PROVIDERS["cuda"]
+        if p in ort.get_available_providers()
+    ]
+
+    def open_piece(content: bytes) -> Any:
+        options = ort.SessionOptions()
+        options.log_severity_level = 4
+        return ort.InferenceSession(content, options, providers=providers)
+
+    return Card(session, names, open_piece, ort, _CARD_MEMORY)
 
 
 _LONGEST_RUN_S = (
@@ -457,10 +532,13 @@ def _openvino_network(compiled: Any, metadata: Mapping[str, str], source: str) -
     inputs = tuple(_openvino_info(i) for i in compiled.inputs)
     outputs = tuple(_openvino_info(o) for o in compiled.outputs)
 
+    one_at_a_time = threading.Lock()
+
     def compute(feeds: dict[str, Array]) -> list[Array]:
-        request.infer(feeds, share_inputs=True)
-        # Copy, since the next run overwrites the request's buffers.
-        return [request.get_output_tensor(i).data.copy() for i in range(len(outputs))]
+        with one_at_a_time:
+            request.infer(feeds, share_inputs=True)
+            # Copy, since the next run overwrites the request's buffers.
+            return [request.get_output_tensor(i).data.copy() for i in range(len(outputs))]
 
     return Network(
         inputs=inputs,

@@ -30,7 +30,7 @@ from cucumbervision.perception.resize import (
     prepare_picture,
     rows_needed,
 )
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.runtime import open_network, runtime_for_batches
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from cucumbervision.perception.card import CardArray
 
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -59,6 +61,7 @@ _LEAST_PART = 0.1
 """Least share of the detector's mask for a part to be segmented separately."""
 
 _TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
+_TOGETHER_ON_CARD = 32  # there each call waits for the card once
 
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
@@ -107,11 +110,13 @@ class Sam:
         # twenty changes. In float32 ONNX Runtime is the faster one.
         self._decoder = open_network(
             files["decoder"],
-            "onnxruntime" if runtime == "auto" else runtime,
+            runtime_for_batches(runtime),
             full_precision=True,
             verified=verified,
         )
-        self._encoded: tuple[object, NDArray[np.float32] | None] = (None, None)
+        self._encoded: tuple[object, NDArray[np.float32] | CardArray | None] = (None, None)
+        self._kept = ("embedding",) if self._decoder.card else ()
+        self._together = _TOGETHER_ON_CARD if self._decoder.card else _TOGETHER
 
     @property
     def runtime(self) -> str:
@@ -200,25 +205,26 @@ class Sam:
         height, width = color_rgb.shape[:2]
         embedding = self._encode(color_rgb)
         answered: list[_Answer] = []
-        for start in range(0, len(boxes), _TOGETHER):
-            points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
+        for start in range(0, len(boxes), self._together):
+            points, labels = _prompts(boxes[start : start + self._together], prompt)
             places = points_to_sam(points, height, width)
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
             answered.extend(zip(answer["logits"], answer["ious"], strict=True))
         return answered
 
-    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the picture's embedding; the last one is cached."""
+    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32] | CardArray:
+        """Return the picture's embedding, which stays on a card; the last one is cached."""
         # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
         encoded, embedding = self._encoded
         if encoded != picture or embedding is None:
-            square = prepare_picture(color_rgb)
-            if self._encoder.inputs[0].shape[2] is None:
-                # Padding is 44 % of the square under a picture of 16:9.
-                square = square[:, :, : rows_needed(*color_rgb.shape[:2])]
-            embedding = self._encoder.run({"image": square})["embedding"]
+            fixed_rows = self._encoder.inputs[0].shape[2]
+            # Padding is 44 % of the square under a picture of 16:9.
+            rows = rows_needed(*color_rgb.shape[:2]) if fixed_rows is None else fixed_rows
+            picture_levels = prepare_picture(color_rgb, rows)
+            outputs = self._encoder.run({"image": picture_levels}, self._kept)
+            embedding = outputs["embedding"]
             self._encoded = picture, embedding
         return embedding
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.instances.instance import Instance, mirrored
+from cucumbervision.perception.card import CardArray
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import (
     LARGEST_INPUT_PX,
@@ -457,7 +458,8 @@ class YoloDetector:
         layout = self._layout
         height, width = color_rgb.shape[:2]
         box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
-        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)})
+        kept = [layout.prototypes_name] if layout.prototypes_name else []
+        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)}, kept)
         output = outputs[layout.rows_name][0]
         kind, classes = layout.rows_of(output.shape, (box.input_height, box.input_width))
         rows = (
@@ -467,29 +469,46 @@ class YoloDetector:
                 raw_of(output, kind, classes), classes, confidence, one_to_one=layout.one_to_one
             )
         )
-        prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
+        prototypes = outputs[layout.prototypes_name] if layout.prototypes_name else None
         detections = self._instances(rows[: self._most_fruit], prototypes, box)
         return tuple(replace(detection, input_size_px=max(size_px)) for detection in detections)
 
     def _instances(
-        self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
+        self,
+        rows: NDArray[np.float32],
+        prototypes: NDArray[np.float32] | CardArray | None,
+        box: Letterbox,
     ) -> tuple[Instance, ...]:
         boxes = box.boxes_back(rows[:, :4])
+        grids = self._grids(rows[:, 6:], prototypes)
         instances = []
-        for row, edges in zip(rows, boxes, strict=True):
+        for row, edges, grid in zip(rows, boxes, grids, strict=True):
             if edges[2] <= edges[0] or edges[3] <= edges[1]:
                 continue
             label = int(row[5])
             instance = Instance(
                 box=edges, confidence=float(row[4]), class_name=self.names.get(label, str(label))
             )
-            if prototypes is not None:
-                mask = box.mask_back(prototypes, row[6:], edges)
+            if grid is not None:
+                mask = box.mask_back(*grid, edges)
                 instance = replace(instance, detector_mask=mask if mask.any() else None)
             elif self._layout.keypoints[0] == _KEYPOINTS:
                 instance = replace(instance, keypoints=self._keypoints(row[6:], box))
             instances.append(instance)
         return tuple(instances)
+
+    def _grids(
+        self,
+        coefficients: NDArray[np.float32],
+        prototypes: NDArray[np.float32] | CardArray | None,
+    ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
+        """Return prototypes and their weights for each mask; on a card they are summed already."""
+        if prototypes is None:
+            return [None] * len(coefficients)
+        if not isinstance(prototypes, CardArray):
+            return [(prototypes[0], weights) for weights in coefficients]
+        sums = self._network.mixed(self._layout.prototypes_name, prototypes, coefficients)
+        return [(grid[None], np.ones(1, np.float32)) for grid in sums]
 
     def _keypoints(self, values: NDArray[np.float32], box: Letterbox) -> NDArray[np.float64]:
         points = values.reshape(self._layout.keypoints)

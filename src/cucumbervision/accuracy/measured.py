@@ -107,7 +107,7 @@ def read_measured(path: Path) -> Measured:
             names = [str(capture["name"]) for capture in report["captures"]]
         else:
             table = read_table(path)
-            rows = [_typed(line.cells) for line in table.lines]
+            rows = [_parsed_cells(line.cells) for line in table.lines]
             names = []
             if not {"capture", "fruit", "length_cm"} <= set(table.columns):
                 raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
@@ -133,7 +133,7 @@ def _read_report(path: Path) -> dict[str, Any]:
     return dict(report)
 
 
-def _typed(cells: Mapping[str, str]) -> dict[str, Any]:
+def _parsed_cells(cells: Mapping[str, str]) -> dict[str, Any]:
     numbers = {"fruit", "fill"} | {name for name in cells if name.endswith("_cm")}
     return {k: parse_number(v) if k in numbers else v for k, v in cells.items()}
 

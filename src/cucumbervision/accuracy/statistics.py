@@ -245,8 +245,8 @@ def binomial_interval(hits: int, count: int) -> tuple[float, float]:
 
     Examples
     --------
-    >>> low, high = binomial_interval(90, 100)
-    >>> round(low, 3), round(high, 3)
+    >>> lower, upper = binomial_interval(90, 100)
+    >>> round(lower, 3), round(upper, 3)
     (0.824, 0.951)
     """
     from scipy.stats import binomtest

@@ -275,45 +275,13 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     'undecided (only part of it is seen)'
     """
     length = _length(fruit, profile.length)
-    mass = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
+    mass_g = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
     if length is None:
-        no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
-        name = NOT_MEASURED if fruit.length is None else UNDECIDED
-        reason = "" if fruit.length is None else f"no {profile.length} length"
-        return Grade(
-            verdict=GradeStatus.MISSING,
-            name=name,
-            rules=(),
-            probabilities={},
-            missing=(no_length,),
-            mass_g=mass,
-            possible=profile.outcomes,
-            reason=reason,
-        )
-    limits = profile.acceptance
+        return _without_length(fruit, profile, mass_g)
     length_cm = round(100 * length.value_m, 6)
-    if not limits.min_cm <= length_cm <= limits.max_cm:
-        rule = (
-            f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
-            f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
-        )
-        return Grade(
-            verdict=GradeStatus.REFUSED,
-            name=UNDECIDED,
-            rules=(rule,),
-            probabilities={},
-            mass_g=mass,
-            possible=profile.outcomes,
-            reason="such a length cannot be",
-        )
-    shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
-    weight = _weight(mass, fruit.chord_m, profile)
-    width = _width(fruit.diameter_max_m, profile)
-    if fruit.at_least:  # the hidden part adds mass and length, and perhaps diameter
-        weight, width = _Check(weight.name), _Check(width.name)
-    elif profile.size_rules == "remark":
-        weight, width = weight.as_remark(), width.as_remark()
-    checks = (shape, weight, width)
+    if not profile.acceptance.min_cm <= length_cm <= profile.acceptance.max_cm:
+        return _refused(length_cm, profile, mass_g)
+    checks = shape, weight, width = _checks(fruit, mass_g, profile)
     by_bin = _classes_of_bins(profile, checks)
     range_m = _range_m(fruit, length)
     possible = possible_classes(*range_m, profile.edges_m, by_bin)
@@ -335,10 +303,55 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         shape=shape.name,
         weight_class=weight.name,
         diameter_class=width.name,
-        mass_g=mass,
+        mass_g=mass_g,
         possible=possible,
         reason=_reason(name, profile, range_m, checks),
     )
+
+
+def _without_length(fruit: _Gradable, profile: CropProfile, mass_g: float | None) -> Grade:
+    no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
+    return Grade(
+        verdict=GradeStatus.MISSING,
+        name=NOT_MEASURED if fruit.length is None else UNDECIDED,
+        rules=(),
+        probabilities={},
+        missing=(no_length,),
+        mass_g=mass_g,
+        possible=profile.outcomes,
+        reason="" if fruit.length is None else f"no {profile.length} length",
+    )
+
+
+def _refused(length_cm: float, profile: CropProfile, mass_g: float | None) -> Grade:
+    limits = profile.acceptance
+    rule = (
+        f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
+        f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
+    )
+    return Grade(
+        verdict=GradeStatus.REFUSED,
+        name=UNDECIDED,
+        rules=(rule,),
+        probabilities={},
+        mass_g=mass_g,
+        possible=profile.outcomes,
+        reason="such a length cannot be",
+    )
+
+
+def _checks(
+    fruit: _Gradable, mass_g: float | None, profile: CropProfile
+) -> tuple[_Check, _Check, _Check]:
+    """Return the results of the rules for shape, weight and width."""
+    shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
+    weight = _weight(mass_g, fruit.chord_m, profile)
+    width = _width(fruit.diameter_max_m, profile)
+    if fruit.at_least:  # the hidden part adds mass and length, and perhaps diameter
+        return shape, _Check(weight.name), _Check(width.name)
+    if profile.size_rules == "remark":
+        return shape, weight.as_remark(), width.as_remark()
+    return shape, weight, width
 
 
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"

@@ -55,8 +55,8 @@ def write_frame(capture: Capture, path: Path) -> None:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder) / "a.frame"
     ...     write_frame(Capture(color, depth, camera, "a"), path)
-    ...     back = read_frame(path)
-    >>> back.name, bool((back.depth_m == depth).all())
+    ...     capture_read = read_frame(path)
+    >>> capture_read.name, bool((capture_read.depth_m == depth).all())
     ('a', True)
     """
     depth, unit_m = _coded(capture.depth_m)

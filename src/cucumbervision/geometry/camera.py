@@ -98,8 +98,8 @@ def undistort(
     --------
     >>> c = (0.1, -0.05, 0.001, -0.002, 0.01)
     >>> ray = np.array([0.3]), np.array([-0.2])
-    >>> back = undistort(*distort(*ray, Distortion.BROWN_CONRADY, c), Distortion.BROWN_CONRADY, c)
-    >>> [float(b[0].round(6)) for b in back]
+    >>> distorted = distort(*ray, Distortion.BROWN_CONRADY, c)
+    >>> [float(x[0].round(6)) for x in undistort(*distorted, Distortion.BROWN_CONRADY, c)]
     [0.3, -0.2]
     """
     if model is Distortion.NONE:

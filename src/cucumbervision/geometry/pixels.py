@@ -145,8 +145,8 @@ def depth_across(
     Examples
     --------
     >>> depth = np.array([[0.5, 0.5, 0.9, 0.0, 0.9]])
-    >>> at, right = np.array([[1.5, 0.0]]), np.array([[1.0, 0.0]])
-    >>> depth_across(depth, at, right).tolist(), depth_across(depth, at, -right).tolist()
+    >>> edge, right = np.array([[1.5, 0.0]]), np.array([[1.0, 0.0]])
+    >>> depth_across(depth, edge, right).tolist(), depth_across(depth, edge, -right).tolist()
     ([0.9], [0.5])
     """
     height, width = depth_m.shape

@@ -549,8 +549,8 @@ def profile(
     Examples
     --------
     >>> x = np.linspace(0, 0.2, 201)
-    >>> along, wide = profile(np.stack([x, 0 * x, 0 * x], axis=1), np.full(201, 0.02), 5)
-    >>> along.round(3).tolist(), wide.round(3).tolist()
+    >>> along, widths = profile(np.stack([x, 0 * x, 0 * x], axis=1), np.full(201, 0.02), 5)
+    >>> along.round(3).tolist(), widths.round(3).tolist()
     ([0.0, 0.06, 0.12, 0.18, 0.24], [0.0, 0.04, 0.04, 0.04, 0.0])
     """
     position = arc_positions(centres_m)

@@ -137,9 +137,9 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> ViewsFitting:
     >>> cloud = np.stack([x, 0.02 * np.cos(a), 0.5 - 0.02 * np.sin(a)], axis=1)
     >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)
     >>> none, still = np.empty((0, 3)), np.eye(3)
-    >>> one = Evidence(cloud, np.full(540, 1e-3), none, 1e-3, 1e-3, 1.0, 1.0)
-    >>> off = replace(one, points_m=cloud + [0.0, 0.01, 0.0])
-    >>> views = [SeenFrom(one, still, np.zeros(3)), SeenFrom(off, still, np.zeros(3))]
+    >>> evidence = Evidence(cloud, np.full(540, 1e-3), none, 1e-3, 1e-3, 1.0, 1.0)
+    >>> off = replace(evidence, points_m=cloud + [0.0, 0.01, 0.0])
+    >>> views = [SeenFrom(evidence, still, np.zeros(3)), SeenFrom(off, still, np.zeros(3))]
     >>> fitted = fit_views(views, shape_from_curve(curve, 0.019))
     >>> centres, radii = fitted.body.shape.balls(5)
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()

@@ -242,11 +242,11 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     Examples
     --------
     >>> from cucumbervision.instances.masks import box_of_mask
-    >>> whole, part, separate = (np.zeros((20, 60), bool) for _ in range(3))
-    >>> whole[5:15, 5:45] = part[5:15, 5:25] = separate[5:15, 46:56] = True
+    >>> whole_fruit, part, separate = (np.zeros((20, 60), bool) for _ in range(3))
+    >>> whole_fruit[5:15, 5:45] = part[5:15, 5:25] = separate[5:15, 46:56] = True
     >>> detections = [
     ...     Instance(box_of_mask(m), c, detector_mask=m)
-    ...     for m, c in ((part, 0.8), (whole, 0.6), (separate, 0.7))
+    ...     for m, c in ((part, 0.8), (whole_fruit, 0.6), (separate, 0.7))
     ... ]
     >>> merged = merge_instances(detections)
     >>> [(detection.confidence, detection.box.tolist()) for detection in merged]

@@ -217,9 +217,9 @@ def disjoint_masks(
 
     Examples
     --------
-    >>> left, both = np.zeros((2, 1, 6), bool)
-    >>> left[0, :3] = both[0, :] = True
-    >>> [mask.astype(int).tolist() for mask in disjoint_masks([left, both], [0.5, 0.9])]
+    >>> left_half, whole_fruit = np.zeros((2, 1, 6), bool)
+    >>> left_half[0, :3] = whole_fruit[0, :] = True
+    >>> [mask.astype(int).tolist() for mask in disjoint_masks([left_half, whole_fruit], [0.5, 0.9])]
     [[[1, 1, 1, 0, 0, 0]], [[0, 0, 0, 1, 1, 1]]]
     """
     parted = list(masks)

@@ -221,9 +221,9 @@ def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
     Examples
     --------
     >>> from cucumbervision.instances.end_crops import EndLook
-    >>> true = EndLook(0.98, 0.01, 0.01, (-0.01, -0.005, 0.0, 0.005, 0.02), 0.9)
+    >>> true_end = EndLook(0.98, 0.01, 0.01, (-0.01, -0.005, 0.0, 0.005, 0.02), 0.9)
     >>> covered = EndLook(0.1, 0.9, 0.0, (0.0, 0.1, 0.2, 0.3, 0.5), 0.1)
-    >>> features = look_features((true, covered))
+    >>> features = look_features((true_end, covered))
     >>> features["covered"], round(features["log_missing"], 2), round(features["log_above"], 2)
     (0.9, 0.22, -0.67)
     """

@@ -238,6 +238,16 @@ def _order(
     return [method for _, _, method in sorted(ranked, key=lambda line: line[:2])]
 
 
+def _measured(
+    region: Region, method_of: Mapping[str, str | Method], tube: Measurement | None
+) -> dict[str, Measurement]:
+    """Run the methods, without M6 where its measurement is at hand."""
+    if tube is None or tube.method not in method_of:
+        return run_methods(region, method_of.values())
+    to_run = [method for name, method in method_of.items() if name != tube.method]
+    return run_methods(region, to_run) | {tube.method: tube}
+
+
 @OneThread()
 def measure_fruit(
     capture: Capture,
@@ -310,26 +320,19 @@ def measure_fruit(
         mask=mask,
         keypoints=instance.keypoints,
     )
-    names = {method if isinstance(method, str) else method.name: method for method in methods}
-    tube_readings = {} if tube is None or tube.method not in names else {tube.method: tube}
-    measured = (
-        run_methods(region, [names[name] for name in names if name not in tube_readings])
-        | tube_readings
-    )
+    method_of = {method if isinstance(method, str) else method.name: method for method in methods}
+    measured = _measured(region, method_of, tube)
     if ends is not None:
         instance = with_tubes_ends(instance, measured.get(MethodName.M6), capture, ends)
-    turned = {
-        method: stem_first(measurement, instance, capture)
-        for method, measurement in measured.items()
-    }
-    measurements = {method: measurement for method, (measurement, _) in turned.items()}
+    turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
+    measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(
         measurements,
         points,
         instance.box,
         selector,
-        [method for method in names.values() if not isinstance(method, str)],
+        [method for method in method_of.values() if not isinstance(method, str)],
     )
     sure = instance.end_confidence
     if capture.gravity is not None and chosen is not None and chosen.path_m is not None:
@@ -338,10 +341,10 @@ def measure_fruit(
     if any(measurement.error is not None for measurement in measurements.values()):
         flags.append(Flag.PLUGIN_FAILED)
     distance_m, fill = _depth_of(capture, instance.box, mask)
+    pose = None
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
-    pose = None
-    if chosen is not None:
+    else:
         pose = fruit_pose(
             chosen,
             turned[chosen.method][1],

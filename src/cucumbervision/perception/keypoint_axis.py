@@ -30,7 +30,7 @@ _LEAST_PIXELS = 80
 _LEAST_SLIMNESS = 1.7  # a rounder outline has no reliable axis
 _SAMPLES = 400
 _FADE = 4  # a sixteenth of an end's shift remains in the middle of the fruit
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STALK = 0.45  # of the body's thickness: thinner parts are stalk
 _NEAR = 0.12  # of the length: largest distance between corresponding ends
 
@@ -89,7 +89,7 @@ def _with_placed_keypoints(instance: Instance) -> Instance:
     line[[0, -1]] = np.where(is_close[:, None], tips, tip_points)
     spread = _points_between(body, axis, line[[0, -1]]) if is_close.all() else None
     if spread is None:
-        spread = points_along(line, SHARES)
+        spread = points_along(line, KEYPOINT_SHARES)
     return replace(instance, keypoints=np.column_stack([spread, points[:, 2]]))
 
 
@@ -194,7 +194,7 @@ def _points_between(mask: NDArray[np.bool_], axis: _Axis, ends: Array) -> Array 
     # Near its ends the line may run along the outline.
     if not _inside(mask, line[_SAMPLES // 10 : -_SAMPLES // 10]).all():
         return None
-    return points_along(line, SHARES)
+    return points_along(line, KEYPOINT_SHARES)
 
 
 def _axis(mask: NDArray[np.bool_]) -> _Axis | None:

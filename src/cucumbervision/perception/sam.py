@@ -314,7 +314,7 @@ def accepted(instance: Instance, mask: NDArray[np.bool_], box: NDArray[np.float6
     fault = _mask_fault(mask, box)
     if fault == "mask-off-box" and detector_mask is not None and detector_mask.any():
         in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE
-        fault = "" if in_box and _within(mask, detector_mask) else fault
+        fault = "" if in_box and _runs_along_inside(mask, detector_mask) else fault
     if not fault and not _agrees(mask, detector_mask):
         fault = "mask-off-detector"
     if fault:
@@ -373,10 +373,12 @@ def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 def _agrees(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_] | None) -> bool:
     if detector_mask is None or not detector_mask.any():
         return True
-    return mask_iou(detector_mask, mask) >= _MIN_AGREEMENT or _within(mask, detector_mask)
+    return mask_iou(detector_mask, mask) >= _MIN_AGREEMENT or _runs_along_inside(
+        mask, detector_mask
+    )
 
 
-def _within(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_]) -> bool:
+def _runs_along_inside(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_]) -> bool:
     """Return whether a mask runs along all of the detector's, inside it."""
     inside = np.count_nonzero(mask & detector_mask) >= _MIN_INSIDE * np.count_nonzero(mask)
     box, detector_box = box_of_mask(mask), box_of_mask(detector_mask)

@@ -87,7 +87,7 @@ def find_pictures(
             error = CaptureError("does not exist", source=entry, remedy="check the path")
             items.append(Failure.of(error, str(entry)))
             continue
-        for path, name in _below(entry) if is_folder else [(entry, entry.name)]:
+        for path, name in _files_below(entry) if is_folder else [(entry, entry.name)]:
             resolved = path.resolve()
             if resolved in resolved_paths or (
                 is_folder and apart is not None and apart in resolved.parents
@@ -119,7 +119,7 @@ def read_picture(path: Path, name: str) -> Capture:
     return Capture(color, np.zeros((height, width), np.float32), lens, name, source=str(path))
 
 
-def _below(folder: Path) -> Iterator[tuple[Path, str]]:
+def _files_below(folder: Path) -> Iterator[tuple[Path, str]]:
     for path in sorted(folder.rglob("*")):
         inner = path.relative_to(folder)
         if path.is_file() and not any(part.startswith(".") for part in inner.parts):

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
 
 
@@ -184,8 +185,14 @@ def measure(
                 "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
             )
         captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
-    opener = partial(open_source, readers=tuple(readers))
     inputs = [captures] if isinstance(captures, Capture | Path | str) else captures
+    return _measured(measurer, inputs, partial(open_source, readers=tuple(readers)))
+
+
+def _measured(
+    measurer: Measurer, inputs: Iterable[Capture | Path | str], opener: Opener
+) -> Results:
+    """Measure captures in memory and those below paths."""
 
     def items() -> Iterator[Item]:
         for source in inputs:
@@ -194,17 +201,17 @@ def measure(
             else:
                 yield from list_captures([as_path(source)], measurer.options.reading, opener)
 
-    done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
+    outcomes = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
     results = [
         outcome.value
-        for outcome in done
+        for outcome in outcomes
         if outcome.value is not None and outcome.value.error is None
     ]
     failures = plugin_failures(measurer)
-    failures += [failure for outcome in done for failure in outcome.failures]
-    chosen = measurer.options.instances
-    names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
-    if detector is None:
+    failures += [failure for outcome in outcomes for failure in outcome.failures]
+    if measurer.plug_ins.detector is None:
+        chosen = measurer.options.instances
+        names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
         with Boundary(failures, chosen):
             instance_notes(chosen, names)
     return Results(tuple(results), tuple(failures))

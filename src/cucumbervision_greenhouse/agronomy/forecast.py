@@ -229,12 +229,12 @@ def forecast(
     >>> profile = load_profile("long-cucumber")
     >>> growth = fit_growth([], GrowthPrior.of(profile))
     >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.22, 0.004) for k in range(50)]
-    >>> found = forecast(fruit, growth, profile)
-    >>> found.classes
+    >>> week = forecast(fruit, growth, profile)
+    >>> week.classes
     ('I', 'II', 'too short', 'too long')
-    >>> found.house.expected[0].tolist()  # all are class II today
+    >>> week.house.expected[0].tolist()  # all are class II today
     [0.0, 50.0, 0.0, 0.0]
-    >>> bool(found.house.expected[2, 0] > 40)  # most are class I in two days
+    >>> bool(week.house.expected[2, 0] > 40)  # most are class I in two days
     True
     """
     _check(days, draws, scale_sd, level)

@@ -72,10 +72,10 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
-    >>> at = [("2", 4.0, 0.28), ("2", 9.0, 0.25), ("1", 3.0, 0.27), ("1", 5.0, 0.22)]
-    >>> fruit = [FruitState(f"{row}-{x}", row, x, length, 0.004) for row, x, length in at]
-    >>> found = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)
-    >>> [(pick.fruit.row, pick.fruit.position_m, pick.name) for pick in pick_list(found)]
+    >>> places = [("2", 4.0, 0.28), ("2", 9.0, 0.25), ("1", 3.0, 0.27), ("1", 5.0, 0.22)]
+    >>> fruit = [FruitState(f"{row}-{x}", row, x, length, 0.004) for row, x, length in places]
+    >>> today = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)
+    >>> [(pick.fruit.row, pick.fruit.position_m, pick.name) for pick in pick_list(today)]
     [('1', 3.0, 'I'), ('2', 9.0, 'undecided'), ('2', 4.0, 'I')]
     """
     kinds = [_kind(possible, forecast.pick) for possible in forecast.possible]
@@ -239,8 +239,8 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
     >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.30, 0.004) for k in range(70)]
-    >>> found = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)
-    >>> today = plan_work(found, Rates(fruit_per_hour=350, minutes_per_row=3))[0]
+    >>> week = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)
+    >>> today = plan_work(week, Rates(fruit_per_hour=350, minutes_per_row=3))[0]
     >>> today.fruit.expected, today.hours.expected, today.crates["I"].expected
     (70.0, 0.25, 6.0)
     """

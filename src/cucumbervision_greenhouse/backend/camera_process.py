@@ -147,7 +147,7 @@ class _Watch:
     def __init__(self, folder: CameraFolder) -> None:
         self._folder, self._seen, self._at_s = folder, folder.watched_at(), time.monotonic()
 
-    def is_over(self, unwatched_s: float) -> bool:
+    def is_unwatched(self, unwatched_s: float) -> bool:
         """Return whether there has been no viewer for too long."""
         newest = self._folder.watched_at()
         if newest != self._seen:
@@ -180,7 +180,7 @@ def _stream_once(folder: CameraFolder, watch: _Watch) -> bool:
     state = "live" if config.playback is None else "playing"
     with RealSenseCamera(config) as camera:
         begun_s = time.monotonic()
-        while not watch.is_over(unwatched_s):
+        while not watch.is_unwatched(unwatched_s):
             if folder.config_version() != version:
                 return False
             try:

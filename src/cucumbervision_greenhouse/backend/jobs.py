@@ -63,11 +63,6 @@ class Job:
         return self.future.done()
 
     @property
-    def is_waiting(self) -> bool:
-        """Whether an earlier job keeps it from running."""
-        return not (self.future.done() or self.future.running())
-
-    @property
     def result(self) -> Any:
         """What the work returned."""
         return self.future.result()

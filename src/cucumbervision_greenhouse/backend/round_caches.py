@@ -83,20 +83,20 @@ def _measured_version(round_summary: RoundSummary) -> tuple[object, ...]:
     return (round_summary.key, *counts, mergings()[round_summary.key], crop)
 
 
-_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}
-_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
+_HASH_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}
+_HASH_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
     DetectionSummary: lambda view: (view.key, view.corrected, view.record.box_x1_px),
     JointRecord: lambda joint: joint.key,
 }
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def content_of(round_summary: RoundSummary) -> RoundContent:
     """Return a round's stops and detections; read again only after a change."""
     return read_round(store(), round_summary.key)
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
 def graded_round(round_summary: RoundSummary) -> GradedRound:
     """Return a round's fruit and grades; computed again only after a change."""
     return grade_round(
@@ -104,14 +104,14 @@ def graded_round(round_summary: RoundSummary) -> GradedRound:
     )
 
 
-@st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_HASH_OF_ROUND)
 def class_counts_of(round_summary: RoundSummary) -> Counter[str]:
     """Return how many fruit of each class a round shows, those that were picked since as well."""
     graded = graded_round(round_summary)
     return Counter(graded.grades[view.key].label for view in graded.fruit if not view.doubtful)
 
 
-@st.cache_resource(show_spinner="Comparing …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner="Comparing …", max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def comparison_of(earlier: RoundSummary, later: RoundSummary) -> DayComparison:
     """Return what changed between two rounds of a house; computed again only after a change."""
     between = [
@@ -130,7 +130,7 @@ def comparison_of(earlier: RoundSummary, later: RoundSummary) -> DayComparison:
     )
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
 def fruit_days_of(round_summary: RoundSummary, fruit_key: str) -> list[DetectionSummary]:
     """Return a fruit of a round, or of one before it, on every day, the earliest first."""
     views = {view.key for view in content_of(round_summary).views}
@@ -138,31 +138,33 @@ def fruit_days_of(round_summary: RoundSummary, fruit_key: str) -> list[Detection
     return fruit_days(store(), home, fruit_key)
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
 def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...]]:
     """Return every method's length by the fruit's keys, for rarely opened pages."""
     return store().measurements(round_summary.key)
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def rows_of(round_summary: RoundSummary) -> list[RowCounts]:
     """Return a round's rows with their counts; computed again only after a change."""
     return row_counts(content_of(round_summary))
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def doubts_of(round_summary: RoundSummary) -> list[str]:
     """Return the doubts about the data of a round, each once and with its remedy."""
     return [page_remedy(line) for line in round_doubts(store(), content_of(round_summary).views)]
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def fruit_of(round_summary: RoundSummary) -> list[RoundFruit]:
     """Return a round's fruit with the lengths from all views; computed again after a change."""
     return fruit_table(content_of(round_summary))
 
 
-@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+@st.cache_resource(
+    show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND
+)
 def forecast_of(round_summary: RoundSummary) -> Forecast:
     """Return a round's forecast from today on; computed again only after a change."""
     return forecast_today(
@@ -189,7 +191,7 @@ def today_of(round_summary: RoundSummary) -> Today:
     )
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
 def fruit_detail(round_summary: RoundSummary, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
     """Return one fruit with all its data."""
     return store().detection(fruit_key)
@@ -200,7 +202,7 @@ def _capture_widths(stop_key: str) -> dict[str, int]:
     return {capture.name: capture.width_px for capture in store().stop(stop_key).captures}
 
 
-@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_HASH_OF_FRUIT)
 def thumbnail_of(view: DetectionSummary) -> str | None:
     """Return a fruit's thumbnail as a data URL; None where none was kept."""
     if view.thumbnail is None:
@@ -215,7 +217,7 @@ def joint_of(round_key: str, key: str) -> JointRecord:
     return store().joint_drawing(round_key, key)
 
 
-@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_OF_FRUIT)
+@st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_HASH_OF_FRUIT)
 def cutout_of(view: DetectionSummary, joint: JointRecord | None = None) -> str | None:
     """Return a fruit cut out of its picture as a data URL; None where none was kept.
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 _STATIC = Path(__file__).with_name("static")
-_MEDIA = {"html": "text/html", "js": "text/javascript"}  # of files with texts
+_MEDIA_TYPES = {"html": "text/html", "js": "text/javascript"}  # of files with texts
 _PRESS_S = 4.0  # longest delay of the answer until presses are saved
 _MOST_TOGETHER = 50  # presses in one request
 
@@ -192,11 +192,11 @@ def _file(request: Request, path: Path, headers: dict[str, str]) -> Response:
     """Answer with a file; one with texts has them in the language of its reader."""
     headers = {"cache-control": "no-cache", "vary": "accept-language", **headers}
     kind = path.suffix.removeprefix(".")
-    if kind not in _MEDIA:
+    if kind not in _MEDIA_TYPES:
         return FileResponse(path, headers=headers)
     ask_for(request.headers.get("accept-language"))
     content = page_text(path.read_text(encoding="utf-8"), kind)
-    return Response(content, media_type=_MEDIA[kind], headers=headers)
+    return Response(content, media_type=_MEDIA_TYPES[kind], headers=headers)
 
 
 async def _static(request: Request) -> Response:

@@ -130,43 +130,41 @@ def add(
     from cucumbervision_greenhouse.rounds.placing import Place
     from cucumbervision_greenhouse.rounds.poses import read_poses
 
-    if higher_to not in (None, "left", "right"):
-        raise typer.BadParameter("give right or left", param_hint="--higher-to")
-    sign = {None: None, "right": 1, "left": -1}[higher_to]
-    poses_of = {} if poses is None else read_poses(poses)
     place = Place(
         row=row,
         side=side,
         position_m=position,
         spacing_m=spacing,
         position_sd_m=position_sd,
-        sign=sign,
-        poses=poses_of,
+        sign=_sign(higher_to),
+        poses={} if poses is None else read_poses(poses),
     )
     with (
         opened_round(store, round_) as (opened, round_summary),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as is_cancelled,
     ):
-        task = bar.add_task(
-            "measuring", total=count_captures(captures, options.reading, loop.opener)
-        )
-        options, loop = (
-            with_limits(options, round_summary),
-            replace(loop, is_cancelled=is_cancelled),
-        )
-        step = partial(bar.advance, task)
-        done = add_captures(
+        total = count_captures(captures, options.reading, loop.opener)
+        step = partial(bar.advance, bar.add_task("measuring", total=total))
+        options = with_limits(options, round_summary)
+        loop = replace(loop, is_cancelled=is_cancelled)
+        stops = add_captures(
             opened, round_summary.key, captures, options, place, lambda _: step(), loop
         )
         doubts = round_doubts(opened, opened.detections(round_summary.key))
-    if unused := sorted(poses_of.keys() - {stop.name for stop in done}):
+    if unused := sorted(place.poses.keys() - {stop.name for stop in stops}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
-    exit_status = _show_added(done, interrupted=is_cancelled())
+    exit_status = _show_added(stops, interrupted=is_cancelled())
     for line in doubts:
         screen().print(f"Check the data of this round: {line}", soft_wrap=True, markup=False)
     raise typer.Exit(exit_status)
+
+
+def _sign(higher_to: str | None) -> int | None:
+    if higher_to not in (None, "left", "right"):
+        raise typer.BadParameter("give right or left", param_hint="--higher-to")
+    return {None: None, "right": 1, "left": -1}[higher_to]
 
 
 def with_limits(options: MeasureOptions, round_summary: RoundSummary) -> MeasureOptions:

@@ -162,14 +162,14 @@ def _size_ratio(
     earlier: RowFruit, later: RowFruit, i: Ints, j: Ints, grown_m: float, grown_sd_m: float
 ) -> Floats:
     """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
-    first, second = earlier.length_m[i], later.length_m[j]
-    comparable = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
-    error = np.hypot(first * earlier.length_sd[i], second * later.length_sd[j])
+    earlier_m, later_m = earlier.length_m[i], later.length_m[j]
+    comparable = np.isfinite(earlier_m + later_m) & ~earlier.partial[i] & ~later.partial[j]
+    error = np.hypot(earlier_m * earlier.length_sd[i], later_m * later.length_sd[j])
     sd = np.sqrt(error**2 + grown_sd_m**2 + 0.003**2)
     measured_m = later.length_m[np.isfinite(later.length_m)]
     width = max(float(np.sqrt(12) * measured_m.std()), 0.1) if len(measured_m) else 0.3
-    grown = log_density(second - first - grown_m, sd**2) + np.log(width)
-    return np.asarray(np.where(comparable, np.maximum(grown, -6.0), 0.0), np.float64)
+    same_fruit = log_density(later_m - earlier_m - grown_m, sd**2) + np.log(width)
+    return np.asarray(np.where(comparable, np.maximum(same_fruit, -6.0), 0.0), np.float64)
 
 
 def _hidden_variance(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> Floats:
@@ -299,8 +299,8 @@ def _chances(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Floats
     weight = np.exp(np.clip(ratio, -30.0, 30.0))
     to_row = np.ones(len(weight))
     for _ in range(_BELIEF_STEPS):
-        of_row = weight * to_row
-        to_column = weight / (1.0 + np.bincount(i, of_row, rows)[i] - of_row)
+        row_weight = weight * to_row
+        to_column = weight / (1.0 + np.bincount(i, row_weight, rows)[i] - row_weight)
         to_row = 1.0 / (1.0 + np.bincount(j, to_column, columns)[j] - to_column)
-    of_row = weight * to_row
-    return np.asarray(of_row / (1.0 + np.bincount(i, of_row, rows)[i]), np.float64)
+    row_weight = weight * to_row
+    return np.asarray(row_weight / (1.0 + np.bincount(i, row_weight, rows)[i]), np.float64)

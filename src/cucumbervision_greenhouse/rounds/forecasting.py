@@ -325,8 +325,8 @@ def age_words(days: int) -> str:
         return "of yesterday" if days == 1 else "of today"
     if days < 60:
         return f"{days} days old"
-    many, what = (days // 365, "year") if days >= 365 else (days // 30, "month")
-    return f"{many} {what}{'' if many == 1 else 's'} old"
+    count, unit = (days // 365, "year") if days >= 365 else (days // 30, "month")
+    return f"{count} {unit}{'' if count == 1 else 's'} old"
 
 
 def forecast_today(

@@ -24,6 +24,8 @@ from cucumbervision_greenhouse.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from cucumbervision_greenhouse.rounds.row_views import Bools, Ints
     from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
@@ -244,50 +246,67 @@ def _row(
     placed = [stop for stop in stops if stop.position_m is not None]
     index = {stop.key: k for k, stop in enumerate(placed)}
     poses = {stop.key: stored_pose(cameras[stop.key].pose, stop.side) for stop in stops}
-    placed_views, places = [], []
-    for view in fruit:
-        place = offset_of(view.record, poses[view.stop_key])
-        if view.stop_key in index and place is not None:
-            placed_views.append(view)
-            places.append(place)
-    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
-    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
-    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
-    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
-    side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
-    reach = np.array([_reach(cameras[stop.key].camera) for stop in placed]).reshape(-1, 2)
-    at_stop = np.array([index[view.stop_key] for view in placed_views], np.int64)
-    offset, offset_sd = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    offsets = [(view, offset_of(view.record, poses[view.stop_key])) for view in fruit]
+    places = [
+        (view, place) for view, place in offsets if view.stop_key in index and place is not None
+    ]
+    row_stops = _row_stops(placed, sides, poses, cameras)
+    return StoredRow(
+        name=name,
+        stops=row_stops,
+        views=_row_views(places, index, row_stops.side, cameras),
+        stop_keys=tuple(index),
+        fruit_keys=tuple(view.key for view, _ in places),
+        sides=sides,
+        unplaced=len(fruit) - len(places),
+        accepted=np.array([view.verdict is Verdict.ACCEPTED for view, _ in places], bool),
+        false=content.false,
+    )
+
+
+def _row_stops(
+    stops: Sequence[StopSummary],
+    sides: tuple[str, ...],
+    poses: Mapping[str, NDArray[np.float64]],
+    cameras: Mapping[str, CameraAt],
+) -> RowStops:
+    """Return stops with a position as arrays; a stop's pose gives the camera's height."""
+    at_m, sd_m = np.zeros((len(stops), 3)), np.full((len(stops), 3), _CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in stops]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in stops]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
+    side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
+    reach = np.array([_reach(cameras[stop.key].camera) for stop in stops]).reshape(-1, 2)
+    return RowStops(at_m, sd_m, side, reach)
+
+
+def _row_views(
+    places: Sequence[tuple[DetectionSummary, tuple[NDArray[np.float64], NDArray[np.float64]]]],
+    index: Mapping[str, int],
+    side: Ints,
+    cameras: Mapping[str, CameraAt],
+) -> RowViews:
+    """Return views with their offsets as arrays; `index` and `side` are of the row's stops."""
+    views = [view for view, _ in places]
+    at_stop = np.array([index[view.stop_key] for view in views], np.int64)
+    records = [view.record for view in views]
+    offset, offset_sd = (
+        np.array([place for _, place in places], np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    )
     offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
-    records = [view.record for view in placed_views]
     length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
-    views = RowViews(
+    return RowViews(
         stop=at_stop,
-        capture=np.array([cameras[v.stop_key].captures[v.capture] for v in placed_views], np.int64),
+        capture=np.array([cameras[v.stop_key].captures[v.capture] for v in views], np.int64),
         offset_m=offset,
         offset_sd_m=offset_sd,
         length_m=length[:, 0],
         length_sd=length[:, 1],
         diameter_m=np.array([record.diameter_max_m or np.nan for record in records], np.float64),
-        diameter_sd=np.full(len(placed_views), _DIAMETER_SD),
+        diameter_sd=np.full(len(views), _DIAMETER_SD),
         partial=np.array([record.partial for record in records], bool),
         score=np.array([record.score for record in records], np.float64),
         view_score=np.array([record.view_score for record in records], np.float64),
-    )
-    keys = tuple(view.key for view in placed_views)
-    stops_of_row = RowStops(at_m, sd_m, side, reach)
-    accepted = np.array([view.verdict is Verdict.ACCEPTED for view in placed_views], bool)
-    unplaced = len(fruit) - len(placed_views)
-    return StoredRow(
-        name=name,
-        stops=stops_of_row,
-        views=views,
-        stop_keys=tuple(index),
-        fruit_keys=keys,
-        sides=sides,
-        unplaced=unplaced,
-        accepted=accepted,
-        false=content.false,
     )
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
-_FACING_BACK = frozenset({"right", "r", "b", "2"})
+_SIDES_SEEN_BACKWARDS = frozenset({"right", "r", "b", "2"})
 
 _LARGEST = 64 * 1024 * 1024
 
@@ -132,7 +132,7 @@ def sign_of_side(side: str | None) -> int:
     >>> sign_of_side("left"), sign_of_side("Right"), sign_of_side(None)
     (1, -1, 1)
     """
-    return -1 if (side or "").strip().lower() in _FACING_BACK else 1
+    return -1 if (side or "").strip().lower() in _SIDES_SEEN_BACKWARDS else 1
 
 
 def pose_matrix(
@@ -217,7 +217,7 @@ def offset_of(
     >>> middle = {"centre_x_m": 0.2, "centre_y_m": 0.1, "centre_z_m": 0.7}
     >>> middle |= {"diameter_max_m": 0.04, "hidden_share": 0.5}
     >>> cut = DetectionRecord(1, length=Length(0.3), **middle)
-    >>> [found.round(3).tolist() for found in offset_of(cut, pose_matrix(3.0, -1))]
+    >>> [part.round(3).tolist() for part in offset_of(cut, pose_matrix(3.0, -1))]
     [[-0.2, -0.1, 0.7], [0.005, 0.045, 0.006]]
     """
     middle = (fruit.centre_x_m, fruit.centre_y_m, fruit.centre_z_m)

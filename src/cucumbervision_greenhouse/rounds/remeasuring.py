@@ -86,7 +86,7 @@ def measure_round_again(
                 yield Failure.of(error, key, name)
                 continue
             for capture in stop.captures:
-                load = partial(_as_read, store, capture, stop, options)
+                load = partial(_uncalibrated, store, capture, stop, options)
                 ref = CaptureRef(capture.name, capture.frame or 0, load)
                 yield Listed(key, ref, capture.name)
 
@@ -106,7 +106,7 @@ def measure_round_again(
     return done, failures
 
 
-def _as_read(
+def _uncalibrated(
     store: Store, record: CaptureRecord, stop: StopRecord, options: MeasureOptions
 ) -> Capture:
     """Return a stored capture as it was before a calibration, with the data set's own masks."""
@@ -173,7 +173,7 @@ def measure_stop_again(
             for view in views
             if view.capture == taken.name
         }
-        result, numbers = _with_old(result, before, decided, measurer)
+        result, numbers = _with_decided_fruit(result, before, decided, measurer)
         same |= {key: (taken.name, number) for key, number in numbers.items()}
         for fruit_key in by_hand.keys() & numbers.keys():
             fruit = measurer.measure_instance(
@@ -186,7 +186,7 @@ def measure_stop_again(
     return sum(len(result.fruit) for result in results_with_old)
 
 
-def _with_old(
+def _with_decided_fruit(
     result: CaptureResult,
     before: Mapping[str, DetectionRecord],
     decided: set[str],

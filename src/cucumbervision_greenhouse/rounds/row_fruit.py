@@ -142,8 +142,8 @@ _SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q, and its weight as a number of cap
 _FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of false positives
 _MOST_LEARNT = 500  # views; a house changes
 # With fewer of its chances to show a fruit again come true, a row's pictures are unrelated.
-_LEAST_AGAIN, _CHANCES = 0.25, 10
-_STEPS = 400  # it converges slowly if many fruit are hidden
+_LEAST_SEEN_AGAIN, _CHANCES = 0.25, 10
+_MOST_ITERATIONS = 400  # it converges slowly if many fruit are hidden
 
 
 @dataclass(frozen=True)
@@ -241,10 +241,10 @@ class CountEstimate:
 
         Examples
         --------
-        >>> seen = np.repeat([3, 2, 1], [90, 10, 6])
-        >>> found = estimate_count(seen, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
-        >>> low, high = found.interval()
-        >>> low <= found.expected <= high
+        >>> views = np.repeat([3, 2, 1], [90, 10, 6])
+        >>> count = estimate_count(views, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
+        >>> lower, upper = count.interval()
+        >>> lower <= count.expected <= upper
         True
         """
         z = NormalDist().inv_cdf(0.5 + level / 2)
@@ -299,7 +299,7 @@ def count_fruit(
     score = np.zeros(len(view_counts))
     np.maximum.at(score, merged.cluster, views.score)
     chances = int((capture_counts - 1).sum())
-    if chances >= _CHANCES and (view_counts - 1).sum() < _LEAST_AGAIN * chances:
+    if chances >= _CHANCES and (view_counts - 1).sum() < _LEAST_SEEN_AGAIN * chances:
         return CountEstimate.counted(len(view_counts))
     accepted_fruit = np.zeros(len(view_counts), bool)
     if accepted is not None:
@@ -394,9 +394,9 @@ def estimate_count(
     A hundred fruit that three captures could show, 90 seen by all and 10 by two; and six things
     that were seen once:
 
-    >>> seen = np.repeat([3, 2, 1], [90, 10, 6])
-    >>> found = estimate_count(seen, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
-    >>> round(found.expected), round(float(found.real[-1]), 1)
+    >>> views = np.repeat([3, 2, 1], [90, 10, 6])
+    >>> count = estimate_count(views, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
+    >>> round(count.expected), round(float(count.real[-1]), 1)
     (100, 0.1)
     """
     if not len(view_counts):
@@ -404,7 +404,7 @@ def estimate_count(
     likelier = _score_ratio(score, sure_scores)
     once = (view_counts == 1) if accepted_fruit is None else (view_counts == 1) & ~accepted_fruit
     q, real = _SEEN, np.where(once, 0.5, 1.0)
-    for _ in range(_STEPS):
+    for _ in range(_MOST_ITERATIONS):
         nothing = (1 - q) ** capture_counts
         single = capture_counts * q * (1 - q) ** (capture_counts - 1) / (1 - nothing)
         false_views = (1 - real).sum() + false.share * false.weight

@@ -122,7 +122,7 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
 
 _SIZE_TAIL = 0.1  # share of sizes that are wrong: a hidden end, leaves measured as fruit
 
-_SIZE_REACH = 0.7  # largest error of their logarithm, either way
+_SIZE_ERROR_MAX = 0.7  # largest error of their logarithm, either way
 
 # Of the logarithm: a fruit of which less than 30 % is visible is rarely detected.
 _MOST_HIDDEN = 1.2
@@ -175,7 +175,7 @@ def _size_ratio(
 
     gap = np.log(second) - np.log(first)
     core = np.exp(-0.5 * np.square(gap / sd)) / (np.sqrt(2 * np.pi) * sd)
-    tail = (np.abs(gap) < _SIZE_REACH) / (2 * _SIZE_REACH)
+    tail = (np.abs(gap) < _SIZE_ERROR_MAX) / (2 * _SIZE_ERROR_MAX)
     comparable = np.isfinite(gap)
     both_partial = partial[0] & partial[1]
     # A bound lies below the full size by anything up to `MOST_HIDDEN`.

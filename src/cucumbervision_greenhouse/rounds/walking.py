@@ -121,10 +121,10 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     Examples
     --------
     >>> from cucumbervision.capture.frames import Stop
-    >>> others = [Stop("3", "left", 0.0), Stop("3", "left", 0.5), Stop("3", "right", 1.0)]
-    >>> unless_taken(Stop("3", "left", 0.5), others).position_m
+    >>> earlier_stops = [Stop("3", "left", 0.0), Stop("3", "left", 0.5), Stop("3", "right", 1.0)]
+    >>> unless_taken(Stop("3", "left", 0.5), earlier_stops).position_m
     1.0
-    >>> unless_taken(Stop("3", "left", 0.25), others).position_m
+    >>> unless_taken(Stop("3", "left", 0.25), earlier_stops).position_m
     0.25
     """
     if not stops_at(stop, taken):

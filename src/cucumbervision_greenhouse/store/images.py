@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
 _THUMBNAIL_QUALITY = 80
-_STARTED_S = 5.0  # a file that is younger may not be locked yet
+_UNLOCKED_MAX_AGE_S = 5.0  # a file that is younger may not be locked yet
 
 
 class ImageStore:
@@ -168,7 +168,7 @@ class ImageStore:
         """Remove partial files of killed runs; files that are being written stay."""
         for path in self._half_written.glob("*"):
             with suppress(OSError), path.open("rb") as stream:
-                if time.time() - path.stat().st_mtime > _STARTED_S:
+                if time.time() - path.stat().st_mtime > _UNLOCKED_MAX_AGE_S:
                     fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     path.unlink()
 

@@ -120,10 +120,10 @@ class WaitingCaptures:
     >>> capture = Capture(color, depth, Intrinsics(64, 48, 60, 60, 32, 24), "a", stop=Stop("3"))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     queue = WaitingCaptures(pathlib.Path(folder) / "house.waiting")
-    ...     kept = queue.put(capture, key_of("stop"), key_of("round"), 1_700_000_000.0)
-    ...     [one] = queue.captures()
-    ...     print(one == kept, one.stop.row, one.load().name)
-    ...     queue.done(one)
+    ...     queued = queue.put(capture, key_of("stop"), key_of("round"), 1_700_000_000.0)
+    ...     [waiting] = queue.captures()
+    ...     print(waiting == queued, waiting.stop.row, waiting.load().name)
+    ...     queue.done(waiting)
     ...     queue.captures()
     True 3 a
     []

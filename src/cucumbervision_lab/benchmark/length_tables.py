@@ -58,9 +58,9 @@ def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.D
     --------
     >>> from cucumbervision_lab.benchmark.records import Masks, LengthRecord, readings_frame
     >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22}
-    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
+    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
     ...     1.0, lengths_m=read)
-    >>> frame = readings_frame([one])
+    >>> frame = readings_frame([record])
     >>> comparable_readings(frame, LengthDefinition.THREAD).method.tolist()
     ['M6', 'M1', 'M6 thread']
     >>> scored = comparable_readings(frame, LengthDefinition.CENTRELINE)
@@ -100,7 +100,7 @@ def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:
     return [m for m in methods if m != doubled and not m.startswith("selector")]
 
 
-_ACCURACY = {
+_ACCURACY_HEADINGS = {
     "method": "method",
     "count": "captures",
     "fruit": "fruit",
@@ -148,7 +148,9 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> ReportTab
         f"Errors against the true {truth}. A fruit that a method did not measure counts as 100 % "
         "error. Captures of one fruit resemble each other: use the interval by fruit."
     )
-    return ReportTable.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment)
+    return ReportTable.of_records(
+        f"Accuracy against the {truth}", _ACCURACY_HEADINGS, rows, comment
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,10 +104,10 @@ def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
     --------
     >>> import tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.jsonl"
-    >>> known = 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0
-    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f1", *known)
-    >>> append_record(path, one)
-    >>> read_records([path]) == [one]
+    >>> facts = 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0
+    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f1", *facts)
+    >>> append_record(path, record)
+    >>> read_records([path]) == [record]
     True
     """
     records = []
@@ -153,9 +153,9 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
     Examples
     --------
     >>> read = {"M1": 0.19, "M6": None}
-    >>> known = 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0
-    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f1", *known, lengths_m=read)
-    >>> readings_frame([one])[["case", "method", "length_m", "centreline_m", "thread_m"]]
+    >>> facts = 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0
+    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f1", *facts, lengths_m=read)
+    >>> readings_frame([record])[["case", "method", "length_m", "centreline_m", "thread_m"]]
       case method  length_m  centreline_m  thread_m
     0    a     M1      0.19           0.2       NaN
     1    a     M6       NaN           0.2       NaN

@@ -236,10 +236,10 @@ def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
     >>> from pathlib import Path
     >>> import numpy as np
     >>> from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-    >>> both = tuple(Label(np.array([0.0, 0, 9, 9]), category=k) for k in (0, 1))
-    >>> data = DataSet(Path("x"), (LabelledPicture("a", 64, 48, both),), ("zucchini", "carrot"))
-    >>> kept = keep_classes(data, {"zucchini": "cucumber"})
-    >>> kept.categories, len(kept.pictures[0].labels)
+    >>> labels = tuple(Label(np.array([0.0, 0, 9, 9]), category=k) for k in (0, 1))
+    >>> data = DataSet(Path("x"), (LabelledPicture("a", 64, 48, labels),), ("zucchini", "carrot"))
+    >>> cucumbers = keep_classes(data, {"zucchini": "cucumber"})
+    >>> cucumbers.categories, len(cucumbers.pictures[0].labels)
     (('cucumber',), 1)
     """
     names = dataset.categories

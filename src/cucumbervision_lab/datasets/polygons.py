@@ -13,7 +13,7 @@ import numpy as np
 
 from cucumbervision.geometry.curve import points_along
 from cucumbervision.instances.masks import mask_window
-from cucumbervision.perception.keypoint_axis import SHARES, axis_line
+from cucumbervision.perception.keypoint_axis import KEYPOINT_SHARES, axis_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,8 +92,8 @@ def join_parts(parts: Sequence[Array]) -> Array:
 
     Examples
     --------
-    >>> left = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> join_parts([left, left + (3, 0)]).shape
+    >>> square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> join_parts([square, square + (3, 0)]).shape
     (10, 2)
     """
     from scipy.spatial import cKDTree
@@ -189,5 +189,5 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> Array | None:
     norm = float(np.linalg.norm(line[-1] - line[0]) * np.linalg.norm(DIRECTIONS[stem]))
     if abs(towards) < 0.25 * norm:
         return None
-    points = points_along(line if towards > 0 else line[::-1], SHARES)
+    points = points_along(line if towards > 0 else line[::-1], KEYPOINT_SHARES)
     return np.column_stack([points, np.full(len(points), 2.0)])

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
-_COPY_BITS = 6  # of 63; two photos of the same heap differ by at least 16
+_COPY_MOST_BITS = 6  # of 63; two photos of the same heap differ by at least 16
 
-_COPY_COLOR = 0.3
+_COPY_MOST_COLOR = 0.3
 
 _SCENE_COLOR = 0.42
 
@@ -125,8 +125,8 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     pairs = []
     for i, fingerprint in enumerate(left):
         bits = np.bitwise_count(turned ^ fingerprint.hashes[0]).min(axis=1)
-        for j in np.flatnonzero(bits <= _COPY_BITS).tolist():
-            if float(fingerprint.colors @ right[j].colors) >= 1 - _COPY_COLOR**2:
+        for j in np.flatnonzero(bits <= _COPY_MOST_BITS).tolist():
+            if float(fingerprint.colors @ right[j].colors) >= 1 - _COPY_MOST_COLOR**2:
                 pairs.append((i, j))
     return pairs
 
@@ -228,8 +228,8 @@ def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
     --------
     >>> from pathlib import Path
     >>> from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-    >>> one = LabelledPicture("images/round3_row12_0007.jpg", 64, 48)
-    >>> scenes_by_name(DataSet(Path("x"), (one,)), r"(round\d+_row\d+)").pictures[0].scene
+    >>> picture = LabelledPicture("images/round3_row12_0007.jpg", 64, 48)
+    >>> scenes_by_name(DataSet(Path("x"), (picture,)), r"(round\d+_row\d+)").pictures[0].scene
     'round3_row12'
     """
     try:

@@ -75,8 +75,8 @@ def match_boxes(
 
     Examples
     --------
-    >>> found = [[0, 0, 10, 40], [1, 0, 11, 40], [50, 50, 60, 60], [90, 90, 99, 99]]
-    >>> match_boxes(found, [[0, 0, 10, 40]], ignored=[[40, 40, 70, 70]])
+    >>> boxes = [[0, 0, 10, 40], [1, 0, 11, 40], [50, 50, 60, 60], [90, 90, 99, 99]]
+    >>> match_boxes(boxes, [[0, 0, 10, 40]], ignored=[[40, 40, 70, 70]])
     Matches(pairs=((0, 0),), missed=(), false=(1, 3), neutral=(2,))
     """
     boxes, needed, allowed = _boxes(found), _boxes(required), _boxes(optional)
@@ -337,11 +337,12 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     Examples
     --------
     >>> from cucumbervision_lab.detection.pictures import Frame, DetectedFruit, TrueFruit
-    >>> true = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
-    >>> seen = true[::-1] + (0, 1.0, 0)
+    >>> true_points = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
+    >>> swapped = true_points[::-1] + (0, 1.0, 0)
     >>> box = np.array([10.0, 5, 110, 15])
-    >>> one = DetectedFruit(box, 0.9, None, seen)
-    >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), kept=(one,))
+    >>> detection = DetectedFruit(box, 0.9, None, swapped)
+    >>> truth = (TrueFruit(box, keypoints=true_points),)
+    >>> frame = Frame("a", "a", 200, 50, truth, kept=(detection,))
     >>> row, = end_rows([frame], 0.3)
     >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen
     (100.0, 100.005, True, False)

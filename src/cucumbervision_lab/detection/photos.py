@@ -207,8 +207,8 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     Examples
     --------
     >>> from cucumbervision_lab.detection.pictures import Frame, TrueFruit
-    >>> whole = Frame("a.jpg", "s", 8, 4, (TrueFruit(np.array([-0.5, -0.5, 7.5, 3.5])),))
-    >>> truth, color = half_size(whole, np.zeros((4, 8, 3), np.uint8))
+    >>> frame = Frame("a.jpg", "s", 8, 4, (TrueFruit(np.array([-0.5, -0.5, 7.5, 3.5])),))
+    >>> truth, color = half_size(frame, np.zeros((4, 8, 3), np.uint8))
     >>> truth.true[0].box.tolist()
     [1.5, 0.5, 5.5, 2.5]
     >>> color[:, :, 0].tolist()[1]
@@ -251,10 +251,11 @@ def score_photos(
     >>> import numpy as np
     >>> from cucumbervision_lab.detection.pictures import Frame, DetectedFruit, TrueFruit
     >>> boxes = np.array([[0.0, 0, 50, 10], [0, 20, 50, 30], [0, 40, 50, 50]])
-    >>> true = (TrueFruit(boxes[0]), TrueFruit(boxes[1], optional=True))
-    >>> seen = tuple(DetectedFruit(box, 0.9) for box in boxes)
-    >>> found = score_photos([Frame("a.jpg", "s1", 60, 60, true, kept=seen)], ["board"], 0.3)
-    >>> found.scores[0][1].recall.value, found.scores[0][1].precision.value
+    >>> true_fruit = (TrueFruit(boxes[0]), TrueFruit(boxes[1], optional=True))
+    >>> detections = tuple(DetectedFruit(box, 0.9) for box in boxes)
+    >>> frame = Frame("a.jpg", "s1", 60, 60, true_fruit, kept=detections)
+    >>> result = score_photos([frame], ["board"], 0.3)
+    >>> result.scores[0][1].recall.value, result.scores[0][1].precision.value
     (1.0, 0.5)
     """
     return PhotoResult(

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.run import DetectionResult
 
 _IOU_TYPES = {IouType.BOXES: "boxes", IouType.MASKS: "masks", IouType.KEYPOINTS: "keypoints"}
-_FALSE_SHOWN = 60
+_MOST_FALSE_SHOWN = 60
 _NEAR_M = (0.4, 0.7)
 _LENGTH_COLUMNS = (
     *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
@@ -333,7 +333,7 @@ def _false_table(photos: PhotoResult) -> ReportTable:
     false = sorted((r for r in photos.detections if r.outcome == "false"), key=lambda r: -r.score)
     rows = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
-        for r in false[:_FALSE_SHOWN]
+        for r in false[:_MOST_FALSE_SHOWN]
     ]
     title = f"False detections on real photos ({len(false)})"
     heads = ["photo", "scene", "confidence:.3", "box (px)"]

@@ -324,8 +324,8 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
     >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
     >>> pose_errors(pose, pose.axis_m)["swapped"]
     True
-    >>> found = pose_errors(pose, pose.axis_m[::-1])
-    >>> found["stem_mm"], found["cut_in_90"]
+    >>> errors = pose_errors(pose, pose.axis_m[::-1])
+    >>> errors["stem_mm"], errors["cut_in_90"]
     (0.0, True)
     """
     blossom, stem = axis_m[0], axis_m[-1]

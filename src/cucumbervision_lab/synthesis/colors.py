@@ -242,8 +242,8 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     Examples
     --------
     >>> leaves = np.full((40, 60, 3), (60, 160, 40), np.uint8)
-    >>> seen = d435_colors(leaves, np.random.default_rng(3))
-    >>> bool(np.ptp(seen.mean((0, 1))) < np.ptp(leaves.mean((0, 1))))
+    >>> captured = d435_colors(leaves, np.random.default_rng(3))
+    >>> bool(np.ptp(captured.mean((0, 1))) < np.ptp(leaves.mean((0, 1))))
     True
     """
     lab = cv2.cvtColor(color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)

@@ -38,7 +38,7 @@ _STEM_COLORS = np.array(
     [(90, 105, 70), (70, 90, 50), (120, 150, 80), (150, 170, 110), (160, 165, 150), (200, 200, 190)]
 )
 _BLURS = (0.0, 0.0, 0.5, 0.8, 1.2)  # pixels
-_SHADED, _UNREAD = 0.6, 0.3  # shares of covers with a shadow, and without depth
+_SHADOW_SHARE, _NO_DEPTH_SHARE = 0.6, 0.3  # shares of covers with a shadow, and without depth
 
 
 class CoverKind(StrEnum):
@@ -255,7 +255,7 @@ def _depths(
     kind: CoverKind, surface_m: float, radius_m: float, count: int, rng: np.random.Generator
 ) -> Plane:
     """Return depths of a cover's pixels: near the fruit's surface, well behind it, or none."""
-    if rng.random() < _UNREAD:
+    if rng.random() < _NO_DEPTH_SHARE:
         return np.zeros(count, np.float32)
     behind = kind in (CoverKind.LEAF_BEHIND, CoverKind.STEM_BEYOND)
     off_m = radius_m * (rng.uniform(1.2, 3.5) if behind else min(rng.normal(0, 0.6), 0.9))
@@ -266,7 +266,7 @@ def _depths(
 def _shaded(
     color: NDArray[np.uint8], alpha: Plane, radius_px: float, rng: np.random.Generator
 ) -> Plane:
-    if rng.random() > _SHADED:
+    if rng.random() > _SHADOW_SHARE:
         return color.astype(np.float32)
     shadow = np.clip(_soft(alpha, max(0.35 * radius_px, 1.0)) - alpha, 0, 1)
     return np.asarray(color * (1 - 0.45 * rng.random() * shadow[..., None]), np.float32)

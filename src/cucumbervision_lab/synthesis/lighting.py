@@ -264,15 +264,15 @@ def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
     [[3.14, 3.14, 3.14]]
     """
     rows, columns = environment.shape[:2]
-    up = np.pi * ((np.arange(rows) + 0.5) / rows)
-    round_about = 2 * np.pi * ((np.arange(columns) + 0.5) / columns)
-    polar, azimuth = np.meshgrid(up, round_about, indexing="ij")
-    towards = np.stack(
+    polar_angles = np.pi * ((np.arange(rows) + 0.5) / rows)
+    azimuths = 2 * np.pi * ((np.arange(columns) + 0.5) / columns)
+    polar, azimuth = np.meshgrid(polar_angles, azimuths, indexing="ij")
+    direction = np.stack(
         [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1
     )
-    solid = np.sin(polar) * (np.pi / rows) * (2 * np.pi / columns)
-    weighted = environment.reshape(-1, 3).astype(np.float64) * solid.reshape(-1, 1)
-    return np.asarray(_basis(towards.reshape(-1, 3)).T @ weighted)
+    solid_angle = np.sin(polar) * (np.pi / rows) * (2 * np.pi / columns)
+    weighted = environment.reshape(-1, 3).astype(np.float64) * solid_angle.reshape(-1, 1)
+    return np.asarray(_basis(direction.reshape(-1, 3)).T @ weighted)
 
 
 def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -296,7 +296,7 @@ _STEEPEST_DEG = 55.0
 
 NEAREST_M = 0.24  # minimum distance of bodies from the camera
 
-_EVERY = 8  # every eighth sphere of a body is used for collision tests
+_TESTED_STEP = 8  # every eighth sphere of a body is used for collision tests
 
 _TRIES = 12
 
@@ -401,8 +401,8 @@ def place_lying(
         best = None
         for _ in range(_TRIES if inner_m is None else _TRIES // 3):
             spot, turn = _spot(rng, camera, ground, body, inner_m)
-            flat = body.centres_m[::_EVERY] @ turn.T + np.array([*spot, 0.0])
-            height = _rest(flat, body.radii_m[::_EVERY], lain)
+            flat = body.centres_m[::_TESTED_STEP] @ turn.T + np.array([*spot, 0.0])
+            height = _rest(flat, body.radii_m[::_TESTED_STEP], lain)
             if best is None or height < best[0]:
                 best = height, flat, turn, spot
         if best is None:
@@ -412,7 +412,7 @@ def place_lying(
         in_view = lying.moved(ground.frame.T, ground.point_m)
         if in_view.centres_m[:, 2].min() < NEAREST_M:
             continue
-        lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::_EVERY]))
+        lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::_TESTED_STEP]))
         placed.append(in_view)
         placed_bodies.append(index)
     return placed, placed_bodies

@@ -156,8 +156,8 @@ def _ball_bounds(
     --------
     A sphere on the optical axis has a half angle of asin(r / z):
 
-    >>> low, high = _ball_bounds(np.array([0.0, 0.0, 0.5]), 0.3)
-    >>> high.round(6).tolist()
+    >>> lower, upper = _ball_bounds(np.array([0.0, 0.0, 0.5]), 0.3)
+    >>> upper.round(6).tolist()
     [0.75, 0.75]
     """
     across, z = centre_m[:2], float(centre_m[2])

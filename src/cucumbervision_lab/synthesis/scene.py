@@ -182,8 +182,8 @@ def render(scene: Scene, camera: Intrinsics) -> View:
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> string = Stem(np.array([[0.0, -0.3, 0.45], [0.0, 0.3, 0.45]]), 0.002)
     >>> camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
-    >>> seen = render(Scene((tube,), stems=(string,), planes=(Plane.facing(0.8),)), camera)
-    >>> Kind(seen.kind[120, 160]).name, Kind(seen.kind[120, 180]).name, float(seen.depth_m[0, 0])
+    >>> view = render(Scene((tube,), stems=(string,), planes=(Plane.facing(0.8),)), camera)
+    >>> Kind(view.kind[120, 160]).name, Kind(view.kind[120, 180]).name, float(view.depth_m[0, 0])
     ('STEM', 'FRUIT', 0.8)
     """
     shape = camera.height, camera.width

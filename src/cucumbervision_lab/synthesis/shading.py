@@ -195,7 +195,7 @@ def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> No
     k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
     tangent = along.astype(np.float32)[k]
     lean = np.einsum("ij,ij->i", normal, tangent)
-    from_blossom = run.astype(np.float32)[k] + lean * tube.radii_m.astype(np.float32)[k]
+    from_blossom_m = run.astype(np.float32)[k] + lean * tube.radii_m.astype(np.float32)[k]
     out = tube.outward - (along @ tube.outward)[:, None] * along
     out = (out / np.linalg.norm(out, axis=1)[:, None]).astype(np.float32)
     aside = np.cross(along, out).astype(np.float32)[k]
@@ -205,7 +205,7 @@ def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> No
     ) / np.float32(2 * np.pi)
     rows, columns = maps.albedo.shape[:2]
     x = (angle + np.float32(job.rng.random())) % 1 * columns - np.float32(0.5)
-    y = np.clip(from_blossom / np.float32(length), 0, 1) * (rows - 1)
+    y = np.clip(from_blossom_m / np.float32(length), 0, 1) * (rows - 1)
     layers.albedo[pixels] = sample(maps.albedo, x, y)
     relief = sample(maps.relief, x, y)
     turned = 2 * np.float32(np.pi) * angle[:, None]

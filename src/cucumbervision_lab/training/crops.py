@@ -254,14 +254,14 @@ def train_crops(
         _augment,
         options,
     )
-    _without_prior(network, float(crops.is_fruit[learnt].mean()))
+    _subtract_prior(network, float(crops.is_fruit[learnt].mean()))
     export_classifier(network, out, (CROP_PX, CROP_PX), "crops")
     inner = slice((SURROUND_PX - CROP_PX) // 2, (SURROUND_PX + CROP_PX) // 2)
     log_odds = predict(network, crops.pictures[crops.held_out][:, inner, inner])
     return _result(log_odds, crops, out)
 
 
-def _without_prior(network: Any, share: float) -> None:
+def _subtract_prior(network: Any, share: float) -> None:
     """Leave in a network's logits the evidence alone, without the share of fruit in its training.
 
     How likely a detection is before its crop is looked at, the detector's confidence says.

@@ -79,8 +79,8 @@ def data_card(dataset: DataSet, title: str) -> str:
     Examples
     --------
     >>> from cucumbervision_lab.datasets.labels import LabelledPicture
-    >>> one = LabelledPicture("a.png", 64, 48, source="own house", licence="CC0-1.0")
-    >>> print(data_card(DataSet(Path(), (one, one)), "Set"))
+    >>> picture = LabelledPicture("a.png", 64, 48, source="own house", licence="CC0-1.0")
+    >>> print(data_card(DataSet(Path(), (picture, picture)), "Set"))
     # Set
     <BLANKLINE>
     | source | licence | pictures | with fruit | fruit |

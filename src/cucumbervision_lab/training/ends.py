@@ -31,7 +31,7 @@ COPIES = 3  # augmented copies of each fruit, each with different keypoint noise
 _ALONG_SD, _ASIDE_SD = 0.04, 0.02  # error of a pose network's keypoints, as shares of the length
 _HELD_OUT = 8  # every eighth scene is used for validation, as is the split val
 _SEEN = 2
-_SMOOTH = 0.02
+_LABEL_SMOOTHING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +238,7 @@ def train_ends(
         If the checkpoint cannot be loaded.
     """
     learnt = strips.pictures[~strips.held_out]
-    target = np.full(len(learnt), 1 - _SMOOTH, np.float32)
+    target = np.full(len(learnt), 1 - _LABEL_SMOOTHING, np.float32)
     network = fit_classifier(lambda: make_network(init), learnt, target, _augment, options)
     export_classifier(network, out, STRIP_PX, "ends")
     logits = predict(network, strips.pictures[strips.held_out])

@@ -35,7 +35,7 @@ from cucumbervision_lab.training.train import TrainCallbacks, train
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
-_GAIN, _LOSS = 0.01, 0.02
+_LEAST_F1_GAIN, _MOST_F1_LOSS = 0.01, 0.02
 """Least gain of F1 on the greenhouse, and greatest loss on the other tests."""
 
 _TASK = "seg"
@@ -379,11 +379,14 @@ def verdict(old: Sequence[DetectorScore], new: Sequence[DetectorScore]) -> tuple
     """
     (house_old, *tests_old), (house_new, *tests_new) = old, new
     for before, after in zip(tests_old, tests_new, strict=True):
-        if after.f1 < before.f1 - _LOSS:
+        if after.f1 < before.f1 - _MOST_F1_LOSS:
             return False, f"F1 on {after.test} falls from {before.f1:.3f} to {after.f1:.3f}"
     words = f"from {house_old.f1:.3f} to {house_new.f1:.3f}"
-    if house_new.f1 < house_old.f1 + _GAIN:
-        return False, f"F1 on the house changes {words}, less than the gain of {_GAIN:g} required"
+    if house_new.f1 < house_old.f1 + _LEAST_F1_GAIN:
+        return (
+            False,
+            f"F1 on the house changes {words}, less than the gain of {_LEAST_F1_GAIN:g} required",
+        )
     return True, f"F1 on the house rises {words}, and no other test gets worse"
 
 
@@ -392,8 +395,8 @@ def comparison_table(old: Sequence[DetectorScore], new: Sequence[DetectorScore])
 
     Examples
     --------
-    >>> one = DetectorScore("drawn", 0.9, 0.8, 50, 40)
-    >>> print(comparison_table([one], [one]).splitlines()[-1])
+    >>> score = DetectorScore("drawn", 0.9, 0.8, 50, 40)
+    >>> print(comparison_table([score], [score]).splitlines()[-1])
     | drawn | 50 | 0.90 | 0.90 | 0.80 | 0.80 |
     """
     lines = [

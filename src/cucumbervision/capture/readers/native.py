@@ -256,8 +256,8 @@ def write_native(
     >>> color, camera = np.zeros((48, 64, 3), np.uint8), Intrinsics(64, 48, 60, 60, 32, 24)
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     path = write_native(Capture(color, depth, camera, "a"), pathlib.Path(tmp) / "a")
-    ...     back = next(iter(open_source(path.parent))).load()
-    >>> back.name, bool((back.depth_m == depth).all())
+    ...     capture_read = next(iter(open_source(path.parent))).load()
+    >>> capture_read.name, bool((capture_read.depth_m == depth).all())
     ('a', True)
     """
     if (folder / MANIFEST).exists():

@@ -12,7 +12,8 @@ def test_jobs_run_one_after_the_other_in_their_order() -> None:
     with JobQueue() as worker:
         first = worker.submit("first", lambda job: done.append(1) if go.wait(300) else None)
         second = worker.submit("second", lambda job: done.append(2))
-        assert not second.future.running() and not second.finished
+        assert not second.future.running()
+        assert not second.finished
         assert worker.unfinished() == [first, second]
         go.set()
         assert second.wait(300)

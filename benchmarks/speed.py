@@ -60,9 +60,10 @@ from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
 from cucumbervision.pipeline.folder import OutputFolder
 from cucumbervision.pipeline.inputs import Listed, list_captures
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
+from cucumbervision.streaming import stream as streaming
 from cucumbervision.streaming.sources import in_order
 from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_greenhouse.rounds.adding import add_captures
@@ -296,7 +297,32 @@ def processor(quick: bool) -> list[Figure]:
         tasks = [partial(worker, Task(**vars(one))) for one in listed]
         of_capture = stage_ms(clock, tasks, rounds)
     of_frame = stage_ms(clock, [partial(stream.take, frame) for frame in frames], rounds)
-    return by_stage("measure", of_capture) + by_stage("stream --fast", of_frame)
+    stages = by_stage("measure", of_capture) + by_stage("stream --fast", of_frame)
+    return stages + overlap_gains(stream, frames, rounds)
+
+
+def overlap_gains(stream: FruitStream, captures: Sequence[Capture], rounds: int) -> list[Figure]:
+    """Compare frames that are searched while one is measured with frames in turn, by the clock."""
+    pairs: dict[int, list[tuple[float, float]]] = {
+        fewest_cores: [] for fewest_cores in (1, sys.maxsize)
+    }
+    for _ in range(rounds):
+        for fewest_cores, turns in pairs.items():
+            streaming._FEWEST_CORES = fewest_cores
+            turns.append(overlapped(stream, captures, 3))
+    (rates, lags_s), (rates_alone, lags_alone_s) = (zip(*t, strict=True) for t in pairs.values())
+    return [
+        Figure(
+            "stream --fast: frames a second, searched ahead, times in turn",
+            median(rates) / median(rates_alone),
+            "x",
+        ),
+        Figure(
+            "stream --fast: from a frame to its line, searched ahead, times in turn",
+            median(lags_s) / median(lags_alone_s),
+            "x",
+        ),
+    ]
 
 
 _START = """
@@ -667,9 +693,11 @@ def card_figures(options: MeasureOptions, quick: bool) -> list[Figure]:
         fruit = sum(len(stream.take(capture).fruit) for capture in captures) / len(captures)
         label = f"stream, {name}"
         frame_ms = sum(stages_ms.values())
+        rate, lag_s = overlapped(stream, captures, rounds)
         figures += [
             Figure(f"{label}, {fruit:.1f} fruit a frame", 1e3 / frame_ms, "frames/s", aims[name]),
-            Figure(f"{label}, stages overlapped", overlapped(stream, captures, rounds), "frames/s"),
+            Figure(f"{label}, searched ahead", rate, "frames/s"),
+            Figure(f"{label}, from a frame to its line", 1e3 * lag_s, "ms"),
             *(
                 Figure(f"{label}: {stage}, alone {1e3 / ms:.0f} frames/s", ms, "ms")
                 for stage, ms in sorted(stages_ms.items(), key=lambda pair: -pair[1])
@@ -696,10 +724,19 @@ def by_turn_ms(
     return {stage: median(turn[stage] for turn in turns) for stage in turns[0]}
 
 
-def overlapped(stream: FruitStream, captures: Sequence[Capture], rounds: int) -> float:
-    """Return frames a second of a whole stream, as the command runs it."""
-    times_s = [time.perf_counter() for _ in stream.follow(in_order(rounds * list(captures)))]
-    return (len(times_s) - len(captures)) / (times_s[-1] - times_s[len(captures) - 1])
+def overlapped(
+    stream: FruitStream, captures: Sequence[Capture], rounds: int
+) -> tuple[float, float]:
+    """Return frames a second of a whole stream, as the command runs it, and the median latency."""
+    times_s, latencies_s = [], []
+    for frame in stream.follow(in_order(rounds * list(captures))):
+        if isinstance(frame, Failure):
+            raise SystemExit(frame.message)
+        times_s.append(time.perf_counter())
+        latencies_s.append(frame.latency_s)
+    count = len(captures)
+    rate = (len(times_s) - count) / (times_s[-1] - times_s[count - 1])
+    return rate, median(latencies_s[count:])
 
 
 def lengths_beside_the_processors(measurer: Measurer, captures: Sequence[Capture]) -> list[Figure]:

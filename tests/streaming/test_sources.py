@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CameraError
-from cucumbervision.streaming.sources import newest_first, paced
+from cucumbervision.streaming.sources import ahead, newest_first, paced
 
 
 class Camera:
@@ -70,6 +70,68 @@ def test_a_stream_that_is_left_lets_its_camera_go() -> None:
     stream.close()  # type: ignore[attr-defined]
     camera.go.release()  # the next frame finds nobody
     assert camera.gone.acquire(timeout=30)
+
+
+def test_one_result_at_most_waits_and_its_successor_is_not_begun() -> None:
+    begun: list[int] = []
+    third = threading.Event()
+
+    def work(number: int) -> int:
+        begun.append(number)
+        if number == 3:
+            third.set()
+        return 10 * number
+
+    results = ahead(iter(range(1, 9)), work)
+    assert next(results) == 10
+    assert next(results) == 20  # taken: the third is begun, and the fourth is not
+    assert third.wait(timeout=30)
+    assert begun == [1, 2, 3]
+    assert list(results) == [30, 40, 50, 60, 70, 80]
+
+
+def test_a_failing_source_or_function_ends_after_the_last_result() -> None:
+    def source() -> Iterator[int]:
+        yield from (1, 2)
+        raise CameraError("unplugged")
+
+    results = ahead(source(), str)
+    assert [next(results), next(results)] == ["1", "2"]
+    with pytest.raises(CameraError, match="unplugged"):
+        next(results)
+    quotients = ahead([1, 0, 2], lambda number: 1 // number)
+    assert next(quotients) == 1
+    with pytest.raises(ZeroDivisionError):
+        next(quotients)
+
+
+def test_who_leaves_waits_for_work_and_not_for_a_silent_source() -> None:
+    camera = Camera()
+    working, go_on, ended = (threading.Event() for _ in range(3))
+
+    def work(number: int) -> int:
+        if number:
+            working.set()
+            assert go_on.wait(timeout=30)
+            ended.set()
+        return number
+
+    results = ahead(camera.frames(), work)
+    camera.go.release()
+    assert next(results) == 0
+    camera.go.release()
+    assert working.wait(timeout=30)
+    threading.Timer(0.2, go_on.set).start()
+    results.close()  # type: ignore[attr-defined]
+    assert ended.is_set()
+    assert camera.gone.acquire(timeout=30)
+    silent = Camera()
+    words = ahead(silent.frames(), str)
+    silent.go.release()
+    assert next(words) == "0"
+    words.close()  # type: ignore[attr-defined]
+    silent.go.release()  # the next frame finds nobody
+    assert silent.gone.acquire(timeout=30)
 
 
 def test_a_recording_keeps_the_pace_of_its_camera() -> None:

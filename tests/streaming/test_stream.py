@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +19,10 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CameraError
+from cucumbervision.errors import CameraError, CaptureError
 from cucumbervision.measurement.result import Choice
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.pipeline.measurer import DetectedCapture, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.sources import open_stream, stream_camera
 from cucumbervision.streaming.stream import (
@@ -175,6 +176,54 @@ def test_a_length_that_contradicts_is_another_fruits(walk: list[Capture]) -> Non
     assert new.length.value_m < 0.8 * first.fruit[0].length.value_m
     again = stream.take(replace(walk[2], masks=walk[2].masks[1:]))
     assert [one.track for one in again.fruit] == [2, 3]
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_frames_searched_ahead_give_the_lines_of_frames_in_turn(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Order, tracks and lengths are the same; only another thread searches."""
+    monkeypatch.setattr("cucumbervision.streaming.stream.cores", lambda: count)
+    (folder / "walk_2" / "depth_000000.png").write_bytes(b"\x89PNG no more")
+    stream, threads = by_masks(fits=1), set()
+    detect = stream.measurer.detect
+
+    def watched(capture: Capture) -> DetectedCapture:
+        threads.add(threading.current_thread().name)
+        return detect(capture)
+
+    monkeypatch.setattr(stream.measurer, "detect", watched)
+    frames = list(stream.follow(open_stream(folder)))
+    assert threads == ({"ahead"} if count == 8 else {"MainThread"})
+    alone = by_masks(fits=1)
+    lines = [
+        frame.message if isinstance(frame, Failure) else frame.as_json() | {"latency_s": 0}
+        for frame in frames
+    ]
+    captures = [arrival.item for arrival in open_stream(folder)]
+    assert lines == [
+        item.message if isinstance(item, Failure) else alone.take(item).as_json() | {"latency_s": 0}
+        for item in captures
+    ]
+
+
+def test_a_fault_in_searching_is_a_failure_of_its_frame(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cucumbervision.streaming.stream.cores", lambda: 8)
+    stream = by_masks()
+    detect = stream.measurer.detect
+
+    def faulty(capture: Capture) -> DetectedCapture:
+        if capture.name == "walk_1":
+            raise CaptureError("no light")
+        return detect(capture)
+
+    monkeypatch.setattr(stream.measurer, "detect", faulty)
+    given = list(stream.follow(open_stream(folder)))
+    assert [type(one) for one in given] == [StreamedFrame, Failure, StreamedFrame, StreamedFrame]
+    assert isinstance(given[1], Failure)
+    assert (given[1].capture, given[1].error) == ("walk_1", "CaptureError")
 
 
 def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:

@@ -35,7 +35,8 @@ from cucumbervision.perception.card import (
 )
 from cucumbervision.perception.onnx_file import external_files, has_loop
 
-RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
+CARD_RUNTIMES = ("cuda", "tensorrt")
+RUNTIMES = ("auto", "onnxruntime", "openvino", *CARD_RUNTIMES)
 
 Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 

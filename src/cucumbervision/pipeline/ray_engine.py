@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.perception.runtime import limit_threads
+from cucumbervision.perception.runtime import CARD_RUNTIMES, limit_threads
 from cucumbervision.pipeline.batch import Outcome, outcome_of_killed, portable
 from cucumbervision.pipeline.measurer import Failure
 
@@ -111,7 +111,7 @@ class RayEngine:
             {"number": number, "item": pickle.dumps(portable(entry))}
             for number, entry in enumerate(listed)
         ]
-        on_gpus = worker.measurer.options.runtime in ("cuda", "tensorrt")
+        on_gpus = worker.measurer.options.runtime in CARD_RUNTIMES
         dataset = ray.data.from_items(items, override_num_blocks=len(items))
         dataset = dataset.map(_Reading(worker), num_cpus=_READING, max_retries=_TRIES - 1)
         return dataset.map(

@@ -1,4 +1,4 @@
-"""The sources of a stream: a camera, a recording played as a camera, a folder.
+"""The sources of a stream: a camera, a recording played as a camera, a folder; reading ahead.
 
 A camera does not wait: a thread takes every frame, and a slow consumer gets the newest one.
 """
@@ -27,6 +27,7 @@ _CAMERA = "camera"
 _LONGEST_WAIT_S = 2.0  # between two frames: a recording may have been paused
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,93 @@ def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
             yield arrival
     finally:
         inbox.close()
+
+
+def ahead(items: Iterable[T], work: Callable[[T], U]) -> Iterator[U]:
+    """Yield a function's results in order, computed in a thread while the last one is used.
+
+    One result at most waits: the next item is requested when it is taken, so that a camera's frame
+    is not old before it is looked at.
+
+    Parameters
+    ----------
+    items : iterable
+        What the function gets. An exception of it is raised here, after the last result.
+    work : callable
+        The function. If the iterator is closed, it ends what it has begun.
+
+    Examples
+    --------
+    >>> list(ahead("abc", str.upper))
+    ['A', 'B', 'C']
+    """
+    line = _Line(work)
+    threading.Thread(target=line.fill, args=(items,), name="ahead", daemon=True).start()
+    try:
+        while (result := line.take()) is not None:
+            yield result[0]
+    finally:
+        line.close()
+
+
+class _Line(Generic[T, U]):
+    """Holds one result until it is taken."""
+
+    def __init__(self, work: Callable[[T], U]) -> None:
+        self._work = work
+        self._changed = threading.Condition()
+        self._results: list[U] = []
+        self._error: BaseException | None = None
+        self._ended = self._closed = self._busy = False
+
+    def fill(self, items: Iterable[T]) -> None:
+        try:
+            for item in items:
+                if not self._begin() or not self._finish(self._work(item)):
+                    break
+        except BaseException as error:
+            # Raised in the consumer's thread.
+            self._error = error
+        finally:
+            close = getattr(items, "close", None)
+            if close is not None:
+                close()
+            with self._changed:
+                self._ended, self._busy = True, False
+                self._changed.notify_all()
+
+    def _begin(self) -> bool:
+        with self._changed:
+            self._busy = not self._closed
+            return self._busy
+
+    def _finish(self, result: U) -> bool:
+        with self._changed:
+            self._results.append(result)
+            self._busy = False
+            self._changed.notify_all()
+            while self._results and not self._closed:
+                self._changed.wait()
+            return not self._closed
+
+    def take(self) -> tuple[U] | None:
+        with self._changed:
+            while not self._results and not self._ended:
+                self._changed.wait()
+            self._changed.notify_all()
+            if self._results:
+                return (self._results.pop(),)
+            if self._error is not None:
+                raise self._error
+            return None
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+            # A runtime that is computing must not meet the end of the process.
+            while self._busy:
+                self._changed.wait()
 
 
 class _Inbox(Generic[T]):
@@ -222,10 +310,10 @@ def open_stream(
     path, reading = Path(source), replace(reading or ReadOptions(), burst=1)
     if follow:
         return stream_camera(lambda: FolderCamera(path, reading), retries, every_frame=every_frame)
-    if path.suffix.lower() not in RECORDING_SUFFIXES:
-        return in_order(read_captures([path], reading))
     frames = read_captures([path], reading)
-    return in_order(frames) if every_frame else newest_first(paced(frames))
+    if path.suffix.lower() in RECORDING_SUFFIXES and not every_frame:
+        return newest_first(paced(frames))
+    return in_order(ahead(frames, lambda frame: frame))
 
 
 def stream_camera(

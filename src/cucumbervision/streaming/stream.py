@@ -16,9 +16,12 @@ from cucumbervision.capture.motion import moved_px
 from cucumbervision.measurement.flags import is_lower_bound
 from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.measurement.result import Choice, MethodName
+from cucumbervision.perception.runtime import CARD_RUNTIMES
+from cucumbervision.pipeline.batch import cores
 from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.streaming.sources import ahead
 from cucumbervision.streaming.tracks import Sighting, Tracker, TrackLength, same_place, sighting_of
 
 if TYPE_CHECKING:
@@ -29,12 +32,13 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement, Length
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.pipeline.measurer import CaptureResult, DetectedCapture
     from cucumbervision.streaming.sources import Arrival
 
 _FAST_SIZE_PX = 640
 _FAST_FITS = 1
 _LONGEST_GAP_S = 1.0
+_FEWEST_CORES = 4  # for searching and measuring at once
 _AGAIN_AFTER = 10  # frames before a fruit is measured again from the same place
 
 
@@ -242,6 +246,10 @@ class FruitStream:
     ) -> Iterator[StreamedFrame | Failure]:
         """Yield the result of each frame.
 
+        Where the networks run on a card, and with four cores or more, the next frame is searched
+        while a frame is measured. Two cores are the networks' own: every frame would come later,
+        and no more of them.
+
         Parameters
         ----------
         arrivals : iterable of Arrival
@@ -254,17 +262,31 @@ class FruitStream:
         """
         # Before the first frame, so that none is dropped while networks load.
         self.measurer.warm_up()
-        for arrival in arrivals:
-            item = arrival.item
-            if isinstance(item, Failure):
-                yield item
+        overlapped = cores() >= _FEWEST_CORES or self.measurer.options.runtime in CARD_RUNTIMES
+        searched = ahead(arrivals, self._detected) if overlapped else map(self._detected, arrivals)
+        for arrival, detected in searched:
+            if isinstance(detected, Failure):
+                yield detected
                 continue
+            capture = detected.capture
             try:
-                frame = self.take(item, dropped=arrival.dropped, received_s=arrival.received_s)
+                frame = self._measured(detected, arrival.received_s, arrival.dropped)
             except Exception as error:
-                yield Failure.of(error, item.source, item.name)
+                yield Failure.of(error, capture.source, capture.name)
                 continue
             yield frame
+
+    def _detected(
+        self, arrival: Arrival[Capture | Failure]
+    ) -> tuple[Arrival[Capture | Failure], DetectedCapture | Failure]:
+        """Search an arrival; in another thread than the one that measures the frame before it."""
+        item = arrival.item
+        if isinstance(item, Failure):
+            return arrival, item
+        try:
+            return arrival, self.measurer.detect(item)
+        except Exception as error:
+            return arrival, Failure.of(error, item.source, item.name)
 
     def take(
         self,
@@ -294,13 +316,23 @@ class FruitStream:
             As `Measurer.measure`.
         """
         received_s = time.monotonic() if received_s is None else received_s
+        return self._measured(self.measurer.detect(capture), received_s, dropped, at_s)
+
+    def _measured(
+        self,
+        detected: DetectedCapture,
+        received_s: float,
+        dropped: int,
+        at_s: float | None = None,
+    ) -> StreamedFrame:
+        """Track and measure the fruit of a frame; frames come in order."""
+        capture = detected.capture
         if at_s is None:
             at_s = capture.timestamp_s
         if at_s is None:
             at_s = self._own_time(received_s)
         if self._is_elsewhere(capture):
             self._tracker.forget()
-        detected = self.measurer.detect(capture)
         instances = detected.detections.instances
         sightings = [sighting_of(detected.capture, instance) for instance in instances]
         numbers = self._tracker.assign(sightings, detected.capture.intrinsics, at_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -82,6 +83,35 @@ def test_a_capture_that_stays_broken_is_reported_once(capture: Capture, tmp_path
             camera.capture_burst()
         with pytest.raises(CameraError, match="no capture has appeared for 20 s"):
             camera.capture_burst()
+
+
+def test_a_folder_is_remembered_no_longer_than_its_captures(
+    capture: Capture, tmp_path: Path
+) -> None:
+    with FolderCamera(tmp_path) as camera:
+        write_native(replace(capture, name="kept"), tmp_path / "kept")
+        camera.capture_burst()
+        for number in range(12):
+            for name in (f"c{number}", "again"):
+                write_native(replace(capture, name=name, frame=number), tmp_path / name)
+                taken = camera.capture_burst()
+                assert (taken.name, taken.frame) == (name, number)
+            shutil.rmtree(tmp_path / f"c{number}")
+            shutil.rmtree(tmp_path / "again")
+        (tmp_path / "half").mkdir()
+        (tmp_path / "half" / "capture.json").write_text("{")
+        with pytest.raises(CameraError):
+            impatient(camera)
+        shutil.rmtree(tmp_path / "half")
+        write_native(capture, tmp_path / "last")
+        camera.capture_burst()
+        remembered = [len(part) for part in vars(camera).values() if isinstance(part, set | dict)]
+    assert max(remembered) == 2
+
+
+def impatient(camera: FolderCamera) -> None:
+    camera._timeout_s = 0.0
+    camera.capture_burst()
 
 
 def test_a_folder_that_is_not_there_is_no_camera(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import PluginError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import MethodName
+from cucumbervision.measurement.result import FruitMeasurement, MethodName
 from cucumbervision.measurement.trait_values import TableTrait
 from cucumbervision.pipeline.measurer import CaptureResult, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -72,6 +73,17 @@ def test_a_trait_that_writes_into_the_picture_changes_nothing(capture: Capture) 
     assert [row["length_cm"] for row in result.rows()] == [row["length_cm"] for row in plain.rows()]
 
 
+def test_a_trait_that_writes_into_the_fruit_changes_nothing(capture: Capture) -> None:
+    def empty(_capture: object, fruit: FruitMeasurement) -> float:
+        assert fruit.mask is not None
+        fruit.mask[:] = False
+        return 1.0
+
+    result = measured(capture, TableTrait("x", "", "says", of_another_package(empty)))
+    assert "read-only" in result.failures[0].message
+    assert all(fruit.mask is not None and fruit.mask.any() for fruit in result.fruit)
+
+
 @pytest.mark.parametrize("name", ["length_cm", "capture", "m1_cm", "skin_yellow_share"])
 def test_a_column_that_is_taken_is_said(name: str, capture: Capture) -> None:
     trait = TableTrait(name, "", "says", giving(7.0))
@@ -119,3 +131,82 @@ def test_a_detector_that_ends_the_program_or_writes_into_it_is_named(capture: Ca
         plug_ins = PlugIns(detector=of_another_package(detector))
         with pytest.raises(PluginError, match=words):
             Measurer(MeasureOptions(segmenter="none"), plug_ins=plug_ins).measure(capture)
+
+
+def detected(capture: Capture, detector: Callable[..., Any], segmenter: Any = None) -> Any:
+    plug_ins = PlugIns(detector=of_another_package(detector), segmenter=segmenter)
+    return Measurer(OPTIONS, plug_ins=plug_ins).measure(capture)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"keypoints": np.ones((4, 3))}, "keypoints"),
+        ({"keypoints": np.full((5, 3), 1e300)}, "keypoints"),
+        ({"mask": np.zeros((480, 848), bool)}, "no pixel"),
+        ({"confidence": np.nan}, "confidence"),
+    ],
+)
+def test_a_fruit_that_is_none_is_left_out_and_the_others_stay(
+    changes: dict[str, Any], words: str, capture: Capture
+) -> None:
+    whole = [Instance.of_mask(mask) for mask in capture.masks]
+    result = detected(capture, giving([replace(whole[0], **changes), whole[1]]))
+    assert len(result.fruit) == 1
+    assert words in result.failures[0].message
+
+
+@pytest.mark.parametrize(
+    "changes", [{"box": "here"}, {"confidence": None}, {"confidence": np.ones(2)}]
+)
+def test_an_instance_of_no_numbers_names_its_detector(
+    changes: dict[str, Any], capture: Capture
+) -> None:
+    broken = replace(Instance.of_mask(capture.masks[0]), **changes)
+    with pytest.raises(PluginError, match="another_package"):
+        detected(capture, giving([broken]))
+
+
+def test_a_detector_may_draw_every_mask_into_one_array(capture: Capture) -> None:
+    buffer = np.zeros_like(capture.masks[0])
+
+    def detect(capture: Capture) -> Iterator[Instance]:
+        for mask in capture.masks:
+            buffer[:] = mask
+            yield replace(Instance.of_mask(mask), mask=buffer)
+
+    lengths = [fruit.length for fruit in detected(capture, detect).fruit]
+    assert lengths == [fruit.length for fruit in measured(capture).fruit]
+
+
+class Drawing:
+    """A segmenter that answers with the same for every fruit."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.changes = changes
+
+    def segment(self, _color: Any, instances: Sequence[Instance]) -> list[Instance]:
+        return [replace(instance, **self.changes) for instance in instances]
+
+
+Drawing.__module__ = "another_package"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"mask": None, "mask_failure": "too dark"}, {"mask": np.zeros((480, 848), bool)}],
+    ids=["words of its own", "empty"],
+)
+def test_a_segmenter_without_a_mask_is_a_flag(changes: dict[str, Any], capture: Capture) -> None:
+    boxes = [replace(Instance.of_mask(mask), mask=None) for mask in capture.masks]
+    result = detected(capture, giving(boxes), Drawing(**changes))
+    assert [fruit.mask for fruit in result.fruit] == [None, None]
+    assert all(Flag.SAM_MASK_EMPTY in fruit.flags for fruit in result.fruit)
+
+
+def test_probabilities_are_no_mask(capture: Capture) -> None:
+    boxes = [replace(Instance.of_mask(mask), mask=None) for mask in capture.masks]
+    probabilities = np.linspace(0.1, 0.9, 480 * 848).reshape(480, 848)
+    result = detected(capture, giving(boxes), Drawing(mask=probabilities))
+    assert [fruit.mask for fruit in result.fruit] == [None, None]
+    assert "not one" in result.failures[0].message

@@ -11,7 +11,7 @@ from cucumbervision.capture.source import unique_name
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Mapping
+    from collections.abc import Callable, Generator, Mapping
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture, Stop
@@ -99,7 +99,8 @@ class FolderCamera:
     """A camera that reads captures which another program writes to a folder.
 
     Captures that exist when it is opened are skipped unless `old` is set. A capture is returned as
-    soon as it can be read completely, or reported as an error after `settle_s`.
+    soon as it can be read completely, or reported as an error after `settle_s`. What leaves the
+    folder is forgotten: another capture may come under its name.
 
     Parameters
     ----------
@@ -139,14 +140,13 @@ class FolderCamera:
         self._folder, self._options, self._old = folder, options or ReadOptions(), old
         self._timeout_s, self._settle_s = timeout_s, settle_s
         self._clock, self._sleep = clock, sleep
-        self._taken: set[str] = set()
-        self._names: set[str] = set()
+        self._taken: dict[str, str] = {}  # by the name in the folder, as what it was given
         self._since_s: dict[str, float] = {}
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
             raise CameraError("there is no such folder", source=self._folder, remedy="make it")
-        self._taken = set() if self._old else {ref.name for ref in self._refs()}
+        self._taken = {} if self._old else {ref.name: ref.name.casefold() for ref in self._refs()}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -170,7 +170,9 @@ class FolderCamera:
                 if capture is None:
                     continue
                 changes: dict[str, Any] = {"stop": stop} if stop is not None else {}
-                capture_name = unique_name(name or capture.name, self._names)
+                given = {other for at, other in self._taken.items() if at != ref.name}
+                capture_name = unique_name(name or capture.name, given)
+                self._taken[ref.name] = capture_name.casefold()
                 return replace(capture, name=capture_name, **changes)
             if self._clock() > until_s:
                 raise CameraError(
@@ -181,11 +183,16 @@ class FolderCamera:
             # Listing a large folder is slow: wait in proportion, so that most of the time is idle.
             self._sleep(max(_POLL_S, 4 * (self._clock() - began_s)))
 
-    def _refs(self) -> Iterator[CaptureRef]:
+    def _refs(self) -> list[CaptureRef]:
         try:
-            yield from open_source(self._folder, self._options)
+            refs = list(open_source(self._folder, self._options))
         except CucumberVisionError:
-            return  # still empty or incomplete
+            return []  # still empty or incomplete, or out of reach for a moment
+        there = {ref.name for ref in refs}
+        for kept in (self._taken, self._since_s):
+            for name in kept.keys() - there:
+                del kept[name]
+        return refs
 
     def _load(self, ref: CaptureRef) -> Capture | None:
         """Return a complete capture; None while it may still be being written."""
@@ -195,9 +202,9 @@ class FolderCamera:
         except CucumberVisionError:
             if now_s - self._since_s.setdefault(ref.name, now_s) < self._settle_s:
                 return None
-            self._taken.add(ref.name)
+            self._taken[ref.name] = ref.name.casefold()
             raise
-        self._taken.add(ref.name)
+        self._taken[ref.name] = ref.name.casefold()
         self._since_s.pop(ref.name, None)
         return capture
 

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""
 
+MASK_FAILURES = ("mask-empty", "mask-small", "mask-off-box", "mask-off-detector")
+"""Why a segmenter's mask was rejected."""
+
 LEAST_END_CONFIDENCE = 0.9
 """Least probability at which a fruit's ends count as known."""
 
@@ -52,6 +55,9 @@ class MaskSource(StrEnum):
     def words(self) -> str:
         """Name shown to users."""
         return {"sam": "SAM", "dataset": "data set"}.get(self.value, self.value)
+
+
+_FAR_PX = 1e6  # from the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +82,7 @@ class Instance:
     keypoints : ndarray of float64, shape (5, 3), optional
         u, v in pixels and visibility 0 to 1 of KP0 (blossom end) to KP4 (stem end).
     mask_failure : str
-        Why SAM's mask was rejected ('mask-empty', 'mask-small', 'mask-off-box',
-        'mask-off-detector'); empty if not.
+        Why SAM's mask was rejected, one of `MASK_FAILURES`; empty if not.
     end_confidence : float, optional
         Probability that `keypoints` run from blossom to stem; None if the pose network itself
         orders them.
@@ -138,8 +143,8 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
     Raises
     ------
     InstancesError
-        If a mask has another size, the box is not finite, has no area or lies outside, or the
-        confidence is not between 0 and 1.
+        If a mask has another size or no pixel, the box is not finite, has no area or lies outside,
+        the confidence is not between 0 and 1, or the keypoints are not (5, 3) numbers.
 
     Examples
     --------
@@ -154,6 +159,16 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
                 f"the mask is {mask.shape[1]}x{mask.shape[0]}, the picture {width}x{height}",
                 remedy="give masks of the picture's own size",
             )
+        if mask is not None and not mask.any():
+            raise InstancesError("a mask has no pixel", remedy="leave it out")
+    keypoints = instance.keypoints
+    if keypoints is not None:
+        keypoints = np.asarray(keypoints, np.float64)
+        if keypoints.shape != (len(KEYPOINT_NAMES), 3) or (np.abs(keypoints) > _FAR_PX).any():
+            raise InstancesError(
+                f"the keypoints are {keypoints.shape} numbers up to {np.abs(keypoints).max():g}",
+                remedy="give u and v in pixels and the visibility of each, (5, 3)",
+            )
     box = np.asarray(instance.box, np.float64)
     text = ", ".join(f"{edge:g}" for edge in box.ravel())
     if box.shape != (4,) or not np.isfinite(box).all():
@@ -167,11 +182,18 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
             remedy="give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower "
             "right",
         )
-    if not 0 <= instance.confidence <= 1:
+    confidence = float(instance.confidence)
+    if not 0 <= confidence <= 1:
         raise InstancesError(
-            f"the confidence is {instance.confidence:g}", remedy="give a number from 0 to 1"
+            f"the confidence is {confidence:g}", remedy="give a number from 0 to 1"
         )
-    return replace(instance, box=np.concatenate([corner, opposite]))
+    return replace(
+        instance,
+        box=np.concatenate([corner, opposite]),
+        confidence=confidence,
+        keypoints=keypoints,
+        mask_failure=instance.mask_failure if instance.mask_failure in MASK_FAILURES else "",
+    )
 
 
 def mirrored(instance: Instance, width: int) -> Instance:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, InstancesError, PluginError
 from cucumbervision.instances.instance import (
+    MASK_FAILURES,
     Instance,
     MaskSource,
     in_picture,
@@ -29,6 +31,8 @@ from cucumbervision.plugins import Kind, Plugin, plugins
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import Measurement
@@ -244,8 +248,11 @@ def _segmented(
     PluginError
         If it fails, or its answer is no mask of the picture for each instance.
     """
-    color = capture.read_only().color
-    answers = plugin.call(lambda: tuple(segmenter.segment(color, prompts)))
+
+    def draw(color: NDArray[np.uint8], fruit: Sequence[Instance]) -> tuple[Any, ...]:
+        return tuple(map(_kept, segmenter.segment(color, fruit)))
+
+    answers = plugin.call(draw, capture.color, tuple(prompts))
     if len(answers) != len(prompts):
         raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
     shape = (capture.height, capture.width)
@@ -254,15 +261,22 @@ def _segmented(
         mask = getattr(answer, "mask", None)
         if mask is not None and np.shape(mask) != shape:
             raise plugin.error(f"returned a mask of shape {np.shape(mask)} in place of {shape}")
-        masked.append(
-            replace(
-                prompt,
-                mask=None if mask is None else np.asarray(mask, bool),
-                mask_source=None if mask is None else MaskSource.SEGMENTER,
-                mask_failure=str(getattr(answer, "mask_failure", "")),
-            )
-        )
+        fault = str(getattr(answer, "mask_failure", ""))
+        found = {"mask": mask, "mask_source": MaskSource.SEGMENTER, "mask_failure": ""}
+        if mask is None or not np.any(mask):
+            fault = fault if fault in MASK_FAILURES else MASK_FAILURES[0]
+            found = {"mask": None, "mask_source": None, "mask_failure": fault}
+        masked.append(plugin.call(partial(replace, prompt, **found)))
     return tuple(masked)
+
+
+def _kept(answer: Any) -> Any:
+    """Return an instance with arrays of its own: a plug-in may write the next fruit into its."""
+    if not isinstance(answer, Instance):
+        return answer
+    names = ("box", "mask", "detector_mask", "keypoints")
+    arrays: dict[str, Any] = {name: getattr(answer, name) for name in names}
+    return replace(answer, **{k: v.copy() for k, v in arrays.items() if isinstance(v, np.ndarray)})
 
 
 def _without_box_masks(detections: Detections) -> Detections:
@@ -367,16 +381,16 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
         instances: list[Instance] = []
         clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
-        answers = plugin.call(lambda: tuple(detector(capture.read_only())))
+        answers = plugin.call(lambda seen: tuple(map(_kept, detector(seen))), capture)
         for number, instance in enumerate(answers, 1):
             if not isinstance(instance, Instance):
                 raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")
             try:
-                inside = in_picture(instance, capture.width, capture.height)
+                inside = plugin.call(partial(in_picture, instance, capture.width, capture.height))
             except InstancesError as error:
                 refused.append(error.at(f"{capture.source or capture.name}, instance {number}"))
                 continue
-            if np.abs(inside.box - instance.box).max() > _ROUNDING_PX:
+            if np.abs(inside.box - np.asarray(instance.box)).max() > _ROUNDING_PX:
                 clipped.add(len(instances))
             instances.append(inside)
         return Detections(tuple(instances), frozenset(clipped), tuple(refused), stages)

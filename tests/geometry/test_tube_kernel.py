@@ -255,7 +255,7 @@ def test_other_types_and_strides_are_read_as_numpy_does(guess: TubeShape) -> Non
 
 
 @needs_kernel
-def test_a_library_of_other_sources_is_not_used(
+def test_a_library_of_other_sources_or_a_damaged_one_is_not_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load = tube_kernel.library.__wrapped__
@@ -263,12 +263,25 @@ def test_a_library_of_other_sources_is_not_used(
     shutil.copytree(tube_kernel.FOLDER, folder)
     monkeypatch.setattr(tube_kernel, "FOLDER", folder)
     assert load() is not None
-    with (folder / "kernel.h").open("a") as header:
-        header.write("\n")
+    header, library = folder / "kernel.h", folder / "kernel.so"
+    source, whole = header.read_bytes(), library.read_bytes()
+    header.write_bytes(source + b"\n")
     assert load() is None
-    (folder / "kernel.so").unlink()  # it is in use: never written over
+    header.write_bytes(source)
+    # Loading some of these would end the process.
+    damaged = bytearray(whole)
+    damaged[len(whole) // 2] ^= 4
+    for content in (b"no library", whole[: len(whole) // 2], damaged, whole + b"\0"):
+        library.unlink()  # it is in use: never written over
+        library.write_bytes(content)
+        assert load() is None
+    library.unlink()
     assert load() is None
-    (folder / "kernel.so").write_bytes(b"no library")
+    library.write_bytes(whole)
+    assert load() is not None
+    library.with_suffix(".sha256").write_bytes(b"\xff")
+    assert load() is None
+    library.with_suffix(".sha256").unlink()
     assert load() is None
 
 

@@ -275,8 +275,9 @@ def _kept(answer: Any) -> Any:
     if not isinstance(answer, Instance):
         return answer
     names = ("box", "mask", "detector_mask", "keypoints")
-    arrays: dict[str, Any] = {name: getattr(answer, name) for name in names}
-    return replace(answer, **{k: v.copy() for k, v in arrays.items() if isinstance(v, np.ndarray)})
+    arrays = ((name, getattr(answer, name)) for name in names)
+    copies: dict[str, Any] = {name: a.copy() for name, a in arrays if isinstance(a, np.ndarray)}
+    return replace(answer, **copies)
 
 
 def _without_box_masks(detections: Detections) -> Detections:

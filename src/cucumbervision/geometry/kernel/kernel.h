@@ -115,8 +115,6 @@ void add_shape_prior(const struct bases *bases, const struct shape *shape, const
                      const double *anchors_sd, struct equations *sums);
 void add_nuisance_prior(const struct evidence *seen, const double *nuisance, struct equations *sums);
 
-const char *source_hash(void);
-
 /* tube_fit.py */
 int solve_held(struct equations *sums);
 void stepped(struct shape *shape, double *move, int64_t size);

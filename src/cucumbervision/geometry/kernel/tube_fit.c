@@ -110,10 +110,3 @@ int fit_shape(const struct bases *bases, const struct evidence *seen, struct sha
     ends_seen(bases, shape, seen->rays, seen->rays_m, rays, seen_ends);
     return isfinite(*total_misfit);
 }
-
-#ifndef SOURCE_HASH
-#define SOURCE_HASH ""
-#endif
-
-/* Of the files that this library was built from. */
-const char *source_hash(void) { return SOURCE_HASH; }

@@ -113,17 +113,21 @@ def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.asarray(np.stack([u, v], axis=1) + corner, np.float64)
 
 
-def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
+def distances_inside(
+    mask: NDArray[Any], pixels: NDArray[np.intp] | None = None
+) -> NDArray[np.float32]:
     """Compute each set pixel's distance to the nearest unset pixel, in pixels.
 
     Parameters
     ----------
     mask : ndarray of bool or uint8, shape (H, W)
         Nonzero is set; the border does not count as unset.
+    pixels : ndarray of int, shape (N, 2), optional
+        Columns and rows of the pixels to return; all if not given.
 
     Returns
     -------
-    ndarray of float32, shape (H, W)
+    ndarray of float32, shape (H, W) or (N,)
         0 for unset pixels; reproducible to the last bit.
 
     Examples
@@ -136,6 +140,8 @@ def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
     import cv2
 
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    if pixels is not None:
+        inside = inside[pixels[:, 1], pixels[:, 0]]
     # OpenCV's square roots differ in the last bit between calls; the squares are integers.
     return np.sqrt(np.rint(np.square(inside)))
 

@@ -292,7 +292,7 @@ def run(
     def run_here(*arguments: object) -> subprocess.CompletedProcess[str]:
         from cucumbervision.cli.app import main
 
-        words = [str(one) for one in arguments]
+        words = [str(argument) for argument in arguments]
         monkeypatch.setattr("sys.argv", ["cucumbervision", *words])
         capfd.readouterr()
         code = 0

@@ -134,9 +134,9 @@ def _simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants
         diameter = float(np.interp(length, bodies, thickness)) * rng.normal(1.0, 0.04)
         place = rng.uniform([0, -0.5, -0.5], [1, 0.5, 0.5])
         place *= [row_m, settings.band_m, settings.thickness_m]
-        one = np.append(place, [length, diameter])
-        if not _touches(one, table).any():
-            table = np.vstack([table, one])
+        body = np.append(place, [length, diameter])
+        if not _touches(body, table).any():
+            table = np.vstack([table, body])
     seen = np.ones((settings.fruit, 2), bool)
     if settings.sides > 1:
         hidden = rng.random(settings.fruit) >= settings.open_share

@@ -9,9 +9,11 @@ from unicodedata import category, normalize
 from cucumbervision.errors import NameRefusedError
 
 # They change the direction of the text after the name, in every list and file.
-_TURNING = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_DIRECTION_MARKS = frozenset(
+    "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+)
 _NO_LETTERS = ("Cc", "Cs", "Zl", "Zp")  # control, half of a pair, ends of lines and paragraphs
-_SHOWN = 40
+_SHOWN_CHARACTERS = 40
 _HOUSE = re.compile(r"^house(?:[\W_]+|(?=\d))(?=.)")
 
 
@@ -45,7 +47,7 @@ def checked_name(text: str, what: str = "name") -> str:
     name = text.strip()
     bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
-        name_start = readable(name)[:_SHOWN]
+        name_start = readable(name)[:_SHOWN_CHARACTERS]
         raise NameRefusedError(
             f"the {what} '{name_start}' contains U+{ord(bad):04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",
@@ -65,7 +67,7 @@ def readable(text: str) -> str:
 
 
 def _is_unreadable(character: str) -> bool:
-    return character in _TURNING or category(character) in _NO_LETTERS
+    return character in _DIRECTION_MARKS or category(character) in _NO_LETTERS
 
 
 def house_key(house: str) -> str:

@@ -57,9 +57,9 @@ def test_one_fruit_many_times_has_no_interval(tmp_path: Path) -> None:
     lines = [f"{name},1,20,thread,s1" for name in "abcd"]
     measured = run_of(*(reading(name, 1, M3=0.19) for name in "abcd"))
     truth = read_truth(write(tmp_path, HEAD + ",specimen", *lines))
-    (one,) = evaluate_lengths(measured, truth).scores
-    assert (one.fruit, one.metrics.count) == (1, 4)
-    assert math.isnan(one.low_percent)
+    (score,) = evaluate_lengths(measured, truth).scores
+    assert (score.fruit, score.metrics.count) == (1, 4)
+    assert math.isnan(score.low_percent)
 
 
 def test_each_kind_has_its_own_methods(tmp_path: Path) -> None:
@@ -135,8 +135,8 @@ def test_the_tables_hold_scores_and_each_length(run: Path, table: Path, tmp_path
     assert {p.name for p in tmp_path.iterdir()} == {"scores.csv", "lengths.csv"}
     with (tmp_path / "scores.csv").open(encoding="utf-8-sig", newline="") as file:
         scores = list(csv.DictReader(file))
-    assert [(one["kind"], one["method"]) for one in scores] == [
-        (str(one.kind), one.method) for one in found.scores
+    assert [(score["kind"], score["method"]) for score in scores] == [
+        (str(score.kind), score.method) for score in found.scores
     ]
     assert float(scores[0]["mape_percent"]) == found.scores[0].metrics.mape_percent
     with (tmp_path / "lengths.csv").open(encoding="utf-8-sig", newline="") as file:

@@ -51,11 +51,11 @@ def sure(centreline_m: float, half: float) -> GradingTraits:
 def test_classes_of_the_paper_hold_their_lower_end(
     centreline_m: float, name: str, said: str
 ) -> None:
-    found = grade(replace(SOUND, centreline_m=centreline_m), LONG)
-    assert found.name == name
-    assert said in found.rules[0]
+    graded = grade(replace(SOUND, centreline_m=centreline_m), LONG)
+    assert graded.name == name
+    assert said in graded.rules[0]
     outside = name.startswith("too")
-    assert found.verdict is (GradeStatus.NO_CLASS if outside else GradeStatus.IN_CLASS)
+    assert graded.verdict is (GradeStatus.NO_CLASS if outside else GradeStatus.IN_CLASS)
 
 
 @pytest.mark.parametrize(
@@ -68,31 +68,31 @@ def test_classes_of_the_paper_hold_their_lower_end(
     ],
 )
 def test_crooked_fruit_are_lowered(arc: float, shape: str, name: str, best: str) -> None:
-    found = grade(replace(SOUND, inner_arc_mm_per_10cm=arc), LONG)
-    assert (found.shape, found.name, found.best_class) == (shape, name, best)
+    graded = grade(replace(SOUND, inner_arc_mm_per_10cm=arc), LONG)
+    assert (graded.shape, graded.name, graded.best_class) == (shape, name, best)
     if name == "II":
-        assert found.rules[0].startswith(f"at best class II, {shape}: inner arc {arc:.1f} mm")
-        assert "FFV-15" in found.rules[0]
-        assert found.rules[1].startswith("class I: centreline length 30.0 cm")
+        assert graded.rules[0].startswith(f"at best class II, {shape}: inner arc {arc:.1f} mm")
+        assert "FFV-15" in graded.rules[0]
+        assert graded.rules[1].startswith("class I: centreline length 30.0 cm")
 
 
 def test_mass_is_volume_times_the_profiles_density() -> None:
-    found = grade(SOUND, LONG)
-    assert found.mass_g == pytest.approx(400)
-    assert found.weight_class == "250 to 500 g"
+    graded = grade(SOUND, LONG)
+    assert graded.mass_g == pytest.approx(400)
+    assert graded.weight_class == "250 to 500 g"
 
 
 def test_light_fruit_is_in_no_class() -> None:
-    found = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
-    assert (found.verdict, found.name) == (GradeStatus.NO_CLASS, "no class")
-    assert found.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
+    graded = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
+    assert (graded.verdict, graded.name) == (GradeStatus.NO_CLASS, "no class")
+    assert graded.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
 
 
 def test_weight_is_a_remark_where_the_profile_says_so() -> None:
-    found = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
-    assert (found.verdict, found.name) == (GradeStatus.IN_CLASS, "I")
-    assert found.rules[0].startswith("class I: ")
-    assert found.rules[1].startswith("remark: too light: about 249 g")
+    graded = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
+    assert (graded.verdict, graded.name) == (GradeStatus.IN_CLASS, "I")
+    assert graded.rules[0].startswith("class I: ")
+    assert graded.rules[1].startswith("remark: too light: about 249 g")
 
 
 def test_heavy_fruit_must_be_long_for_class_one() -> None:
@@ -104,9 +104,9 @@ def test_heavy_fruit_must_be_long_for_class_one() -> None:
 
 
 def test_probabilities_come_from_the_interval() -> None:
-    found = grade(sure(0.25, 0.02), LONG)
+    graded = grade(sure(0.25, 0.02), LONG)
     halves = {"I": 0.5, "II": 0.5, "too short": 0.0, "too long": 0.0}
-    assert found.probabilities == pytest.approx(halves, abs=1e-6)
+    assert graded.probabilities == pytest.approx(halves, abs=1e-6)
     clear = grade(sure(0.30, 0.02), LONG)
     assert clear.probabilities["I"] > 0.999
 
@@ -133,10 +133,10 @@ def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
     # Wherever in its interval the length itself lies.
     for value_m in (low_m, (low_m + high_m) / 2, high_m - 1e-3):
         length = Length(value_m, kind, low_m, high_m, interval_of=kind)
-        found = grade(replace(SOUND, centreline_m=value_m, length=length), LONG)
-        assert (found.words, found.possible) == (words, possible)
+        graded = grade(replace(SOUND, centreline_m=value_m, length=length), LONG)
+        assert (graded.words, graded.possible) == (words, possible)
         decided = GradeStatus.NO_CLASS if words.startswith("too") else GradeStatus.IN_CLASS
-        assert found.verdict is (decided if len(possible) == 1 else GradeStatus.UNDECIDED)
+        assert graded.verdict is (decided if len(possible) == 1 else GradeStatus.UNDECIDED)
 
 
 @pytest.mark.parametrize("flag", sorted(LOWER_BOUND))
@@ -157,18 +157,18 @@ def test_a_lower_bound_is_never_too_short(flag: Flag, length_cm: float, words: s
     traits = replace(SOUND, centreline_m=value_m, length=length, flags=f"ends-unsure {flag}")
     for profile in (LONG, STRICT):
         # Nor is what is seen of it too light or too thin.
-        found = grade(replace(traits, volume_m3=1e-4, diameter_max_m=0.02), profile)
-        assert (found.words, found.probabilities) == (words, {})
-        assert "too short" not in " ".join(found.rules)
+        graded = grade(replace(traits, volume_m3=1e-4, diameter_max_m=0.02), profile)
+        assert (graded.words, graded.probabilities) == (words, {})
+        assert "too short" not in " ".join(graded.rules)
 
 
 def test_an_uncertain_length_decides_nothing() -> None:
     """Its interval spans more than a factor of four, and was left out."""
     length = Length(0.30, LengthDefinition.CENTRELINE)
     traits = replace(SOUND, length=length, flags="interval-too-wide")
-    found = grade(traits, LONG)
-    assert (found.name, found.possible) == ("undecided", ALL)
-    assert found.words == "undecided (the length is uncertain)"
+    graded = grade(traits, LONG)
+    assert (graded.name, graded.possible) == ("undecided", ALL)
+    assert graded.words == "undecided (the length is uncertain)"
     assert grade(replace(traits, flags=""), LONG).name == "I"
 
 
@@ -194,30 +194,30 @@ def test_the_interval_of_another_length_of_the_tube_holds_in_proportion() -> Non
     """The thread is known to 4 %; so is the centreline, 25.2 cm."""
     thread = LengthDefinition.THREAD
     length = Length(0.28, thread, 0.28 / 1.04, 0.28 * 1.04, interval_of=thread)
-    found = grade(replace(SOUND, centreline_m=0.252, length=length), LONG)
-    assert found.words == "undecided: class II or I"
+    graded = grade(replace(SOUND, centreline_m=0.252, length=length), LONG)
+    assert graded.words == "undecided: class II or I"
 
 
 def test_shape_moves_probability_to_the_class_it_allows() -> None:
-    found = grade(replace(sure(0.25, 0.02), inner_arc_mm_per_10cm=15.0), LONG)
-    assert found.probabilities == pytest.approx(
+    graded = grade(replace(sure(0.25, 0.02), inner_arc_mm_per_10cm=15.0), LONG)
+    assert graded.probabilities == pytest.approx(
         {"I": 0.0, "II": 1.0, "too short": 0.0, "too long": 0.0}, abs=1e-6
     )
-    assert found.verdict is GradeStatus.IN_CLASS
+    assert graded.verdict is GradeStatus.IN_CLASS
 
 
 def test_interval_of_another_length_says_nothing() -> None:
     thread = LengthDefinition.THREAD
     length = Length(0.28, thread, 0.27, 0.29, interval_of=thread)
-    found = grade(replace(SOUND, length=length), LONG)
-    assert found.probabilities == {}
-    assert found.missing == ("interval of the centreline length: no probabilities",)
+    graded = grade(replace(SOUND, length=length), LONG)
+    assert graded.probabilities == {}
+    assert graded.missing == ("interval of the centreline length: no probabilities",)
 
 
 def test_missing_traits_are_named() -> None:
-    found = grade(GradingTraits(centreline_m=0.30), LONG)
-    assert found.name == "I"
-    assert [m.split(":")[0] for m in found.missing] == [
+    graded = grade(GradingTraits(centreline_m=0.30), LONG)
+    assert graded.name == "I"
+    assert [m.split(":")[0] for m in graded.missing] == [
         "inner arc height",
         "volume",
         "interval of the centreline length",
@@ -229,18 +229,18 @@ def test_missing_traits_are_named() -> None:
 
 @pytest.mark.parametrize(("centreline_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
 def test_lengths_that_cannot_be_are_refused(centreline_m: float, refused: bool) -> None:
-    found = grade(GradingTraits(centreline_m=centreline_m), LONG)
-    assert (found.verdict is GradeStatus.REFUSED) == refused
+    graded = grade(GradingTraits(centreline_m=centreline_m), LONG)
+    assert (graded.verdict is GradeStatus.REFUSED) == refused
     if refused:
-        assert "is accepted from 5 to 80 cm; measure again" in found.rules[0]
+        assert "is accepted from 5 to 80 cm; measure again" in graded.rules[0]
 
 
 def test_aubergine_and_bean_are_graded_by_width() -> None:
     aubergine = load_profile("aubergine")
     thin = GradingTraits(chord_m=0.18, volume_m3=0.2 / 650, diameter_max_m=0.0399)
     assert grade(thin, aubergine).rules[0].startswith("too thin: 39.9 mm, at least 40 mm")
-    wide = grade(replace(thin, diameter_max_m=0.04), aubergine)
-    assert (wide.name, wide.weight_class) == ("ready", "100 to 300 g")
+    wide_fruit = grade(replace(thin, diameter_max_m=0.04), aubergine)
+    assert (wide_fruit.name, wide_fruit.weight_class) == ("ready", "100 to 300 g")
     bean = load_profile("green-bean")
     widths = {0.006: "very fine", 0.0061: "fine", 0.009: "fine", 0.012: "average", 0.0121: ""}
     for width, name in widths.items():
@@ -265,9 +265,9 @@ def test_row_of_a_table_is_read_with_its_calibration() -> None:
     assert (traits.centreline_m, traits.chord_m, traits.diameter_max_m) == (0.252, 0.24, None)
     kind = LengthDefinition.CENTRELINE
     assert traits.length == Length(0.26, kind, 0.255, 0.265, interval_of=kind)
-    found = grade(traits, LONG)
-    assert found.verdict is GradeStatus.IN_CLASS
-    assert "centreline length 26.0 cm" in found.rules[0]  # the calibrated one
+    graded = grade(traits, LONG)
+    assert graded.verdict is GradeStatus.IN_CLASS
+    assert "centreline length 26.0 cm" in graded.rules[0]  # the calibrated one
 
 
 def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:

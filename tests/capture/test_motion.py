@@ -114,7 +114,7 @@ def test_a_brighter_frame_has_not_moved() -> None:
 
 def test_a_burst_on_disk_is_fused_in_the_same_way(tmp_path: Path) -> None:
     frames, fused = burst(0.36, 30.0)
-    pictures = [(one.color, one.depth_m) for one in frames]
+    pictures = [(frame.color, frame.depth_m) for frame in frames]
     capture = Capture(frames[0].color, frames[0].depth_m, CAMERA, "walk")
     write_native(capture, tmp_path / "walk", burst=pictures)
     [ref] = open_source(tmp_path)

@@ -69,7 +69,7 @@ def test_a_ring_keeps_all_new_frames_some_of_the_older_and_none_that_are_too_old
     ring = FrameRing(tmp_path, kept_s=10.0, dense_s=1.0, sparse_s=0.5)
     for step in range(200):
         ring.write(capture(), 100 + 0.1 * step, now_s=100 + 0.1 * step)
-    ages_s = [round(119.9 - one.at_s, 1) for one in ring.frames()]
+    ages_s = [round(119.9 - frame.at_s, 1) for frame in ring.frames()]
     assert ages_s[-11:] == [1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0]
     assert 9.5 <= ages_s[0] <= 10.1
     assert np.diff(ages_s[:-12]) == pytest.approx(-0.5)
@@ -80,11 +80,11 @@ def test_a_ring_stays_within_its_room_and_drops_what_is_of_the_future(tmp_path: 
     ring = FrameRing(tmp_path, most_bytes=4 * size)
     for step in range(8):
         ring.write(capture(), 100.0 + step, now_s=100.0 + step)
-    assert [one.at_s for one in ring.frames()] == [103.0, 104.0, 105.0, 106.0, 107.0]
+    assert [frame.at_s for frame in ring.frames()] == [103.0, 104.0, 105.0, 106.0, 107.0]
     # The clock is set back by an hour.
     ring.write(capture(), 50.0, now_s=50.0 - 3600)
     ring.write(capture(), 51.0, now_s=51.0)
-    assert [one.at_s for one in ring.frames()] == [50.0, 51.0]
+    assert [frame.at_s for frame in ring.frames()] == [50.0, 51.0]
 
 
 def test_a_writer_that_is_killed_leaves_whole_frames_and_the_next_goes_on(tmp_path: Path) -> None:
@@ -111,4 +111,4 @@ def test_a_writer_that_is_killed_leaves_whole_frames_and_the_next_goes_on(tmp_pa
             os.kill(writer.pid, signal.SIGKILL)
         frames = FrameRing(tmp_path).frames()
         assert len(frames) >= 5
-        assert all(one.load().fill == 1.0 for one in frames)
+        assert all(frame.load().fill == 1.0 for frame in frames)

@@ -84,9 +84,9 @@ def test_what_the_camera_cannot_is_said(device: Any, settings: CameraSettings, t
 
 def test_cameras_are_listed_by_serial_number(recording: Path) -> None:
     context = rs.context()
-    assert "0042" not in [one.serial for one in list_cameras(context)]
+    assert "0042" not in [camera.serial for camera in list_cameras(context)]
     # A recording that is loaded into a context is one of its devices.
     played = context.load_device(str(recording))
-    found = [one for one in list_cameras(context) if one.serial == "0042"]
+    found = [camera for camera in list_cameras(context) if camera.serial == "0042"]
     assert [(one.name, one.firmware) for one in found] == [("Software D435", "")]
     played.pause()

@@ -36,5 +36,5 @@ def test_commands_and_options_exist() -> None:
     assert len(lines) > 6
     for line in lines:
         name, *rest = line.split("#")[0].split()
-        options = {option for one in known[name].params for option in one.opts}
+        options = {option for param in known[name].params for option in param.opts}
         assert {word for word in rest if word.startswith("--")} <= options

@@ -26,7 +26,7 @@ def shown(cells: list[Any]) -> str:
     """Return the text of all outputs."""
     outputs = [one for cell in cells for one in cell.get("outputs", [])]
     return "\n".join(
-        one.get("text") or one.get("data", {}).get("text/plain", "") for one in outputs
+        output.get("text") or output.get("data", {}).get("text/plain", "") for output in outputs
     )
 
 

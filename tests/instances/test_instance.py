@@ -21,13 +21,13 @@ HEIGHT, WIDTH = 160, 240
 Mask = NDArray[np.bool_]
 
 
-def bar(u: float, v: float, long: float, wide: float, turn_deg: float = 0.0) -> Mask:
+def bar(u: float, v: float, length_px: float, width_px: float, turn_deg: float = 0.0) -> Mask:
     """A bar's pixels: its middle, length, width and turn."""
     y, x = np.indices((HEIGHT, WIDTH))
     turn = np.deg2rad(turn_deg)
     along = (x - u) * np.cos(turn) + (y - v) * np.sin(turn)
     across = (y - v) * np.cos(turn) - (x - u) * np.sin(turn)
-    return np.asarray((np.abs(along) <= long / 2) & (np.abs(across) <= wide / 2))
+    return np.asarray((np.abs(along) <= length_px / 2) & (np.abs(across) <= width_px / 2))
 
 
 def found(mask: Mask, score: float, keypoints: NDArray[np.float64] | None = None) -> Instance:
@@ -41,61 +41,61 @@ def masks_of(instances: Sequence[Instance]) -> set[bytes]:
 def test_two_boxes_of_one_fruit_are_one() -> None:
     # Shifted by 6 of 100 and as wide: IoU 94/106.
     a, b = found(bar(100, 80, 100, 20), 0.9), found(bar(106, 80, 100, 20), 0.8)
-    (one,) = merge_instances([b, a])
-    assert one.confidence == 0.9
+    (instance,) = merge_instances([b, a])
+    assert instance.confidence == 0.9
 
 
 def test_a_box_in_a_box_leaves_the_whole_with_the_better_score() -> None:
     whole, part = bar(100, 80, 120, 20), bar(80, 80, 50, 20)
-    (one,) = merge_instances([found(part, 0.9), found(whole, 0.5)])
-    assert one.box.tolist() == box_of_mask(whole).tolist()
-    assert one.confidence == 0.9
+    (instance,) = merge_instances([found(part, 0.9), found(whole, 0.5)])
+    assert instance.box.tolist() == box_of_mask(whole).tolist()
+    assert instance.confidence == 0.9
 
 
 def test_a_whole_that_is_hardly_believed_does_not_replace_a_part() -> None:
     whole, part = bar(100, 80, 120, 20), bar(80, 80, 70, 20)
-    (one,) = merge_instances([found(part, 0.9), found(whole, 0.4)])
-    assert one.box.tolist() == box_of_mask(part).tolist()
+    (instance,) = merge_instances([found(part, 0.9), found(whole, 0.4)])
+    assert instance.box.tolist() == box_of_mask(part).tolist()
 
 
 def test_pieces_beside_the_whole_are_the_whole() -> None:
     whole = bar(120, 80, 160, 20) & ~bar(120, 80, 30, 40)
     pieces = [found(bar(72, 80, 60, 20), 0.7), found(bar(168, 80, 60, 20), 0.6)]
-    (one,) = merge_instances([*pieces, found(whole, 0.8)])
-    assert one.box.tolist() == box_of_mask(whole).tolist()
+    (instance,) = merge_instances([*pieces, found(whole, 0.8)])
+    assert instance.box.tolist() == box_of_mask(whole).tolist()
 
 
 def test_a_box_around_two_fruit_goes() -> None:
     # Touching side by side; each by itself is believed more than both as one.
     upper, lower = bar(120, 70, 140, 20), bar(120, 90, 140, 20)
-    kept = merge_instances([found(upper, 0.9), found(upper | lower, 0.6), found(lower, 0.8)])
-    assert masks_of(kept) == {upper.tobytes(), lower.tobytes()}
-    assert [one.confidence for one in kept] == [0.9, 0.8]
+    merged = merge_instances([found(upper, 0.9), found(upper | lower, 0.6), found(lower, 0.8)])
+    assert masks_of(merged) == {upper.tobytes(), lower.tobytes()}
+    assert [instance.confidence for instance in merged] == [0.9, 0.8]
 
 
 def test_a_speck_in_two_fruit_makes_them_no_single_one() -> None:
     lying, standing = bar(120, 80, 150, 24), bar(120, 80, 24, 120)
     speck = lying & standing
-    kept = merge_instances([found(lying, 0.9), found(standing, 0.8), found(speck, 0.5)])
-    assert masks_of(kept) == {lying.tobytes(), standing.tobytes()}
+    merged = merge_instances([found(lying, 0.9), found(standing, 0.8), found(speck, 0.5)])
+    assert masks_of(merged) == {lying.tobytes(), standing.tobytes()}
 
 
 @settings(max_examples=80, deadline=None)
 @given(
     first=st.floats(0, 180),
     turn=st.floats(35, 145),
-    long=st.floats(70, 140),
+    length_px=st.floats(70, 140),
     aspect=st.floats(3, 8),
     off=st.tuples(st.floats(-30, 30), st.floats(-30, 30)),
 )
 def test_fruit_that_cross_stay_two(
-    first: float, turn: float, long: float, aspect: float, off: tuple[float, float]
+    first: float, turn: float, length_px: float, aspect: float, off: tuple[float, float]
 ) -> None:
     # Whole masks of both, the crossing in each: the worst that a detector can draw. Bars of width
     # w that cross at an angle share w^2 / sin(angle): here at most 1 / (3 sin 35) = 0.58 of each.
-    wide = long / aspect
-    a = bar(120, 80, long, wide, first)
-    b = bar(120 + off[0], 80 + off[1], long, wide, first + turn)
+    width_px = length_px / aspect
+    a = bar(120, 80, length_px, width_px, first)
+    b = bar(120 + off[0], 80 + off[1], length_px, width_px, first + turn)
     assert len(merge_instances([found(a, 0.9), found(b, 0.8)])) == 2
 
 
@@ -122,19 +122,23 @@ def test_shifted_repeats_change_no_count_and_order_no_result(data: st.DataObject
     merged = merge_instances(fruit)
     assert len(merged) == 3
     assert masks_of(merged) <= masks_of(fruit)
-    assert max(one.confidence for one in merged) == max(one.confidence for one in fruit)
-    again = merge_instances(data.draw(st.permutations(fruit)))
-    assert [one.box.tolist() for one in again] == [one.box.tolist() for one in merged]
+    assert max(instance.confidence for instance in merged) == max(
+        instance.confidence for instance in fruit
+    )
+    reordered = merge_instances(data.draw(st.permutations(fruit)))
+    assert [instance.box.tolist() for instance in reordered] == [
+        instance.box.tolist() for instance in merged
+    ]
     assert masks_of(merge_instances(merged)) == masks_of(merged)
 
 
 def test_keypoints_are_the_keepers_own_or_else_the_bests() -> None:
     whole, part = bar(100, 80, 120, 20), bar(80, 80, 60, 20)
-    one, two = np.full((5, 3), 1.0), np.full((5, 3), 2.0)
-    (own,) = merge_instances([found(part, 0.9, one), found(whole, 0.8, two)])
-    assert own.keypoints is two
-    (given_to,) = merge_instances([found(part, 0.9, one), found(whole, 0.8)])
-    assert given_to.keypoints is one
+    ones, twos = np.full((5, 3), 1.0), np.full((5, 3), 2.0)
+    (instance,) = merge_instances([found(part, 0.9, ones), found(whole, 0.8, twos)])
+    assert instance.keypoints is twos
+    (given_to,) = merge_instances([found(part, 0.9, ones), found(whole, 0.8)])
+    assert given_to.keypoints is ones
 
 
 def test_boxes_without_masks_are_one_only_where_they_agree() -> None:
@@ -151,10 +155,10 @@ def test_boxes_without_masks_are_one_only_where_they_agree() -> None:
 
 def test_masks_keep_the_pictures_size() -> None:
     whole = bar(100, 80, 120, 20, 30)
-    (one,) = merge_instances([found(whole, 0.9), found(cv2.dilate(
+    (instance,) = merge_instances([found(whole, 0.9), found(cv2.dilate(
         whole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool), 0.8)])  # fmt: skip
-    assert one.detector_mask is not None
-    assert one.detector_mask.shape == (HEIGHT, WIDTH)
+    assert instance.detector_mask is not None
+    assert instance.detector_mask.shape == (HEIGHT, WIDTH)
 
 
 def fruit_at(x: float, keypoint: float | None = None, width: float = 10) -> Instance:

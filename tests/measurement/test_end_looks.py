@@ -73,8 +73,8 @@ def measured(
     capture: Capture, *instances: Instance, models: IntervalModels = MODELS
 ) -> list[FruitMeasurement]:
     return [
-        measure_fruit(capture, one, (MethodName.M6,), scale_known=True, models=models)
-        for one in instances
+        measure_fruit(capture, instance, (MethodName.M6,), scale_known=True, models=models)
+        for instance in instances
     ]
 
 

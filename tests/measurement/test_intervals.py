@@ -77,9 +77,9 @@ def test_what_is_expected_to_be_missing_moves_the_interval() -> None:
     model = IntervalModel(
         "M6", 0.9, (), (np.log(0.1),), {"": Band(-0.02, 1.0, 2.0, 500)}, missing="log_missing"
     )
-    low, high = model.interval(0.2, {"log_missing": 0.3})
+    lower, upper = model.interval(0.2, {"log_missing": 0.3})
     # log(true / measured) is expected at 0.3 + 0.02, and lies from 0.2 below to 0.1 above.
-    assert (low, high) == pytest.approx((0.2 * np.exp(0.12), 0.2 * np.exp(0.42)))
+    assert (lower, upper) == pytest.approx((0.2 * np.exp(0.12), 0.2 * np.exp(0.42)))
     assert model.interval(0.2, {}) == pytest.approx((0.2 * np.exp(-0.18), 0.2 * np.exp(0.12)))
 
 
@@ -131,10 +131,10 @@ def test_the_interval_of_a_method_that_reads_wrong_holds_what_it_read(
     )
     assert length.low_m is not None
     assert length.high_m is not None
-    found = np.log([length.low_m / length.value_m, length.high_m / length.value_m])
-    more = float(np.hypot(0.03, 1.6449 * REAL_SD)) - 0.03
-    assert found == pytest.approx(
-        [ends[0] - more * (ends[0] < 0), ends[1] + more * (ends[1] > 0)], abs=1e-4
+    log_ratios = np.log([length.low_m / length.value_m, length.high_m / length.value_m])
+    widening = float(np.hypot(0.03, 1.6449 * REAL_SD)) - 0.03
+    assert log_ratios == pytest.approx(
+        [ends[0] - widening * (ends[0] < 0), ends[1] + widening * (ends[1] > 0)], abs=1e-4
     )
 
 
@@ -163,11 +163,11 @@ def test_a_group_too_small_to_have_a_band_takes_that_of_the_next_larger_one() ->
     bands["1-2"] = Band(0.0, 4.0, 4.0, 60)
     model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands, edges)
     assert feature_groups(edges, {"perceived": 1.0, "tilt": 0.5}) == ["1-1", "1", ""]
-    found = [
+    quantiles = [
         model.band({"perceived": perceived, "tilt": tilt}).low_quantile
         for perceived, tilt in ((0.0, 0.9), (1.0, 0.5), (1.0, 0.9))
     ]
-    assert found == [1.0, 2.0, 4.0]
+    assert quantiles == [1.0, 2.0, 4.0]
 
 
 def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
@@ -176,28 +176,33 @@ def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
 
     assert telling(MaskSource.SAM, Flag.END_HIDDEN) == {"perceived", "goes_on"}
     assert telling(MaskSource.SAM, Flag.ENDS_DISAGREE) == {"perceived", "ends_disagree"}
-    both = Flag.ENDS_DISAGREE, Flag.CUT_BY_FRAME
-    assert telling(MaskSource.DETECTOR, *both) == {"perceived", "own_mask", "cut", "goes_on"}
+    cut_and_disagree = Flag.ENDS_DISAGREE, Flag.CUT_BY_FRAME
+    assert telling(MaskSource.DETECTOR, *cut_and_disagree) == {
+        "perceived",
+        "own_mask",
+        "cut",
+        "goes_on",
+    }
     assert telling(None) == {"perceived"}
     assert telling(MaskSource.DATASET, Flag.END_HIDDEN, Flag.ENDS_DISAGREE) == set()
     assert telling(MaskSource.DATASET, Flag.CUT_BY_FRAME) == {"cut"}
 
 
 def test_a_sure_detection_has_a_higher_certainty_up_to_99_percent() -> None:
-    found = [mask_features(MaskSource.SAM, (), c)["certainty"] for c in (0.0, 0.9, 0.99, 1.0)]
-    assert found == pytest.approx([0.0, np.log(10), np.log(100), np.log(100)])
+    certainties = [mask_features(MaskSource.SAM, (), c)["certainty"] for c in (0.0, 0.9, 0.99, 1.0)]
+    assert certainties == pytest.approx([0.0, np.log(10), np.log(100), np.log(100)])
     assert mask_features(MaskSource.DATASET, (), 1.0)["certainty"] == 0.0
 
 
 def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
     seen: tuple[Capture, Instance],
 ) -> None:
-    capture, given = seen
-    assert given.mask is not None
-    mask = given.mask.copy()
-    mask[:, : int(given.box[[0, 2]].mean())] = False
-    mask[int(given.box[[1, 3]].mean()), int(given.box[2]) :] = True  # on to the edge
-    fruit = measure_fruit(capture, replace(given, mask=mask), models=MODELS)
+    capture, instance = seen
+    assert instance.mask is not None
+    mask = instance.mask.copy()
+    mask[:, : int(instance.box[[0, 2]].mean())] = False
+    mask[int(instance.box[[1, 3]].mean()), int(instance.box[2]) :] = True  # on to the edge
+    fruit = measure_fruit(capture, replace(instance, mask=mask), models=MODELS)
     assert Flag.CUT_BY_FRAME in fruit.flags
     assert fruit.length is not None
     assert fruit.length.value_m > 0
@@ -206,10 +211,10 @@ def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
 
 
 def test_what_networks_draw_has_models_of_its_own(seen: tuple[Capture, Instance]) -> None:
-    capture, given = seen
+    capture, instance = seen
     models = IntervalModels(0.9, {k: even(k, p) for k, p in (("M6", 1), ("M6 perceived", 3))}, 100)
     for source, percent in ((MaskSource.DATASET, 1.0), (MaskSource.SAM, 3.0)):
-        fruit = (capture, replace(given, mask_source=source))
+        fruit = (capture, replace(instance, mask_source=source))
         length = length_of(fruit, LengthDefinition.CENTRELINE, models=models)
         assert length.high_m == pytest.approx(length.value_m * np.exp(half(percent)))
 
@@ -218,9 +223,9 @@ def test_the_shipped_models_know_every_method() -> None:
     shipped = shipped_interval_models()
     assert shipped.level == 0.9
     keys = [*map(str, MethodName), "M6 thread", "M6 chord"]
-    known = {key + behind for key in keys for behind in ("", " perceived")}
+    keys_known = {key + behind for key in keys for behind in ("", " perceived")}
     looked = {f"{key} perceived looked" for key in keys if key.startswith("M6")}
-    assert set(shipped.models) == known | looked
+    assert set(shipped.models) == keys_known | looked
     for key, model in shipped.models.items():
         names: tuple[str, ...] = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         names = LOOK_FEATURES if key in looked else names
@@ -231,8 +236,8 @@ def test_the_shipped_models_know_every_method() -> None:
         "log_sd": np.log(0.003), "log_outline": np.log(0.4), "distance_m": 0.5,
         "log_pixels": np.log(0.5), "hidden": 0.0,
     }  # fmt: skip
-    low, high = shipped.models["M6"].interval(0.25, values)
-    assert 0.22 < low < 0.25 < high < 0.28
+    lower, upper = shipped.models["M6"].interval(0.25, values)
+    assert 0.22 < lower < 0.25 < upper < 0.28
 
 
 def test_an_interval_does_not_load_all_of_scipys_statistics() -> None:

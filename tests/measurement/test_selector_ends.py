@@ -91,10 +91,10 @@ def test_a_row_says_that_an_end_is_hidden_once() -> None:
     capture = Capture(np.zeros((720, 1280, 3), np.uint8), depth, camera, "leaf")
     keypoints = np.array([[u, 360.0, 1.0] for u in (440, 540, 640, 740, 840)])
     box = np.array([439.5, 339.5, 640.5, 380.5])
-    seen = Instance(box, mask=depth > 0, mask_source=MaskSource.SAM)
+    instance = Instance(box, mask=depth > 0, mask_source=MaskSource.SAM)
     methods = (MethodName.M3, MethodName.M5)
-    assert "end-hidden" not in measure_fruit(capture, seen, methods).flags
-    hinted = measure_fruit(capture, replace(seen, keypoints=keypoints), methods)
+    assert "end-hidden" not in measure_fruit(capture, instance, methods).flags
+    hinted = measure_fruit(capture, replace(instance, keypoints=keypoints), methods)
     assert hinted.flags.count("end-hidden") == 1
-    both = measure_fruit(capture, replace(seen, keypoints=keypoints))
+    both = measure_fruit(capture, replace(instance, keypoints=keypoints))
     assert both.flags.count("end-hidden") == 1

@@ -67,7 +67,7 @@ def test_the_packages_network_keeps_drawn_fruit_and_drops_a_grey_bar() -> None:
 def test_the_registrys_detector_takes_a_second_look_and_a_users_file_does_not() -> None:
     loader = NetworkLoader(REGISTRY)
     assert loader.yolo("cucumber-seg").crops is not None
-    assert {"cucumber-seg", "cucumber-crops"} == {one["name"] for one in loader.models}
+    assert {"cucumber-seg", "cucumber-crops"} == {model["name"] for model in loader.models}
     assert loader.yolo(REGISTRY.resolve("cucumber-seg")["network"]).crops is None
 
 

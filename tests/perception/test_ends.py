@@ -122,8 +122,8 @@ def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
     mask = np.zeros((240, 240), bool)
     mask[105:136, 60:181] = True
     (posed,) = EndClassifier(redness).order_ends(picture, [fruit_at(points)])
-    found = Instance(box_of_mask(mask), detector_mask=mask)
-    (one,) = with_keypoints([found], [posed])
+    instance = Instance(box_of_mask(mask), detector_mask=mask)
+    (one,) = with_keypoints([instance], [posed])
     assert one.end_confidence == posed.end_confidence
 
 

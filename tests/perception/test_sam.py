@@ -81,8 +81,8 @@ def remembering(segmenter: Sam) -> Sam:
 
 @pytest.fixture(scope="module")
 def segmenter() -> Sam:
-    one = open_sam(runtime="onnxruntime", full_precision=True)
-    return remembering(one)
+    sam = open_sam(runtime="onnxruntime", full_precision=True)
+    return remembering(sam)
 
 
 def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
@@ -98,9 +98,9 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
     picture = drawn(480, 640, LEFT)
     fruit = [Instance(box_of_mask(tube(480, 640, LEFT)))]
     (first,) = segmenter.segment(picture, fruit)
-    (again,) = segmenter.segment(picture.copy(), fruit)
+    (copied,) = segmenter.segment(picture.copy(), fruit)
     assert len(runs) == 1
-    assert iou(first.mask, again.mask) == 1
+    assert iou(first.mask, copied.mask) == 1
     picture[:] = drawn(480, 640, RIGHT)
     segmenter.mask_at(picture, 490, 250)
     assert len(runs) == 2
@@ -110,15 +110,15 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
 def test_a_drawn_fruit_is_found(segmenter: Sam, size: tuple[int, int]) -> None:
     truth = tube(*size, LEFT)
     fruit = Instance(box_of_mask(truth), 0.8, "cucumber", detector_mask=truth)
-    (found,) = segmenter.segment(drawn(*size, LEFT), [fruit])
-    assert iou(found.mask, truth) > 0.9
-    assert found.mask is not None
-    assert found.mask.shape == size
-    assert found.mask.dtype == np.bool_
-    assert found.mask_source is MaskSource.SAM
-    assert found.mask_failure == ""
-    assert found.detector_mask is truth
-    assert (found.confidence, found.class_name) == (0.8, "cucumber")
+    (instance,) = segmenter.segment(drawn(*size, LEFT), [fruit])
+    assert iou(instance.mask, truth) > 0.9
+    assert instance.mask is not None
+    assert instance.mask.shape == size
+    assert instance.mask.dtype == np.bool_
+    assert instance.mask_source is MaskSource.SAM
+    assert instance.mask_failure == ""
+    assert instance.detector_mask is truth
+    assert (instance.confidence, instance.class_name) == (0.8, "cucumber")
 
 
 def test_several_fruit_equal_one_by_one(segmenter: Sam) -> None:
@@ -126,7 +126,7 @@ def test_several_fruit_equal_one_by_one(segmenter: Sam) -> None:
     fruit = [Instance(box_of_mask(tube(480, 640, curve))) for curve in (LEFT, RIGHT)]
     # Five prompts do not go into one call of the decoder.
     together = segmenter.segment(picture, [fruit[0], fruit[1], fruit[0], fruit[0], fruit[1]])
-    alone = [segmenter.segment(picture, [one])[0] for one in fruit]
+    alone = [segmenter.segment(picture, [instance])[0] for instance in fruit]
     for i, k in enumerate([0, 1, 0, 0, 1]):
         assert iou(together[i].mask, alone[k].mask) > 0.9999
     assert iou(alone[1].mask, tube(480, 640, RIGHT)) > 0.9
@@ -145,11 +145,11 @@ def test_runtimes_agree(
     prompt: str, as_shipped: list[Sam], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
-    found: list[Instance] = []
+    instances: list[Instance] = []
     for one in as_shipped:
         monkeypatch.setattr(one, "prompt", prompt)
-        found += one.segment(picture, [fruit])
-    assert iou(found[0].mask, found[1].mask) > 0.99
+        instances += one.segment(picture, [fruit])
+    assert iou(instances[0].mask, instances[1].mask) > 0.99
 
 
 def test_auto_takes_openvino_where_it_is() -> None:
@@ -164,10 +164,10 @@ def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Sam) -> N
     picture[before] = (200, 60, 60)
     truth &= ~before
     fruit = Instance(box_of_mask(truth), 0.8, detector_mask=truth)
-    (found,) = segmenter.segment(picture, [fruit])
-    assert iou(found.mask, truth) > 0.9
-    assert found.mask is not None
-    assert (found.mask & before).sum() < 0.02 * truth.sum()
+    (instance,) = segmenter.segment(picture, [fruit])
+    assert iou(instance.mask, truth) > 0.9
+    assert instance.mask is not None
+    assert (instance.mask & before).sum() < 0.02 * truth.sum()
 
 
 def test_no_pixel_is_of_two_fruit(segmenter: Sam) -> None:
@@ -198,19 +198,19 @@ def test_colour_order_counts(segmenter: Sam) -> None:
 def test_a_speck_is_too_small(segmenter: Sam) -> None:
     speck = [(200, 200), (206, 202)]
     fruit = Instance(box_of_mask(tube(480, 640, speck, 5)))
-    (found,) = segmenter.segment(drawn(480, 640, speck, thick=5), [fruit])
-    assert found.mask_failure == "mask-small"
-    assert found.mask is None
+    (instance,) = segmenter.segment(drawn(480, 640, speck, thick=5), [fruit])
+    assert instance.mask_failure == "mask-small"
+    assert instance.mask is None
 
 
 def test_a_mask_far_beyond_its_box_is_refused() -> None:
     by_point = open_sam(runtime="onnxruntime", prompt="point")
     middle = Instance(np.array([175.5, 140.5, 195.5, 170.5]), detector_mask=tube(480, 640, LEFT))
-    (found,) = by_point.segment(drawn(480, 640, LEFT), [middle])
-    assert found.mask_failure == "mask-off-box"
-    assert found.mask is None
-    assert found.mask_source is None
-    assert found.detector_mask is middle.detector_mask
+    (instance,) = by_point.segment(drawn(480, 640, LEFT), [middle])
+    assert instance.mask_failure == "mask-off-box"
+    assert instance.mask is None
+    assert instance.mask_source is None
+    assert instance.detector_mask is middle.detector_mask
 
 
 def test_a_mask_unlike_the_detectors_is_refused(segmenter: Sam) -> None:
@@ -219,9 +219,9 @@ def test_a_mask_unlike_the_detectors_is_refused(segmenter: Sam) -> None:
     half = truth.copy()
     half[:, 150:] = False
     fruit = Instance(box_of_mask(truth), detector_mask=half)
-    (found,) = segmenter.segment(drawn(480, 640, LEFT), [fruit])
-    assert found.mask_failure == "mask-off-detector"
-    assert found.mask is None
+    (instance,) = segmenter.segment(drawn(480, 640, LEFT), [fruit])
+    assert instance.mask_failure == "mask-off-detector"
+    assert instance.mask is None
 
 
 def test_the_detectors_mask_chooses_among_those_of_sam(
@@ -249,18 +249,18 @@ def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Sam) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
     outside = [[700, 10, 800, 60], [-90, -90, -10, -10], [50, 50, 50, 90], [np.nan] * 4]
     boxes = [Instance(np.array(box, float)) for box in outside]
-    *nothing, found = segmenter.segment(picture, [*boxes, fruit])
-    assert [one.mask_failure for one in nothing] == ["mask-empty"] * 4
-    assert all(one.mask is None for one in nothing)
-    assert iou(found.mask, tube(480, 640, LEFT)) > 0.9
+    *nothing, instance = segmenter.segment(picture, [*boxes, fruit])
+    assert [empty.mask_failure for empty in nothing] == ["mask-empty"] * 4
+    assert all(empty.mask is None for empty in nothing)
+    assert iou(instance.mask, tube(480, 640, LEFT)) > 0.9
 
 
 def test_a_box_that_reaches_out_of_the_picture(segmenter: Sam) -> None:
     cut = [(-60, 200), (60, 210), (200, 240)]
     truth = tube(480, 640, cut)
     box = box_of_mask(truth) - np.array([120.0, 0, 0, 0])
-    (found,) = segmenter.segment(drawn(480, 640, cut), [Instance(box)])
-    assert iou(found.mask, truth) > 0.9
+    (instance,) = segmenter.segment(drawn(480, 640, cut), [Instance(box)])
+    assert iou(instance.mask, truth) > 0.9
 
 
 def test_an_earlier_mask_and_failure_are_replaced(segmenter: Sam) -> None:
@@ -271,9 +271,9 @@ def test_an_earlier_mask_and_failure_are_replaced(segmenter: Sam) -> None:
         mask_source=MaskSource.DATASET,
         mask_failure="mask-small",
     )
-    (found,) = segmenter.segment(drawn(480, 640, LEFT), [old])
-    assert iou(found.mask, truth) > 0.9
-    assert (found.mask_source, found.mask_failure) == (MaskSource.SAM, "")
+    (instance,) = segmenter.segment(drawn(480, 640, LEFT), [old])
+    assert iou(instance.mask, truth) > 0.9
+    assert (instance.mask_source, instance.mask_failure) == (MaskSource.SAM, "")
 
 
 def test_files_of_ones_own_are_taken() -> None:

@@ -50,9 +50,9 @@ def test_a_cucumber_of_74_cm_is_too_thick_and_says_so() -> None:
 
 @pytest.mark.parametrize("name", ["simulated-bench", "simulated-row-a", "simulated-row-b"])
 def test_bundled_fruit_are_possible(name: str) -> None:
-    for one in Measurer(MeasureOptions(instances="dataset")).measure(scaled(1, name)).fruit:
-        assert one.length is not None
-        assert Flag.DEPTH_UNIT not in one.flags
+    for fruit in Measurer(MeasureOptions(instances="dataset")).measure(scaled(1, name)).fruit:
+        assert fruit.length is not None
+        assert Flag.DEPTH_UNIT not in fruit.flags
 
 
 def raw(length_m: float, width_m: float, reason: Reason) -> tuple[FruitMeasurement, Capture]:

@@ -130,7 +130,7 @@ def test_outcomes_come_in_order_with_failures_as_values(engine: Engine) -> None:
     assert [item for item, _ in done] == items
     names = ["simulated-bench", None, "simulated-row-a", None, "simulated-row-b"]
     assert [outcome.value for _, outcome in done] == names
-    told = [[one.message for one in outcome.failures] for _, outcome in done]
+    told = [[failure.message for failure in outcome.failures] for _, outcome in done]
     assert told == [[], ["nowhere: does not exist"], [], ["recording: stopped in the middle"], []]
 
 
@@ -138,10 +138,10 @@ def test_in_turn_asks_for_no_item_before_the_last_was_dealt_with() -> None:
     log: list[str] = []
 
     def items() -> Iterator[Item]:
-        for one in list_captures([example_captures()], OPTIONS.reading):
-            assert isinstance(one, Listed)
-            log.append(f"asked {one.name[-1]}")
-            yield one
+        for capture in list_captures([example_captures()], OPTIONS.reading):
+            assert isinstance(capture, Listed)
+            log.append(f"asked {capture.name[-1]}")
+            yield capture
 
     for item, outcome in measure_all(items(), ResultWorker(Measurer(OPTIONS)), in_turn):
         assert isinstance(item, Listed)
@@ -158,7 +158,7 @@ def test_a_stopped_loop_begins_nothing_and_still_names_what_failed(engine: Engin
     for _, outcome in measure_all(
         [first, second, nowhere], Names(Measurer(OPTIONS)), engine, lambda: bool(seen)
     ):
-        seen.append(outcome.value or "".join(one.message for one in outcome.failures))
+        seen.append(outcome.value or "".join(failure.message for failure in outcome.failures))
     assert seen == ["simulated-bench", "", "nowhere: does not exist"]
 
 

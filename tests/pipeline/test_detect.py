@@ -51,8 +51,8 @@ def test_bad_pictures_lose_nothing_of_the_rest(
     run: tuple[DetectResult, list[tuple[int, int]]],
 ) -> None:
     result, seen = run
-    assert [one.name for one in result.pictures] == ["a.png", "more/a.webp"]
-    assert [len(one.entries) for one in result.pictures] == [3, 3]
+    assert [picture.name for picture in result.pictures] == ["a.png", "more/a.webp"]
+    assert [len(picture.entries) for picture in result.pictures] == [3, 3]
     assert result.skipped == 1
     assert seen == [(1, 3), (2, 3), (3, 3)]
     with (result.out / "failures.csv").open(encoding="utf-8-sig") as stream:

@@ -33,36 +33,38 @@ def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
 ) -> None:
     options = MeasureOptions(instances="models", segmenter="mobile-sam")
     finder = make_finder(options, own_registry)
-    found = finder.find(row_a).instances
+    instances = finder.find(row_a).instances
     # The half that was found once more is the first fruit.
-    assert len(found) == len(row_a.masks)
-    for one, mask in zip(found, row_a.masks, strict=True):
-        assert box_iou(one.box, box_of_mask(mask)) > 0.95
-        assert one.mask_source is MaskSource.SAM
-        assert one.detector_mask is not None
-        assert one.keypoints is not None
-        assert one.keypoints[0, 1] > one.keypoints[4, 1]  # the blossom end hangs
+    assert len(instances) == len(row_a.masks)
+    for instance, mask in zip(instances, row_a.masks, strict=True):
+        assert box_iou(instance.box, box_of_mask(mask)) > 0.95
+        assert instance.mask_source is MaskSource.SAM
+        assert instance.detector_mask is not None
+        assert instance.keypoints is not None
+        assert instance.keypoints[0, 1] > instance.keypoints[4, 1]  # the blossom end hangs
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
-    known = own_registry.hashes("tiny-seg")
-    assert finder.networks.models[0]["sha256"] == known["tiny-seg.onnx"]
+    hashes = own_registry.hashes("tiny-seg")
+    assert finder.networks.models[0]["sha256"] == hashes["tiny-seg.onnx"]
 
 
 def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     plain: Capture, own_registry: Registry
 ) -> None:
     finder = make_finder(MeasureOptions(instances="models"), own_registry)
-    kept = finder.find(plain).instances
-    assert [one.mask_source for one in kept] == [MaskSource.DETECTOR] * 3
+    bright = finder.find(plain).instances
+    assert [instance.mask_source for instance in bright] == [MaskSource.DETECTOR] * 3
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose"]
     dark = plain.depth_m.copy()
-    left, top, right, bottom = kept[0].box.round().astype(int)
+    left, top, right, bottom = bright[0].box.round().astype(int)
     dark[top : bottom + 1, left : right + 1] = 0
-    seen = finder.find(replace(plain, depth_m=dark))
-    found = seen.instances
-    drawn = [one for one in found if one.mask_source is MaskSource.SAM]
-    assert [tube is None for tube in seen.tubes] == [one in drawn for one in found]
-    assert len(found) == 3
-    assert [box_iou(one.box, kept[0].box) for one in drawn] == [1.0]
+    detections = finder.find(replace(plain, depth_m=dark))
+    instances = detections.instances
+    drawn = [instance for instance in instances if instance.mask_source is MaskSource.SAM]
+    assert [tube is None for tube in detections.tubes] == [
+        instance in drawn for instance in instances
+    ]
+    assert len(instances) == 3
+    assert [box_iou(instance.box, bright[0].box) for instance in drawn] == [1.0]
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
 
 
@@ -94,18 +96,18 @@ def test_masks_of_another_segmenter_are_not_called_sams(
 def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
     plain: Capture, own_registry: Registry
 ) -> None:
-    found = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
-    for one, tube in zip(found.instances, found.tubes, strict=True):
+    detections = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
+    for instance, tube in zip(detections.instances, detections.tubes, strict=True):
         assert tube is not None
-        again = measure_fruit(plain, one).measurements[MethodName.M6]
-        assert tube.length_m == again.length_m
-        other = replace(tube, length_m=1.0)
-        fruit = measure_fruit(plain, one, tube=other)
+        refitted = measure_fruit(plain, instance).measurements[MethodName.M6]
+        assert tube.length_m == refitted.length_m
+        longer_tube = replace(tube, length_m=1.0)
+        fruit = measure_fruit(plain, instance, tube=longer_tube)
         assert list(fruit.measurements) == list(AVAILABLE)
         assert fruit.measurements[MethodName.M6].length_m == 1.0
         assert (
             MethodName.M6
-            not in measure_fruit(plain, one, (MethodName.M3,), tube=other).measurements
+            not in measure_fruit(plain, instance, (MethodName.M3,), tube=longer_tube).measurements
         )
 
 
@@ -113,8 +115,8 @@ def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
     row_a: Capture, plain: Capture, own_registry: Registry
 ) -> None:
     finder = make_finder(MeasureOptions(segmenter=None), own_registry)
-    given = finder.find(row_a).instances
-    assert [one.mask_source for one in given] == [MaskSource.DATASET] * 3
+    instances = finder.find(row_a).instances
+    assert [instance.mask_source for instance in instances] == [MaskSource.DATASET] * 3
     assert finder.networks.models == []
     assert len(finder.find(plain).instances) == 3
     assert len(finder.networks.models) == 2
@@ -148,9 +150,9 @@ def test_a_pose_network_of_ones_own_gives_keypoints_to_the_data_sets_masks(
     row_a: Capture, own_networks: dict[str, Path], bare_registry: Registry
 ) -> None:
     options = MeasureOptions(instances="dataset", pose=own_networks["pose"])
-    found = make_finder(options, bare_registry).find(row_a).instances
-    assert all(one.keypoints is not None for one in found)
-    assert all(one.mask_source is MaskSource.DATASET for one in found)
+    instances = make_finder(options, bare_registry).find(row_a).instances
+    assert all(instance.keypoints is not None for instance in instances)
+    assert all(instance.mask_source is MaskSource.DATASET for instance in instances)
 
 
 def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry: Registry) -> None:
@@ -161,8 +163,8 @@ def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry:
 
 def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Registry) -> None:
     options = MeasureOptions(instances="models", segmenter="none")
-    for one in make_finder(options, own_registry).find(row_a).instances:
-        fruit = measure_fruit(row_a, one)
+    for instance in make_finder(options, own_registry).find(row_a).instances:
+        fruit = measure_fruit(row_a, instance)
         m4, m3 = fruit.measurements[MethodName.M4], fruit.measurements[MethodName.M3]
         # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
         assert m4.reason is Reason.OK

@@ -83,10 +83,10 @@ def test_what_fails_half_way_leaves_what_was_there(out: OutputFolder) -> None:
 def test_two_runs_do_not_write_into_one_folder(local: OutputFolder) -> None:
     pytest.importorskip("fcntl")
     with local.locked(".lock"):
-        other = OutputFolder(local.path)
+        folder = OutputFolder(local.path)
         with (
             pytest.raises(CucumberVisionError, match="another run is writing into it; wait"),
-            other.locked(".lock"),
+            folder.locked(".lock"),
         ):
             raise AssertionError
     with local.locked(".lock"):

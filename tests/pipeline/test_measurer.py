@@ -55,8 +55,8 @@ def test_lengths_scale_with_the_depth_through_the_whole_run(tmp_path: Path) -> N
 
 def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "site.json"
-    other = Intrinsics(848, 480, 640.0, 640.0, 424.0, 240.0)
-    write_site_calibration(path, site(entry(), camera=other))
+    intrinsics = Intrinsics(848, 480, 640.0, 640.0, 424.0, 240.0)
+    write_site_calibration(path, site(entry(), camera=intrinsics))
     options = MeasureOptions(methods=(MethodName.M3,), calibration=path)
     result = measure_inputs([example_captures()], tmp_path / "out", options)
     assert (result.rows, len(result.failures)) == ([], 3)
@@ -166,17 +166,17 @@ def test_the_edge_that_is_up_says_which_end_is_the_stems(edge: str, upright: boo
     lens = Intrinsics(480, 480, 600.0, 600.0, 240.0, 240.0)
     capture = Capture(np.zeros((480, 480, 3), np.uint8), depth, lens, "bar", masks=(mask,))
     options = MeasureOptions(instances="dataset", segmenter="none", camera_up=edge)
-    (found,) = Measurer(options).measure(capture).fruit
-    assert found.pose is not None
-    across, down = lens.project(found.pose.stem_m[None])[0]
+    (fruit,) = Measurer(options).measure(capture).fruit
+    assert fruit.pose is not None
+    across, down = lens.project(fruit.pose.stem_m[None])[0]
     far = {"top": down, "bottom": 479 - down, "left": across, "right": 479 - across}[edge]
     assert far == pytest.approx(100, abs=8)
-    assert found.pose.stem_confidence > 0.99
+    assert fruit.pose.stem_confidence > 0.99
     # What the capture says itself comes first.
     lies = replace(capture, gravity=(0.0, 0.0, 1.0))
-    (found,) = Measurer(options).measure(lies).fruit
-    assert found.pose is not None
-    assert found.pose.stem_confidence == pytest.approx(0.5, abs=0.1)
+    (fruit,) = Measurer(options).measure(lies).fruit
+    assert fruit.pose is not None
+    assert fruit.pose.stem_confidence == pytest.approx(0.5, abs=0.1)
 
 
 def test_ends_are_looked_at_where_that_is_asked_for_and_networks_drew_the_masks() -> None:
@@ -201,7 +201,7 @@ def test_ends_are_looked_at_where_that_is_asked_for_and_networks_drew_the_masks(
     measurer = Measurer(replace(options, instances="dataset", end_look=True))
     given = measurer.measure(capture)
     assert measurer.models == []
-    assert all(one.fit is not None and one.fit.looks is None for one in given.fruit)
+    assert all(fruit.fit is not None and fruit.fit.looks is None for fruit in given.fruit)
 
 
 def test_what_rows_depend_on_knows_the_look() -> None:

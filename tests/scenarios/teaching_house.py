@@ -141,7 +141,7 @@ class User:
         true = true_fruit(self.house, record.name)
         views = self.store.detections(WALK.key, DetectionFilter(stop_key=stop_key))
         hit_by, wrong = self._matched(views, true)
-        masks = {one.number: one.mask for one in record.fruit}
+        masks = {fruit.number: fruit.mask for fruit in record.fruit}
         if wrong:  # first, since no fruit is added where a find still stands
             self.store.set_verdict(wrong, Verdict.REJECTED)
             self.corrections += len(wrong)
@@ -224,8 +224,8 @@ def correct_house(out: Path, marks: Sequence[int]) -> list[Path]:
         names = sorted(path for path in (house / "captures").iterdir())
         user = User(store, house)
         views = store.detections(WALK.key)
-        judged = {one.stop_key for one in views} - {
-            one.stop_key for one in views if not one.verdict
+        judged = {view.stop_key for view in views} - {
+            view.stop_key for view in views if not view.verdict
         }
         waiting = [
             (mark, path)

@@ -67,12 +67,12 @@ def test_what_cannot_be_read_costs_the_others_nothing(client: TestClient, bench:
         ("files", ("half.zip", packed(bench)[1][:5000])),
     ]
     told = client.post("/measure", files=files).json()
-    assert [one["name"] for one in told["captures"]] == ["simulated-bench"]
-    assert [(one["name"], one["error"]) for one in told["failures"]] == [
+    assert [capture["name"] for capture in told["captures"]] == ["simulated-bench"]
+    assert [(failure["name"], failure["error"]) for failure in told["failures"]] == [
         ("half.zip", "UploadError"),
         ("x.png", "CaptureError"),
     ]
-    assert not any("/tmp" in one["message"] for one in told["failures"])
+    assert not any("/tmp" in failure["message"] for failure in told["failures"])
 
 
 def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
@@ -85,7 +85,7 @@ def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
         # The network's box is 8, 8 to 40, 30 pixels from the picture's corner.
         (fruit,) = seen["fruit"]
         assert (fruit["bbox"], fruit["score"], fruit["class"]) == ([8, 8, 32, 22], 0.75, "cucumber")
-        assert [(one["name"], one["error"]) for one in told["failures"]] == [
+        assert [(failure["name"], failure["error"]) for failure in told["failures"]] == [
             ("b.txt", "CaptureError")
         ]
         assert client.get("/health").json()["models"] == [one_box_detector.name]

@@ -74,7 +74,7 @@ def test_a_recording_is_played_here_and_goes_as_its_captures(service: str, recor
     told = Client(service, TOKEN).measure(recording)
     assert told["failures"] == []
     names = [f"walk_{number:06d}" for number in _first_frames(recording)]
-    assert [one["name"] for one in told["captures"]] == names
+    assert [capture["name"] for capture in told["captures"]] == names
 
 
 def _first_frames(recording: Path) -> list[int]:
@@ -92,7 +92,7 @@ def test_pictures_that_are_none_are_named(service: str, tmp_path: Path) -> None:
     broken.write_bytes(b"no picture")
     told = Client(service, TOKEN).detect(broken)
     assert told["pictures"] == []
-    assert [one["error"] for one in told["failures"]] == ["CaptureError"]
+    assert [failure["error"] for failure in told["failures"]] == ["CaptureError"]
 
 
 def test_a_wrong_token_is_said(service: str) -> None:

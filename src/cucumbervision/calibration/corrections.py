@@ -19,7 +19,7 @@ _HUBER = 1.345
 
 _LEAST_GAIN_POINTS = 0.01
 
-_ROUNDS = 50
+_MOST_ITERATIONS = 50
 
 _TOLERANCE = 1e-9
 
@@ -211,7 +211,7 @@ def _fit(
     design = np.stack(columns, axis=1)
     trust = np.ones_like(raw)
     solution: NDArray[np.float64] = np.zeros(len(columns))
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ITERATIONS):
         root = np.sqrt(weights * trust)
         before = solution
         solution = np.asarray(np.linalg.lstsq(design * root[:, None], root, rcond=None)[0], float)

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 
-_SHORTEST, _LONGEST = 0.05, 100.0  # range of focal lengths relative to the longer side
-_SQUARE = 1.5  # maximum ratio of the focal lengths
-_CURVED = 1e3  # maximum distortion coefficient
+_SHORTEST_FOCAL, _LONGEST_FOCAL = 0.05, 100.0  # range of focal lengths relative to the longer side
+_MOST_ASPECT = 1.5  # maximum ratio of the focal lengths
+_MOST_COEFFICIENT = 1e3  # maximum distortion coefficient
 _MOST_PX = 1e9  # maximum of a camera matrix
-_WIDEST = 20.0  # maximum tangent of a pixel's viewing angle
+_WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # A principal point that lies off the middle by the same factor in both directions, within
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
 _SAME_FACTOR, _CENTRED = 0.06, 0.09
@@ -90,10 +90,10 @@ class Intrinsics:
             )
         focal, longest = (self.fx_px, self.fy_px), max(self.width, self.height)
         if (
-            min(focal) < _SHORTEST * longest
-            or max(focal) > _LONGEST * longest
-            or max(focal) >= _SQUARE * min(focal)
-            or max(map(abs, self.coefficients)) > _CURVED
+            min(focal) < _SHORTEST_FOCAL * longest
+            or max(focal) > _LONGEST_FOCAL * longest
+            or max(focal) >= _MOST_ASPECT * min(focal)
+            or max(map(abs, self.coefficients)) > _MOST_COEFFICIENT
         ):
             raise IntrinsicsError(
                 f"no camera of {self.width}x{self.height} pixels has focal lengths of "
@@ -282,7 +282,7 @@ def check_intrinsics(
         corners = camera.rays(
             np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height])
         )
-    if not (np.abs(corners) <= _WIDEST).all():
+    if not (np.abs(corners) <= _WIDEST_TANGENT).all():
         raise IntrinsicsError(
             f"the lens distortion {camera.coefficients} cannot be undone in the picture's corners",
             source=source,

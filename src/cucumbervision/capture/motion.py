@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 _STILL_SHARE = 1 / 250  # of the width: 3 px of 848, up to which fused lengths are correct
 _WIDTH_PX = 320
-_CORNERS, _FEWEST = 100, 8
+_CORNERS, _LEAST_CORNERS = 100, 8
 _CORNER_STRENGTH = 5e-5  # twenty times the noise on a plain wall
-_WEAKEST = 0.02  # minimum corner strength relative to the strongest
+_WEAKEST_CORNER = 0.02  # minimum corner strength relative to the strongest
 _THERE_AND_BACK_PX = 0.5
-_MOST = 0.9  # quantile of the corners, so that swinging or near fruit do not dominate
+_MOTION_QUANTILE = 0.9  # quantile of the corners, so that swinging or near fruit do not dominate
 
 
 def moved_px(reference: NDArray[np.uint8], pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
@@ -52,10 +52,10 @@ def moved_px(reference: NDArray[np.uint8], pictures: Sequence[NDArray[np.uint8]]
     strongest = float(np.max(cv2.cornerMinEigenVal(first, 5)))
     if strongest < _CORNER_STRENGTH:
         return [0.0] * len(pictures)
-    level = max(_CORNER_STRENGTH / strongest, _WEAKEST)
+    level = max(_CORNER_STRENGTH / strongest, _WEAKEST_CORNER)
     features = cv2.goodFeaturesToTrack(first, _CORNERS, level, 5, blockSize=5)
     corners = np.asarray(features, np.float32).reshape(-1, 2)
-    if len(corners) < _FEWEST:
+    if len(corners) < _LEAST_CORNERS:
         return [0.0] * len(pictures)
     first = _levelled(first)
     return [
@@ -91,7 +91,7 @@ def _moved(
     if np.count_nonzero(same) < len(corners) / 2:
         return float("inf")
     by = np.linalg.norm(np.asarray(moved) - corners, axis=1)[same]
-    return float(np.quantile(by, _MOST))
+    return float(np.quantile(by, _MOTION_QUANTILE))
 
 
 def _levelled(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _STEPS_PX = np.array([0.5, 1.5, 2.5, 3.5])  # how far across an outline its depth is read
-_GREY = 114  # outside a picture, as the padding of network inputs
+_PADDING_GREY = 114  # outside a picture, as the padding of network inputs
 
 
 def quick_median(values: NDArray[np.floating[Any]]) -> np.floating[Any]:
@@ -203,6 +203,6 @@ def sample_color(
         places[..., 1],
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(_GREY,) * 3,
+        borderValue=(_PADDING_GREY,) * 3,
     )
     return np.asarray(sampled, np.uint8)

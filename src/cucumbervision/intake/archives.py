@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-_LONGEST, _DEEPEST = 120, 32
+_LONGEST_NAME, _DEEPEST_FOLDER = 120, 32
 _FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' would be hidden
 _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
@@ -44,9 +44,9 @@ def clean_name(text: str) -> str:
         c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp"))
     )
     printable = no_device(" ".join(_FORBIDDEN.sub("_", printable).split()).rstrip(". "))
-    if len(printable) > _LONGEST or len(printable.encode()) > 2 * _LONGEST:
+    if len(printable) > _LONGEST_NAME or len(printable.encode()) > 2 * _LONGEST_NAME:
         suffix = PurePosixPath(printable).suffix[-8:]
-        start = printable[: _LONGEST - 1 - len(suffix)].encode()[: 2 * _LONGEST - 35]
+        start = printable[: _LONGEST_NAME - 1 - len(suffix)].encode()[: 2 * _LONGEST_NAME - 35]
         printable = f"{start.decode(errors='ignore')}…{suffix}"
     return printable if printable.strip(". ") else "unnamed"
 
@@ -78,9 +78,9 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
             source=archive,
             remedy="pack the captures' folder again",
         )
-    if len(parts) > _DEEPEST:
+    if len(parts) > _DEEPEST_FOLDER:
         raise UploadError(
-            f"nests more than {_DEEPEST} folders",
+            f"nests more than {_DEEPEST_FOLDER} folders",
             source=archive,
             remedy="pack the captures' folder alone",
         )

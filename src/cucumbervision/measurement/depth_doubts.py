@@ -19,18 +19,19 @@ _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435:
 _MIN_READINGS = 30
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
 # of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
-_MIDDLE, _FLANK = 0.75, (0.15, 0.5)
-_HOLLOW = 0.08  # threshold in apparent radii: the middle lies behind the flanks by more
+_MIDDLE_FROM, _FLANK_RANGE = 0.75, (0.15, 0.5)
+_HOLLOW_RADII = 0.08  # threshold in apparent radii: the middle lies behind the flanks by more
 # Stereo depth of thin fruit between leaves is hollow, too, but their surroundings are not nearer.
-_AROUND, _NEARER_SHARE = (0.3, 1.0), 0.85  # radii beyond the outline; share of the readings there
+_SURROUNDING_RADII = (0.3, 1.0)  # beyond the outline
+_NEARER_SHARE = 0.85  # of the readings there
 _NOISE_SD = 4.0  # standard errors of both medians
-_PART = 0.1  # minimum size of a part, relative to the mask
-_WAIST = 0.72  # of the largest radius: a narrower place between wider parts is a waist
+_LEAST_PART = 0.1  # minimum size of a part, relative to the mask
+_WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider parts is a waist
 _GAP_BEHIND = 1.0  # minimum distance of the gap behind the fruit, in diameters
-_LONGER = 2.5  # maximum length of the gap relative to its shortest length
+_LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest length
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
-_PLANE, _STANDS_OUT, _ROUGH, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
+_PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 _PLANE_READINGS = 2000  # more readings do not improve the plane
 # Among 48 real fruit with correct depth, one false detection exceeds these limits. With masks moved
 # by a radius, about half do before a distant background, and none among objects at equal distance.
@@ -116,7 +117,7 @@ class _Body:
             raise ValueError("the mask is empty")
         inside_px = distances_inside(np.pad(mask[tight], 1))[1:-1, 1:-1]
         radius_px = float(inside_px.max())
-        part = mask_window(mask, int(_PLANE[1] * radius_px) + 2) or tight
+        part = mask_window(mask, int(_PLANE_RING_RADII[1] * radius_px) + 2) or tight
         depth_m, mask = depth_m[part], mask[part]
         around = [
             (inner.start - outer.start, outer.stop - inner.stop)
@@ -137,16 +138,18 @@ class _Body:
 def _is_hollow(body: _Body) -> bool:
     """Return whether a mask's middle lies behind its flanks, and its surroundings are nearer."""
     share = body.inside_px / body.radius_px
-    middle = body.depth_m[body.read & (share >= _MIDDLE)]
-    flank = body.depth_m[body.read & (share >= _FLANK[0]) & (share <= _FLANK[1])]
+    middle = body.depth_m[body.read & (share >= _MIDDLE_FROM)]
+    flank = body.depth_m[body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])]
     if min(middle.size, flank.size) < _MIN_READINGS:
         return False
     depth_behind_m = float(quick_median(middle) - quick_median(flank))
     error_m = np.hypot(_median_error(middle), _median_error(flank))
-    if depth_behind_m <= max(_HOLLOW * body.radius_m, _NOISE_SD * error_m):
+    if depth_behind_m <= max(_HOLLOW_RADII * body.radius_m, _NOISE_SD * error_m):
         return False
     outside = body.outside_px / body.radius_px
-    around = body.depth_m[body.read & (outside > _AROUND[0]) & (outside < _AROUND[1])]
+    around = body.depth_m[
+        body.read & (outside > _SURROUNDING_RADII[0]) & (outside < _SURROUNDING_RADII[1])
+    ]
     nearer = around < body.distance_m
     return around.size >= _MIN_READINGS and float(nearer.mean()) >= _NEARER_SHARE
 
@@ -163,7 +166,7 @@ def _has_gap(body: _Body) -> bool:
     """
     width_px = 2.0 * body.radius_px
     limit_m = body.distance_m + _GAP_BEHIND * 2.0 * body.radius_m
-    worn = _parts(body.inside_px >= _WAIST * body.radius_px)
+    worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px)
     for parts in (_parts(body.mask), worn if worn is None else _grown(worn, body.mask, width_px)):
         if parts is None:
             continue
@@ -179,7 +182,7 @@ def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
-    large = 1 + np.flatnonzero(areas > _PART * areas.sum())
+    large = 1 + np.flatnonzero(areas > _LEAST_PART * areas.sum())
     if len(large) < 2:
         return None
     return np.where(np.isin(labels, large), labels, 0).astype(np.uint8)
@@ -189,7 +192,7 @@ def _grown(parts: NDArray[np.uint8], mask: NDArray[np.bool_], width_px: float) -
     """Return eroded parts, grown back to the outline."""
     import cv2
 
-    reach_px = 2 * round(_WAIST * width_px / 2) + 1
+    reach_px = 2 * round(_WAIST_SHARE * width_px / 2) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach_px, reach_px))
     return np.where(mask, cv2.dilate(parts, disc), 0).astype(np.uint8)
 
@@ -214,7 +217,7 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     # On the inner side of a bend, the path between the parts is long and outside the fruit.
     long_px = below - above
     shortest_px = long_px.min(where=gap, initial=len(upright))
-    gap &= long_px <= max(_LONGER * shortest_px, width_px)
+    gap &= long_px <= max(_LONGEST_GAP_RATIO * shortest_px, width_px)
     # Depth at the edges is a mixture: one pixel of each part is omitted.
     gap = cv2.erode(gap.astype(np.uint8), np.ones((3, 1), np.uint8))
     height, width = parts.shape
@@ -233,7 +236,7 @@ def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
 def _is_flat(body: _Body) -> bool:
     """Return whether a mask lies in the plane of its surroundings, so that it is no body."""
     outside = body.outside_px / body.radius_px
-    around = body.read & (outside > _PLANE[0]) & (outside < _PLANE[1])
+    around = body.read & (outside > _PLANE_RING_RADII[0]) & (outside < _PLANE_RING_RADII[1])
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < _MIN_READINGS:
         return False
@@ -248,7 +251,10 @@ def _is_flat(body: _Body) -> bool:
     ahead_m = body.depth_m[middle] - _with_one(middle) @ plane
     spread_m = max(around_sd_m, _robust_sd(ahead_m))
     stands_out_m = abs(float(quick_median(ahead_m)))
-    return stands_out_m < _STANDS_OUT * body.radius_m and spread_m < _ROUGH * body.radius_m
+    return (
+        stands_out_m < _LEAST_HEIGHT_RADII * body.radius_m
+        and spread_m < _ROUGHNESS_RADII * body.radius_m
+    )
 
 
 def _with_one(mask: NDArray[np.bool_], spacing: int = 1) -> NDArray[np.float64]:

@@ -36,11 +36,11 @@ CAMERA_FRAME = "camera_color_optical_frame"
 CUT_BEYOND_M = 0.02
 """How far beyond the stem end a fruit is cut where no crop profile names it, metres."""
 
-_POINTS = 33
+_AXIS_POINTS = 33
 
 # Nearly all hanging fruit have the stem above: log-odds for an upright fruit.
-_HANGING = 6.0
-_SUREST = 0.9999
+_HANGING_LOG_ODDS = 6.0
+_MOST_CONFIDENCE = 0.9999
 
 # Not covered by the fit: a stem end is no hemisphere, and a peduncle deviates from the axis.
 _END_SD_M = 0.0025
@@ -261,7 +261,8 @@ def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Cap
     first, last = capture.intrinsics.project(ends_m)
     as_is = np.linalg.norm(first - stem) + np.linalg.norm(last - blossom)
     swapped = np.linalg.norm(first - blossom) + np.linalg.norm(last - stem)
-    sure = min(1.0 if instance.end_confidence is None else instance.end_confidence, _SUREST)
+    confidence = 1.0 if instance.end_confidence is None else instance.end_confidence
+    sure = min(confidence, _MOST_CONFIDENCE)
     return float(np.sign(swapped - as_is) * np.log(sure / (1 - sure)))
 
 
@@ -271,7 +272,7 @@ def _gravity_odds(ends_m: NDArray[np.float64], capture: Capture) -> float:
         return 0.0
     down = np.array(capture.gravity) / np.linalg.norm(capture.gravity)
     run = ends_m[1] - ends_m[0]
-    return float(_HANGING * (run @ down) / max(np.linalg.norm(run), 1e-9))
+    return float(_HANGING_LOG_ODDS * (run @ down) / max(np.linalg.norm(run), 1e-9))
 
 
 def _turned(fit: TubeFit) -> TubeFit:
@@ -322,7 +323,7 @@ def fruit_pose(
     if fit is None:
         return None
     axis, run = fit.traits.axis_m, arc_positions(fit.traits.axis_m)
-    shares = np.linspace(0.0, 1.0, _POINTS)
+    shares = np.linspace(0.0, 1.0, _AXIS_POINTS)
     even = points_along(axis, shares)
     inner = points_along(axis, [END_SHARE])[0]
     direction = (axis[0] - inner) / max(float(np.linalg.norm(axis[0] - inner)), 1e-9)
@@ -346,7 +347,7 @@ def fruit_pose(
         stem_m=axis[0],
         blossom_m=axis[-1],
         stem_confidence=stem_confidence,
-        centre_m=even[_POINTS // 2],
+        centre_m=even[_AXIS_POINTS // 2],
         axis_m=even,
         radius_m=np.interp(shares * run[-1], fit.traits.along_m, fit.traits.diameter_m) / 2,
         direction=direction,

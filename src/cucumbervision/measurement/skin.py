@@ -27,8 +27,8 @@ _RIM = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
 _LEAST_PX = 200
 _LEAST_JUDGED = 0.5  # share of the skin whose colour can be judged
 _SURROUNDINGS = 0.5  # of the box's size, on each side
-_DOUBTED = 0.3  # share from which yellow light is asked for: it makes all skin yellow
-_CAST = 0.85  # share of the surroundings with yellow hue: the light may be yellow
+_DOUBTED_SHARE = 0.3  # share from which yellow light is asked for: it makes all skin yellow
+_CAST_SHARE = 0.85  # share of the surroundings with yellow hue: the light may be yellow
 
 
 def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> TraitValue:
@@ -83,7 +83,7 @@ def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Trait
     if judged.mean() < _LEAST_JUDGED:
         return TraitValue(None, max(faults, key=lambda fault: faults[fault].mean()))
     share = float(yellow[judged].mean())
-    if share > _DOUBTED and _is_yellow_light(color_rgb, mask):
+    if share > _DOUBTED_SHARE and _is_yellow_light(color_rgb, mask):
         return TraitValue(None, "yellow-light")
     return TraitValue(share)
 
@@ -110,7 +110,7 @@ def _is_yellow_light(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> b
     if np.count_nonzero(judged) < _LEAST_PX:
         return False
     share_judged = np.count_nonzero(judged) / np.count_nonzero(~fruit)
-    return bool(share_judged * float(yellow[judged].mean()) > _CAST)
+    return bool(share_judged * float(yellow[judged].mean()) > _CAST_SHARE)
 
 
 def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:

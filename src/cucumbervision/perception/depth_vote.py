@@ -53,7 +53,7 @@ _WIDEST_M, _SHORTEST_M, _LONGEST_M = 0.04, 0.10, 0.30  # usual sizes
 _FEWEST_READINGS, _FEWEST_SHARE = 30, 0.05
 _BODY_M = 0.06  # depth further than this from the median belongs to something else
 _SLICES = 12  # along the mask, so that a bent fruit is straight within each
-_CORE = 0.35  # of the half width: pixels that give a slice's depth
+_CORE_WIDTH = 0.35  # of the half width: pixels that give a slice's depth
 _NEARLY_ALL = 0.95  # quantile of the distances from a slice's middle: half of its width
 _MOST_RELIEF = 2.0
 _REPORTED_PROBABILITY = 0.75  # from which a detection is reported by default
@@ -179,7 +179,7 @@ def _relief(pixels: NDArray[np.intp], depth_m: NDArray[np.float32], half_width_m
         if not side.size:
             continue
         side = np.abs(side - quick_median(side))
-        core = readings[side <= _CORE * max(_half_width_px(side), 2.0)]
+        core = readings[side <= _CORE_WIDTH * max(_half_width_px(side), 2.0)]
         if core.size > 4:
             from_line.append(readings - quick_median(core))
     if not from_line:

@@ -32,7 +32,7 @@ _SAMPLES = 400
 _FADE = 4  # a sixteenth of an end's shift remains in the middle of the fruit
 KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STALK = 0.45  # of the body's thickness: thinner parts are stalk
-_NEAR = 0.12  # of the length: largest distance between corresponding ends
+_END_DISTANCE = 0.12  # of the length: largest distance between corresponding ends
 
 
 def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
@@ -82,7 +82,10 @@ def _with_placed_keypoints(instance: Instance) -> Instance:
         > np.linalg.norm(tips[::-1] - tip_points, axis=1).sum()
     ):
         tips = tips[::-1]
-    is_close = np.linalg.norm(tips - tip_points, axis=1) <= _NEAR * arc_positions(points[:, :2])[-1]
+    is_close = (
+        np.linalg.norm(tips - tip_points, axis=1)
+        <= _END_DISTANCE * arc_positions(points[:, :2])[-1]
+    )
     if not is_close.any():
         return instance
     line = points[:, :2].copy()

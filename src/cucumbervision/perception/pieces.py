@@ -29,21 +29,21 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 # Lengths are in diameters.
-_LONGEST = 12.0  # of the whole fruit
-_HIDDEN = 2.5  # in one piece, by something nearer
-_OPEN = 0.35  # neither fruit nor hidden: a string's
-_ROUNDED = 0.15  # by which a gap is wider at its sides; between two round ends it is 0.3
-_SHORTEST = 0.6  # that is added
-_WIDE, _ADDED_WIDE = 0.8, 1.2  # sections that are examined, and that are added
-_NEAR = 2.5  # length of the mask, from its end, that gives the direction
-_TORN = 0.5  # of that: left out, since an edge there may be torn
-_COVERED = 0.7  # share of a section
+_LONGEST_FRUIT = 12.0  # of the whole fruit
+_LONGEST_COVERED = 2.5  # in one piece, by something nearer
+_LONGEST_GAP = 0.35  # neither fruit nor hidden: a string's
+_GAP_ROUNDING = 0.15  # by which a gap is wider at its sides; between two round ends it is 0.3
+_SHORTEST_PIECE = 0.6  # that is added
+_SECTION_WIDTH, _ADDED_WIDTH = 0.8, 1.2  # sections that are examined, and that are added
+_DIRECTION_LENGTH = 2.5  # length of the mask, from its end, that gives the direction
+_TORN_EDGE = 0.5  # of that: left out, since an edge there may be torn
+_COVERED_SHARE = 0.7  # share of a section
 _SAME_M, _NEARER_M, _BODY_M = 0.02, 0.01, 0.06  # between readings and the depth that is expected
-_TURN, _SHIFT = 0.15, 0.3  # how fast direction and position follow the sections
+_TURN_RATE, _SHIFT_RATE = 0.15, 0.3  # how fast direction and position follow the sections
 _STEEPEST = 0.6  # between the direction at an end and the mask's axis
-_PART = 0.6  # share of a detection in what is added, from which it is a part of the fruit
-_OF_ANOTHER = 0.3  # share of what is added, from which it belongs to another detection
-_FEWEST = 30  # pixels and readings of a body
+_PART_SHARE = 0.6  # share of a detection in what is added, from which it is a part of the fruit
+_FOREIGN_SHARE = 0.3  # share of what is added, from which it belongs to another detection
+_LEAST_PIXELS = 30  # pixels and readings of a body
 
 
 def join_pieces_by_depth(
@@ -94,11 +94,11 @@ def join_pieces_by_depth(
             parts = [
                 candidate
                 for candidate, (share, _) in zip(waiting, shares, strict=True)
-                if share >= _PART
+                if share >= _PART_SHARE
             ]
-            covered_shares = [*(of_added for share, of_added in shares if share < _PART)]
+            covered_shares = [*(of_added for share, of_added in shares if share < _PART_SHARE)]
             covered_shares += [_shared(joined, added)[1] for joined in done]
-            if max(covered_shares, default=0.0) <= _OF_ANOTHER:
+            if max(covered_shares, default=0.0) <= _FOREIGN_SHARE:
                 waiting = [
                     candidate
                     for candidate in waiting
@@ -164,7 +164,7 @@ class _Body:
     def of(cls, mask: NDArray[np.bool_], depth_m: NDArray[np.float32]) -> _Body | None:
         """Return None if the mask is too small, too short or without depth."""
         pixels = mask_pixels(mask)
-        if len(pixels) < _FEWEST:
+        if len(pixels) < _LEAST_PIXELS:
             return None
         centre = pixels.mean(axis=0)
         axis = np.linalg.eigh(np.cov((pixels - centre).T))[1][:, 1]
@@ -177,7 +177,10 @@ class _Body:
         is_read = valid_depth(readings)
         if is_read.any():
             is_read &= np.abs(readings - np.median(readings[is_read])) < _BODY_M
-        if np.count_nonzero(is_read) < _FEWEST or np.ptp(points[0]) < _WIDE * girth_px:
+        if (
+            np.count_nonzero(is_read) < _LEAST_PIXELS
+            or np.ptp(points[0]) < _SECTION_WIDTH * girth_px
+        ):
             return None
         positions_px = points[0, is_read]
         body_m = readings[is_read].astype(np.float64)
@@ -189,15 +192,15 @@ class _Body:
         """Return the position of one end on the axis and in the picture, and its direction."""
         along, across = side * self.points[0], self.points[1]
         last = float(along.max())
-        at_end = along > last - _NEAR * self.girth_px
-        is_smooth = at_end & (along < last - _TORN * self.girth_px)
+        at_end = along > last - _DIRECTION_LENGTH * self.girth_px
+        is_smooth = at_end & (along < last - _TORN_EDGE * self.girth_px)
         slope, base = 0.0, float(across[at_end].mean())
         if is_smooth.any() and np.ptp(along[is_smooth]) > self.girth_px:
             slope, base = _line(along[is_smooth], across[is_smooth])
         slope = float(np.clip(slope, -_STEEPEST, _STEEPEST))
         ahead = side * self.axes[0] + slope * self.axes[1]
         # Start inside the mask, so that a round end is recognised.
-        start = last - _TORN * self.girth_px
+        start = last - _TORN_EDGE * self.girth_px
         tip = self.centre + side * start * self.axes[0] + (base + slope * start) * self.axes[1]
         return side * start, tip, ahead / np.linalg.norm(ahead)
 
@@ -234,18 +237,22 @@ def _sections(
     girth = body.girth_px
     place, position, ahead = body.end(side)
     step = max(girth / 8, 1.0)
-    across = np.linspace(-_WIDE / 2, _WIDE / 2, 11)
-    parts = np.abs(across) < _WIDE / 5, across < -_WIDE / 3, across > _WIDE / 3
+    across = np.linspace(-_SECTION_WIDTH / 2, _SECTION_WIDTH / 2, 11)
+    parts = (
+        np.abs(across) < _SECTION_WIDTH / 5,
+        across < -_SECTION_WIDTH / 3,
+        across > _SECTION_WIDTH / 3,
+    )
     sizes, (slope, base) = [np.count_nonzero(part) for part in parts], body.depth.tolist()
     edges: list[Any] = []
     last, seen_px, open_px, hidden_px, rounded_px = 0, 0.0, 0.0, 0.0, 0.0
-    for _ in range(int((_LONGEST * girth - np.ptp(body.points[0])) / step)):
+    for _ in range(int((_LONGEST_FRUIT * girth - np.ptp(body.points[0])) / step)):
         place, position = place + side * step, position + step * ahead
         aside = np.array([-ahead[1], ahead[0]])
         pixels = np.rint(position + girth * across[:, None] * aside).astype(np.intp)
         if not np.all((pixels >= 0) & (pixels < (cover.shape[1], cover.shape[0]))):
             break
-        edges.append(position + np.outer([-_ADDED_WIDE / 2, _ADDED_WIDE / 2], girth * aside))
+        edges.append(position + np.outer([-_ADDED_WIDTH / 2, _ADDED_WIDTH / 2], girth * aside))
         covered = cover[pixels[:, 1], pixels[:, 0]]
         farther_m = _farther(depth_m[pixels[:, 1], pixels[:, 0]], slope * place + base)
         in_middle, *beside = (
@@ -253,23 +260,26 @@ def _sections(
         )
         beside_share = max(beside)  # at a bend, only one side may be open
         rounded_px += step * (in_middle - beside_share)
-        if np.count_nonzero(covered) >= _COVERED * len(covered) and abs(farther_m) <= _SAME_M:
-            if rounded_px > _ROUNDED * girth:
+        if np.count_nonzero(covered) >= _COVERED_SHARE * len(covered) and abs(farther_m) <= _SAME_M:
+            if rounded_px > _GAP_ROUNDING * girth:
                 break
             if beside_share == 1:
                 rounded_px = 0.0
             last, seen_px, open_px, hidden_px = len(edges), seen_px + step, 0.0, 0.0
             off = float(across[covered].mean())
-            position, ahead = position + _SHIFT * off * girth * aside, ahead + _TURN * off * aside
+            position, ahead = (
+                position + _SHIFT_RATE * off * girth * aside,
+                ahead + _TURN_RATE * off * aside,
+            )
             ahead /= np.linalg.norm(ahead)
         elif farther_m < -_NEARER_M:
             hidden_px += step
         else:
             open_px += step
-        if open_px > _OPEN * girth or hidden_px > _HIDDEN * girth:
+        if open_px > _LONGEST_GAP * girth or hidden_px > _LONGEST_COVERED * girth:
             break
     # The first half diameter belongs to the mask.
-    return np.array(edges[:last]) if seen_px >= (_SHORTEST + _TORN) * girth else None
+    return np.array(edges[:last]) if seen_px >= (_SHORTEST_PIECE + _TORN_EDGE) * girth else None
 
 
 def _farther(readings: NDArray[np.float32], expected_m: float) -> float:

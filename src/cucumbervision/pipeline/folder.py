@@ -142,12 +142,12 @@ class OutputFolder:
 
 JOURNAL = "journal"
 
-_HEAD = b'{"format": "cucumbervision-journal", "version": 1}\n'
-_CHECK, _PLACE = 8, 32  # hexadecimal digits
-_START = _CHECK + 1 + _PLACE + 1
+_SEGMENT_HEAD = b'{"format": "cucumbervision-journal", "version": 1}\n'
+_CHECKSUM_DIGITS, _PLACE_DIGITS = 8, 32  # hexadecimal digits
+_RECORD_START = _CHECKSUM_DIGITS + 1 + _PLACE_DIGITS + 1
 
 # A remote store takes whole objects: records are collected for at most this number or time.
-_BATCH, _BATCH_S = 256, 30.0
+_BATCH_RECORDS, _BATCH_S = 256, 30.0
 _SEGMENTS_HELD = 8
 
 
@@ -160,7 +160,7 @@ def place_of(address: str, name: str) -> str:
     32
     """
     return hashlib.blake2b(
-        json.dumps([address, name]).encode(), digest_size=_PLACE // 2
+        json.dumps([address, name]).encode(), digest_size=_PLACE_DIGITS // 2
     ).hexdigest()
 
 
@@ -220,17 +220,21 @@ class JournalRecord:
     @classmethod
     def from_line(cls, line: bytes) -> JournalRecord:
         """Return the record of a line that passed `_is_whole`."""
-        values = json.loads(line[_START:])
+        values = json.loads(line[_RECORD_START:])
         values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
         values["stages"] = tuple(values["stages"])
-        return cls(place=line[_CHECK + 1 : _START - 1].decode(), **values)
+        return cls(place=line[_CHECKSUM_DIGITS + 1 : _RECORD_START - 1].decode(), **values)
 
 
 def _is_whole(line: bytes) -> bool:
     """Return whether a line is a complete record with a correct checksum."""
-    if len(line) <= _START or not line.endswith(b"\n") or line[_CHECK : _CHECK + 1] != b" ":
+    if (
+        len(line) <= _RECORD_START
+        or not line.endswith(b"\n")
+        or line[_CHECKSUM_DIGITS : _CHECKSUM_DIGITS + 1] != b" "
+    ):
         return False
-    return line[:_CHECK] == b"%08x" % zlib.crc32(line[_CHECK + 1 : -1])
+    return line[:_CHECKSUM_DIGITS] == b"%08x" % zlib.crc32(line[_CHECKSUM_DIGITS + 1 : -1])
 
 
 class Journal:
@@ -286,13 +290,13 @@ class Journal:
     def _begin(self) -> None:
         with wrap_os_errors("cannot be written", self._out.path):
             if self._out.is_remote:  # reports immediately if the store is read-only
-                self._out.write(f"{JOURNAL}/{self._run}-.jsonl", _HEAD)
+                self._out.write(f"{JOURNAL}/{self._run}-.jsonl", _SEGMENT_HEAD)
                 return
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{self._run}.jsonl"
             # Unbuffered: bytes that a full disk rejects must not be written with the next record.
             self._file = path.open("xb", buffering=0)
-            self._file.write(_HEAD)
+            self._file.write(_SEGMENT_HEAD)
             os.fsync(self._file.fileno())
             sync_folder(self._folder)
         self._segments.append(path)
@@ -341,7 +345,7 @@ class Journal:
         """
         if self._file is None:
             self._waiting.append(record)
-            if len(self._waiting) >= _BATCH or time.monotonic() - self._since > _BATCH_S:
+            if len(self._waiting) >= _BATCH_RECORDS or time.monotonic() - self._since > _BATCH_S:
                 self.flush()
             return
         # The newline ends a partial line of an earlier attempt, which is no record.
@@ -371,9 +375,9 @@ class Journal:
             return
         lines = [record.line() for record in self._waiting]
         name = f"{self._run}-{self._number:06d}.jsonl"
-        self._out.write(f"{JOURNAL}/{name}", _HEAD + b"".join(lines))
+        self._out.write(f"{JOURNAL}/{name}", _SEGMENT_HEAD + b"".join(lines))
         self._segments.append(self._folder / name)
-        offset = len(_HEAD)
+        offset = len(_SEGMENT_HEAD)
         for line in lines:
             self._index[_key(line)] = len(self._segments) - 1, offset, len(line)
             offset += len(line)
@@ -392,4 +396,4 @@ class Journal:
 
 
 def _key(line: bytes) -> bytes:
-    return bytes.fromhex(line[_CHECK + 1 : _START - 1].decode())
+    return bytes.fromhex(line[_CHECKSUM_DIGITS + 1 : _RECORD_START - 1].decode())

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.row_fruit import RowFruit
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints
 
-_STAY = 0.7  # share of fruit that are still there and seen
+_STAY_SHARE = 0.7  # share of fruit that are still there and seen
 # How far a fruit hangs off its plant's shift: along, up, into the row.
 _SWING_M = 0.04, 0.04, 0.05
 _MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
 _STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
 _CHANGE_M = 0.05  # how far neighbouring stretches usually differ
 SURE = 0.8  # probability from which a link counts for growth
-_FREEDOM = 4.0
+_STUDENT_FREEDOM = 4.0
 _PASSES = 6
 _BELIEF_STEPS = 40
 _PRIOR_LINKS = 20.0  # weight of the prior of swinging, in links
@@ -109,7 +109,7 @@ def link_days(
         moved = _at(knots, field, a[i, ALONG])
         gap = b[j] - a[i] - moved
         variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
-        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY) - other_density
+        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY_SHARE) - other_density
         pairs = _assign(i, j, ratio, len(a), len(b))
         field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
         swing = _swing(gap[pairs], variance[pairs] - swing)
@@ -207,7 +207,7 @@ def _vote(
     bins = [np.arange(-h, h + step, step) for h in half]
     core = np.sqrt(np.median(noise[:, :2], axis=0)) / step if len(i) else np.ones(2)
     # How much a pair adds at its own shift, beyond what other fruit do by chance.
-    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY) - other_density
+    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY_SHARE) - other_density
     weight = np.log1p(np.exp(np.minimum(height, 20.0)))
     stretch = np.abs(a[i, ALONG, None] - knots).argmin(axis=1)
     grids = []
@@ -279,7 +279,7 @@ def _fit(
         target = b[j, c] - a[i, c]
         for _ in range(4):
             misfit = (target - basis @ field[:, c]) ** 2 / noise[:, c]
-            trust = (_FREEDOM + 1) / (_FREEDOM + misfit) / noise[:, c]
+            trust = (_STUDENT_FREEDOM + 1) / (_STUDENT_FREEDOM + misfit) / noise[:, c]
             jump = (steps @ field[:, c]) ** 2 / _CHANGE_M**2
             stiff = 2.0 / (1.0 + jump) / _CHANGE_M**2
             information = (basis.T * trust) @ basis + (steps.T * stiff) @ steps

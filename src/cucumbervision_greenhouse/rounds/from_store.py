@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
-_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
+_USUAL_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
 # Relative standard deviation: of a length without interval, and the least of any.
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.01
 _DIAMETER_SD = 0.05
@@ -225,7 +225,7 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
     size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
     if not all(isinstance(number, int | float) and number > 0 for number in size):
-        return _REACH
+        return _USUAL_REACH
     width, fx, height, fy = (float(number) for number in size if number is not None)
     return width / 2 / fx, height / 2 / fy
 

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.matching import Crowd
     from cucumbervision_greenhouse.rounds.row_views import Floats, Ints
 
-_UNLIKE = -8.0  # log likelihood ratio of a pair that is no candidate
+_LEAST_RATIO = -8.0  # log likelihood ratio of a pair that is no candidate
 
-_HELD = 40.0  # log likelihood ratio of a pair that was merged by hand
+_MERGED_RATIO = 40.0  # log likelihood ratio of a pair that was merged by hand
 
 
 def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
@@ -101,7 +101,7 @@ def _assign(capture_views: Ints, row: Ints, column: Ints, ratio: Floats, sizes: 
     total, count = np.zeros((rows, columns)), np.zeros((rows, columns))
     np.add.at(total, (row, column), ratio)
     np.add.at(count, (row, column), 1)
-    mean = (total + _UNLIKE * (sizes - count)) / np.maximum(sizes, 1)
+    mean = (total + _LEAST_RATIO * (sizes - count)) / np.maximum(sizes, 1)
     mean[:, sizes == 0] = -1e6
     # A column of its own for each view: to be no known fruit costs nothing.
     cost = np.hstack([-mean, np.where(np.eye(rows, dtype=bool), 0.0, 1e6)])
@@ -121,9 +121,9 @@ def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Int
         cluster[i][apart].tolist(), cluster[j][apart].tolist(), ratio[apart].tolist(), strict=True
     ):
         key = (min(a, b), max(a, b))
-        sums[key] = sums.get(key, 0.0) + value - _UNLIKE
+        sums[key] = sums.get(key, 0.0) + value - _LEAST_RATIO
     means = {
-        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + _UNLIKE
+        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + _LEAST_RATIO
         for key, value in sums.items()
     }
     joined: set[int] = set()
@@ -161,7 +161,7 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
 
 NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 
-_NEVER = -1e3  # log likelihood ratio of a pair that was separated by hand
+_SEPARATED_RATIO = -1e3  # log likelihood ratio of a pair that was separated by hand
 
 _GATE_SD = 4.0
 _PASSES = 4  # of assignment and estimation
@@ -331,7 +331,7 @@ def _rated(
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     ratio += np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
     codes = i * len(views) + j
-    for pairs, value in ((by_hand.same, _HELD), (by_hand.apart, _NEVER)):
+    for pairs, value in ((by_hand.same, _MERGED_RATIO), (by_hand.apart, _SEPARATED_RATIO)):
         ordered = np.sort(pairs, axis=1)
         ratio[np.isin(codes, ordered[:, 0] * len(views) + ordered[:, 1])] = value
     return i, j, ratio

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.records import StopRecord
 
 
-_TURNED = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
+_POSE_COLUMNS = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Placed:
         if line is not None:
             row, side, position = line.row or row, line.side or side, line.position_m
             sd = line.position_sd_m
-            turned = {name: getattr(line, name) or 0.0 for name in _TURNED}
+            turned = {name: getattr(line, name) or 0.0 for name in _POSE_COLUMNS}
         sign = sign_of_side(side) if place.sign is None else place.sign
         pose = pose_matrix(position or 0.0, sign, **turned)
         spot = Stop(row, side, position, step)

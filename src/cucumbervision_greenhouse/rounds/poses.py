@@ -25,7 +25,7 @@ MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
 _SIDES_SEEN_BACKWARDS = frozenset({"right", "r", "b", "2"})
 
-_LARGEST = 64 * 1024 * 1024
+_LARGEST_BYTES = 64 * 1024 * 1024
 
 
 class PoseLine(BaseModel):
@@ -91,7 +91,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     from cucumbervision.files import parse_model, read_json, read_text
 
     with wrap_reader_errors(path, RoundError, "give CSV or JSON"):
-        if path.stat().st_size > _LARGEST:
+        if path.stat().st_size > _LARGEST_BYTES:
             raise RoundError("larger than 64 MiB", source=path, remedy="give one line a capture")
         if path.suffix.lower() == ".json":
             content = read_json(path, RoundError, "give CSV or JSON")

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.matching import Crowd
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
-_FREEDOM = 4.0  # degrees of freedom of Student's t
-_ROUNDS = 6  # of reweighting
+_STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t
+_ITERATIONS = 6  # of reweighting
 _STEP_M = 0.01  # step of the candidate shifts
 _REACH_SD = 3.5  # search range, in standard deviations
 _MOST_TRIED = 121
@@ -131,9 +131,9 @@ def _fit_one(
     size, x = len(mean), mean
     band = int(np.abs(s - t).max(initial=0))
     information = np.zeros((band + 1, size))
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         misfit = (between - (x[t] - x[s])) ** 2 / variance
-        trust = weight * (_FREEDOM + 1) / (_FREEDOM + misfit) / variance
+        trust = weight * (_STUDENT_FREEDOM + 1) / (_STUDENT_FREEDOM + misfit) / variance
         information = np.zeros((band + 1, size))
         information[0] = (
             1.0 / prior_variance + np.bincount(s, trust, size) + np.bincount(t, trust, size)

@@ -99,7 +99,7 @@ def _in_round(table: Any, number: int) -> Any:
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
 
-_ASIDE = ".removing"
+_ASIDE_SUFFIX = ".removing"
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
     same picture either finds it before that and updates its time, so that it is restored, or
     does not find it, and writes it again.
     """
-    aside = path.with_name(path.name + _ASIDE)
+    aside = path.with_name(path.name + _ASIDE_SUFFIX)
     try:
         path.replace(aside)
     except FileNotFoundError:
@@ -219,8 +219,8 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
 def _bring_back(store: Database) -> None:
     """Restore files that an interrupted check was removing."""
     for aside in list(store.images.files()):
-        if aside.name.endswith(_ASIDE):
-            path = aside.with_name(aside.name.removesuffix(_ASIDE))
+        if aside.name.endswith(_ASIDE_SUFFIX):
+            path = aside.with_name(aside.name.removesuffix(_ASIDE_SUFFIX))
             with suppress(FileNotFoundError):
                 aside.unlink() if path.exists() else aside.replace(path)
 

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 MOST_TRIES = 3  # limits how often a capture can crash the program
 
-_WHERE = "waiting.json"
-_TRIES = "tries"
+_DESCRIPTION_FILE = "waiting.json"
+_TRIES_FILE = "tries"
 _TEMPORARY = ".unfinished-"
 
 
@@ -225,7 +225,7 @@ class WaitingCaptures:
             with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
                 half.mkdir(parents=True)
                 fill(half)
-                (half / _WHERE).write_text(json.dumps(description), encoding="utf-8")
+                (half / _DESCRIPTION_FILE).write_text(json.dumps(description), encoding="utf-8")
                 _sync(half)
                 half.rename(queued_capture.folder)
                 sync_folder(self.folder)
@@ -247,11 +247,11 @@ class WaitingCaptures:
 
     def holds(self, key: str) -> bool:
         """Return whether a capture of this key waits, or was set aside."""
-        return any(self.folder.glob(f"[0-9]*-{key}/{_WHERE}"))
+        return any(self.folder.glob(f"[0-9]*-{key}/{_DESCRIPTION_FILE}"))
 
     def begin(self, queued_capture: Waiting) -> None:
         """Record the start of a measurement, to recognise captures that crash the program."""
-        with (queued_capture.folder / _TRIES).open("ab") as tries:
+        with (queued_capture.folder / _TRIES_FILE).open("ab") as tries:
             tries.write(b".")
             tries.flush()
             os.fsync(tries.fileno())
@@ -270,14 +270,19 @@ class WaitingCaptures:
 
     def _all(self) -> list[Waiting]:
         queue, read_before = [], self._read
-        for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
+        for path in sorted(self.folder.glob(f"[0-9]*/{_DESCRIPTION_FILE}")):
             # Another thread may have removed it.
             with suppress(OSError, ValueError, RecursionError):
-                queued_capture, tries = read_before.get(path) or _read(path), path.with_name(_TRIES)
+                queued_capture, tries = (
+                    read_before.get(path) or _read(path),
+                    path.with_name(_TRIES_FILE),
+                )
                 queue.append(
                     replace(queued_capture, tries=tries.stat().st_size if tries.exists() else 0)
                 )
-        self._read = {queued_capture.folder / _WHERE: queued_capture for queued_capture in queue}
+        self._read = {
+            queued_capture.folder / _DESCRIPTION_FILE: queued_capture for queued_capture in queue
+        }
         return queue
 
 

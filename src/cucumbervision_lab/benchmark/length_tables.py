@@ -172,8 +172,8 @@ class Factor:
     comment: str = ""
 
 
-_LOWER = "The lower bound belongs to the group, the upper to the next."
-_TINY, _STRAIGHT_CM = 1e-9, 1e6
+_GROUP_EDGES_NOTE = "The lower bound belongs to the group, the upper to the next."
+_EPSILON, _STRAIGHT_CM = 1e-9, 1e6
 _Bands: TypeAlias = "Mapping[str, tuple[float, float]]"
 _TRUE_CM: _Bands = {
     "small: below 10": (0, 10),
@@ -184,8 +184,8 @@ _TILTS_DEG: _Bands = {
     "0 to 15": (0, 15),
     "15 to 30": (15, 30),
     "30 to 45": (30, 45),
-    "45 to 60": (45, 60 + _TINY),
-    "above 60": (60 + _TINY, np.inf),
+    "45 to 60": (45, 60 + _EPSILON),
+    "above 60": (60 + _EPSILON, np.inf),
 }
 _DISTANCES_CM: _Bands = {
     "below 50": (0, 50),
@@ -200,11 +200,11 @@ _RADII_CM: _Bands = {
     "below 15": (0, 15),
 }
 _HIDDEN_PERCENT: _Bands = {
-    "0": (-_TINY, _TINY),
-    "above 0 to 20": (_TINY, 20.0),
+    "0": (-_EPSILON, _EPSILON),
+    "above 0 to 20": (_EPSILON, 20.0),
     "20 to 40": (20.0, 40.0),
-    "40 to 60": (40.0, 60 + _TINY),
-    "above 60": (60 + _TINY, np.inf),
+    "40 to 60": (40.0, 60 + _EPSILON),
+    "above 60": (60 + _EPSILON, np.inf),
 }
 
 
@@ -233,7 +233,7 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
     factors = []
     for head, values, bands, comment in banded:
         groups = {name: values.between(*band, inclusive="left") for name, band in bands.items()}
-        factors.append(Factor(head, groups, f"{comment}{_LOWER}"))
+        factors.append(Factor(head, groups, f"{comment}{_GROUP_EDGES_NOTE}"))
     conditions = {str(name): frame["condition"] == name for name in frame["condition"].unique()}
     factors.append(Factor("condition", conditions))
     if "m6_flags" in frame:

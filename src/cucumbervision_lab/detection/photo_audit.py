@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _AUDIT_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0
-_MOST = 0.5
+_MOST_IGNORED_SHARE = 0.5
 _OUTLINES = "labels_seg"
 _SAME_IOU = 0.9
 
@@ -132,7 +132,7 @@ class AuditedPhoto:
 
         Other photos are unsuitable for training, because they may contain much unlabelled fruit.
         """
-        limit_px = _MOST * self.width * self.height
+        limit_px = _MOST_IGNORED_SHARE * self.width * self.height
         return all(b.kind is not AuditKind.IGNORE or b.area_px <= limit_px for b in self.boxes)
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
 
-_FLOOR = 0.001
+_LEAST_CONFIDENCE = 0.001
 """Confidence threshold for average precision, which needs the ranking of all detections."""
 
 MOST = 100
@@ -121,7 +121,7 @@ def open_networks(
     reported = min(CANDIDATE_CONFIDENCE, pose_floor(confidence))
     loader = NetworkLoader(
         runtime=runtime,
-        confidence=_FLOOR if ranked else reported,
+        confidence=_LEAST_CONFIDENCE if ranked else reported,
         full_precision=True,
         most_fruit=MOST,
         input_sizes=input_sizes,

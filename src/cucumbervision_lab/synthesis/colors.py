@@ -208,7 +208,7 @@ def sample(
     return np.asarray(colors.reshape(size, *texture.shape[2:])[:count])
 
 
-_SEEN = np.array(
+_GREENHOUSE_LAB = np.array(
     [
         [47.5, -3.3, 11.4, 17.3, 6.5, 15.3],
         [46.4, -1.9, 9.9, 17.0, 5.7, 11.8],
@@ -219,7 +219,7 @@ _SEEN = np.array(
     ]
 )
 """Mean and standard deviation of L, a, b (CIELAB) of six captures in a greenhouse."""
-_SPREAD = np.array([4.0, 2.0, 4.0, 2.0, 1.0, 2.0])
+_LAB_SPREAD = np.array([4.0, 2.0, 4.0, 2.0, 1.0, 2.0])
 _LEAST_GAIN = np.array([0.6, 0.25, 0.25])
 _MOST_GAIN = np.array([1.6, 1.3, 1.4])
 
@@ -247,9 +247,9 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     True
     """
     lab = cv2.cvtColor(color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-    first, second = _SEEN[rng.integers(len(_SEEN), size=2)]
+    first, second = _GREENHOUSE_LAB[rng.integers(len(_GREENHOUSE_LAB), size=2)]
     share = rng.random()
-    target = first * (1 - share) + second * share + rng.normal(0, _SPREAD)
+    target = first * (1 - share) + second * share + rng.normal(0, _LAB_SPREAD)
     spread = lab.reshape(-1, 3).std(0) + 1e-3
     gain = np.clip(target[3:] / spread, _LEAST_GAIN, _MOST_GAIN)
     lab = (lab - lab.reshape(-1, 3).mean(0)) * gain + target[:3]

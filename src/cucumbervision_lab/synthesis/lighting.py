@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     Vector = tuple[float, float, float]
     from cucumbervision.capture.intrinsics import Intrinsics
 
-_SKY = (32, 64)
+_SKY_SHAPE = (32, 64)
 
 _MAP = 96
 
-_PEAK = 25.0  # times the mean; brighter pixels are the sun, which is modelled separately
+_SUN_PEAK = 25.0  # times the mean; brighter pixels are the sun, which is modelled separately
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def sky_map(
     """
     if light.environment >= 0 and assets.environments:
         sky = assets.environments[light.environment % len(assets.environments)]
-        sky = np.minimum(sky, _PEAK * sky.mean())
+        sky = np.minimum(sky, _SUN_PEAK * sky.mean())
         # Automatic white balance removes most of the sky's colour.
         sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
     else:
@@ -208,7 +208,7 @@ def _world(light: Light) -> NDArray[np.float64]:
 
 
 def _drawn_sky(rng: np.random.Generator, light: Light) -> NDArray[np.float32]:
-    rows, columns = _SKY
+    rows, columns = _SKY_SHAPE
     height = np.sin(np.pi * (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows))[:, None, None]
     zenith, horizon, ground = (to_linear(c) for c in (light.zenith, light.horizon, light.ground))
     sky = np.where(

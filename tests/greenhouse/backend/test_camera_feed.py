@@ -155,7 +155,7 @@ def test_the_camera_goes_on_while_its_server_is_killed_and_started_again(
         assert server.stdout.readline() == "playing\n"
         os.kill(server.pid, signal.SIGKILL)
     killed_s = time.time()
-    while not any(one.at_s > killed_s + 0.5 for one in FrameRing(tmp_path).frames()):
+    while not any(frame.at_s > killed_s + 0.5 for frame in FrameRing(tmp_path).frames()):
         time.sleep(0.05)  # until the test's own limit
     config = CameraConfig(playback=recording, warm_up=0, fps=15)
     feed = CameraFeed(tmp_path, config, paced=True, start=refuse_start)

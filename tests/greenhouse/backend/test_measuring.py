@@ -210,7 +210,7 @@ def test_what_does_not_look_like_a_fruit_is_doubtful_until_it_is_accepted(
     profile = load_profile("long-cucumber")
     seen = store.detections(WALK)
     table = [RoundFruit(n, one) for n, one in enumerate(seen, 1)]
-    assert key not in {one.fruit_id for one in fruit_states(table, 0.0, profile)}
+    assert key not in {state.fruit_id for state in fruit_states(table, 0.0, profile)}
     assert len(hanging_lengths_m(seen)) == 8
     store.set_verdict([key], Verdict.ACCEPTED)
     assert not store.detection(key).view.doubtful

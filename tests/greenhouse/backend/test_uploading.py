@@ -144,8 +144,8 @@ def test_an_upload_with_other_options_is_measured_again(store: Store, measured: 
     for length in (LengthDefinition.CENTRELINE, LengthDefinition.CHORD):
         told = measured([("row.zip", packed())], replace(OPTIONS, length=length))
         assert all(one.saved for one in told)
-        places.append([(one.key, one.position_m) for one in store.stops(DEMONSTRATION)])
-        kinds.append({kind_of(one.record) for one in store.detections(DEMONSTRATION)})
+        places.append([(stop.key, stop.position_m) for stop in store.stops(DEMONSTRATION)])
+        kinds.append({kind_of(detection.record) for detection in store.detections(DEMONSTRATION)})
     assert "is measured again" in told[0].words
     assert places[0] == places[1]
     assert kinds == [{"centreline"}, {"chord"}]

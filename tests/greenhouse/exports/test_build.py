@@ -89,7 +89,7 @@ def test_a_round_that_is_not_there_is_named(store: Store) -> None:
 
 def test_every_field_that_the_store_keeps_of_a_fruit_is_exported(tables: RoundTables) -> None:
     kept = {"inner_arc_mm", "diameter_mean_mm", "box_x1_px", "mask_source", "raw_length_cm", "fill"}
-    columns = {one.name: one for one in tables["fruit"].columns}
+    columns = {column.name: column for column in tables["fruit"].columns}
     for one in FIELDS:
         if hasattr(DetectionRecord, one.si_name) or one.name in kept:
             assert (columns[one.name].unit, columns[one.name].says) == (one.unit, one.says)
@@ -108,7 +108,7 @@ def test_the_fruit_begin_with_what_people_read(tables: RoundTables) -> None:
         *(1, "3", 0.1, 18.0, False, 17.46, 18.54, "too short", "the length is uncertain"),
         "2024-10-04T00:00:00Z",
     ]
-    picked = [one["remarks"] for one in tables["fruit"].rows if one["picked_utc"]]
+    picked = [row["remarks"] for row in tables["fruit"].rows if row["picked_utc"]]
     assert [str(remark).split(";")[0] for remark in picked] == ["picked"]
 
 

@@ -153,7 +153,7 @@ def test_one_camera_takes_a_place_once_and_another_on_its_mast_too(
     [lens] = add_captures(store, MORNING, [second], OPTIONS, place)
     assert (higher.new, lens.new) == (True, True)
     # In the order in which their files were written.
-    assert [one.position_m for one in store.stops(MORNING)] == [2.0, 2.0, 2.5, 2.0]
+    assert [stop.position_m for stop in store.stops(MORNING)] == [2.0, 2.0, 2.5, 2.0]
 
 
 def test_a_capture_without_its_pose_is_refused(store: Store, tmp_path: Path) -> None:

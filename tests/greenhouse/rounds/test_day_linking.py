@@ -19,10 +19,10 @@ def linked(seed: int, along: float, up: float) -> tuple[DayLinks, float, float, 
     shift[first.plants.place_m[:, 0] > 12.0, 0] += 0.12
     second = walk(grow_plants(first.plants, 1.0, shift, rng), ROW, rng)
     rows = (first, second)
-    merged = [merge_row(one.stops, one.views) for one in rows]
-    fruit = [row_fruit(m, one.views) for m, one in zip(merged, rows, strict=True)]
+    merged = [merge_row(row.stops, row.views) for row in rows]
+    fruit = [row_fruit(m, row.views) for m, row in zip(merged, rows, strict=True)]
     links = link_days(fruit[0], fruit[1], 1.0)
-    names = [one.of_fruit[f.best] for one, f in zip(rows, fruit, strict=True)]
+    names = [row.of_fruit[f.best] for row, f in zip(rows, fruit, strict=True)]
     right = names[0][links.pairs[:, 0]] == names[1][links.pairs[:, 1]]
     right &= names[0][links.pairs[:, 0]] >= 0
     both = len(set(names[0][names[0] >= 0]) & set(names[1][names[1] >= 0]))

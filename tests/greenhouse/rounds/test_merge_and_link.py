@@ -131,7 +131,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     assert {link.fruit_id for link in links} <= {v.group for v in store.detections(NEXT.key)}
     # Each has the length that the list of fruit gives it, by all its views.
     table = fruit_table(read_round(store, NEXT.key))
-    listed = {one.fruit_id: one.length_m for one in fruit_states(table, 0.0, LONG)}
+    listed = {state.fruit_id: state.length_m for state in fruit_states(table, 0.0, LONG)}
     assert {link.fruit_id: link.length1_m for link in links}.items() <= listed.items()
     by_one_view = {view.key: view.record.length_m for view in store.detections(NEXT.key)}
     assert any(by_one_view[line.view.key] != line.view.record.length_m for line in table)

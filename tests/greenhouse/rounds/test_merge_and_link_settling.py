@@ -35,7 +35,7 @@ MORNING = key_of("rounds", "morning")
 def stops(store: Store, save_walk: SaveWalk) -> list[str]:
     """A small simulated row."""
     save_walk(simulate_row(SimulatedRow(fruit=12), 1))
-    return [one.key for one in store.stops(MORNING)]
+    return [stop.key for stop in store.stops(MORNING)]
 
 
 def test_a_stop_that_is_deleted_meanwhile_is_a_fault_in_words(
@@ -87,11 +87,11 @@ def test_a_stop_is_not_moved_to_where_another_is(store: Store) -> None:
     store.save_stop(StopRecord(key_of(5), MORNING, "5", "left", 0.4, step=5, captures=other))
     move_stop(store, store.stops(MORNING)[4], Stop("5", "left", 0.0, 5))
     move_stop(store, store.stops(MORNING)[1], Stop("4", "left", 0.0, 2), "by the door")
-    assert [(one.row, one.note) for one in store.stops(MORNING)][1] == ("4", "by the door")
+    assert [(stop.row, stop.note) for stop in store.stops(MORNING)][1] == ("4", "by the door")
 
 
 def linked(store: Store, first: str, second: str) -> set[tuple[str, str]]:
-    ends = [{one.key for one in store.detections(key)} for key in (first, second)]
+    ends = [{detection.key for detection in store.detections(key)} for key in (first, second)]
     links = store.links(second, LinkKind.GROWTH)
     return {(x.first, x.second) for x in links if x.first in ends[0] and x.second in ends[1]}
 

@@ -47,7 +47,7 @@ def change_camera(folder: Path, factor: float) -> None:
 
 
 def fruit_of(store: Store) -> dict[str, DetectionSummary]:
-    return {one.key: one for one in store.detections(MORNING)}
+    return {detection.key: detection for detection in store.detections(MORNING)}
 
 
 def kind_of(view: DetectionSummary) -> str | None:
@@ -62,9 +62,9 @@ def test_corrected_intrinsics_are_measured_again(store: Store, folder: Path) -> 
     [first] = add_captures(store, MORNING, [folder], OPTIONS)
     before, wrong = fruit_of(store), chords_m(store)
     change_camera(folder, 0.97)
-    [again] = add_captures(store, MORNING, [folder], OPTIONS)
-    assert (again.remeasured, again.new, again.fruit, again.failure) == (True, False, 3, None)
-    assert again.stop_key == first.stop_key
+    [added] = add_captures(store, MORNING, [folder], OPTIONS)
+    assert (added.remeasured, added.new, added.fruit, added.failure) == (True, False, 3, None)
+    assert added.stop_key == first.stop_key
     assert fruit_of(store).keys() == before.keys()
     # Hanging fruit lie across the picture: x and y grow by 1 / 0.97, z stays.
     assert chords_m(store) == pytest.approx([one / 0.97 for one in wrong], rel=0.01)
@@ -83,18 +83,18 @@ def test_other_options_are_measured_again_and_what_has_no_part_is_not(
 ) -> None:
     add_captures(store, MORNING, [folder], OPTIONS)
     # No network looked at a data set's own masks.
-    [other] = add_captures(store, MORNING, [folder], replace(OPTIONS, confidence=0.9))
-    assert not other.remeasured
+    [added] = add_captures(store, MORNING, [folder], replace(OPTIONS, confidence=0.9))
+    assert not added.remeasured
     chord = replace(OPTIONS, length=LengthDefinition.CHORD)
-    [again] = add_captures(store, MORNING, [folder], chord)
-    assert again.remeasured
+    [added] = add_captures(store, MORNING, [folder], chord)
+    assert added.remeasured
     assert {kind_of(one) for one in fruit_of(store).values()} == {"chord"}
 
 
 def test_what_people_said_stays(store: Store, folder: Path) -> None:
     [first] = add_captures(store, MORNING, [folder], OPTIONS)
     stop = store.stop(first.stop_key)
-    records = {one.number: one for one in stop.captures[0].fruit}
+    records = {fruit.number: fruit for fruit in stop.captures[0].fruit}
     rejected, corrected, picked = fruit_of(store)
     number = fruit_of(store)[corrected].record.number
     store.signed("ana").set_verdict([rejected], Verdict.REJECTED)
@@ -106,18 +106,18 @@ def test_what_people_said_stays(store: Store, folder: Path) -> None:
     # The data set lost a mask since: that fruit is measured with its old one.
     sorted((folder / "mask_visib").iterdir())[0].unlink()
     change_camera(folder, 0.97)
-    [again] = add_captures(store, MORNING, [folder], OPTIONS)
-    assert again.remeasured
-    now = fruit_of(store)
-    assert now.keys() == {rejected, corrected, picked, added}
-    assert now[rejected].verdict is Verdict.REJECTED
-    assert now[added].verdict is Verdict.ACCEPTED
-    assert now[picked].picked_s == 5.0
-    assert now[corrected].corrected
+    [later] = add_captures(store, MORNING, [folder], OPTIONS)
+    assert later.remeasured
+    fruit = fruit_of(store)
+    assert fruit.keys() == {rejected, corrected, picked, added}
+    assert fruit[rejected].verdict is Verdict.REJECTED
+    assert fruit[added].verdict is Verdict.ACCEPTED
+    assert fruit[picked].picked_s == 5.0
+    assert fruit[corrected].corrected
     assert store.corrected(MORNING)[corrected].chord_m == pytest.approx(before / 0.97, rel=0.01)
     [link] = [one for one in store.links(MORNING, LinkKind.SAME) if one.by_hand]
     assert {link.first, link.second} == {corrected, picked}
-    numbers = [one.record.number for one in now.values()]
+    numbers = [one.record.number for one in fruit.values()]
     assert len(set(numbers)) == 4
     # What was done by hand is undone as ever; that a stop was measured again is not.
     store.undo(MORNING)
@@ -143,15 +143,15 @@ def test_a_round_is_measured_again_from_what_it_keeps(store: Store, folder: Path
     keys, before = fruit_of(store).keys(), chords_m(store)
     shutil.rmtree(folder)
     chord = replace(OPTIONS, length=LengthDefinition.CHORD)
-    seen: list[tuple[int, int]] = []
-    done, failures = measure_round_again(store, MORNING, chord, lambda *at: seen.append(at))
-    assert (done, failures, seen) == (1, [], [(1, 1)])
-    now = fruit_of(store)
-    assert now.keys() == keys
-    assert {kind_of(one) for one in now.values()} == {"chord"}
+    steps: list[tuple[int, int]] = []
+    done, failures = measure_round_again(store, MORNING, chord, lambda *step: steps.append(step))
+    assert (done, failures, steps) == (1, [], [(1, 1)])
+    fruit = fruit_of(store)
+    assert fruit.keys() == keys
+    assert {kind_of(one) for one in fruit.values()} == {"chord"}
     # The depth that is kept is rounded to a fraction of a millimetre.
     assert chords_m(store) == pytest.approx(before, rel=2e-3)
-    assert np.isfinite([one.along_m for one in now.values()]).all()  # type: ignore[arg-type]
+    assert np.isfinite([one.along_m for one in fruit.values()]).all()  # type: ignore[arg-type]
 
 
 def stem_heights_m(store: Store) -> list[float]:
@@ -199,10 +199,10 @@ def test_what_a_reader_found_doubtful_stays_said(store: Store) -> None:
     assert store.stop(stop.key) == stop
     assert measure_round_again(store, MORNING, OPTIONS) == (1, [])
     flags = [one.record.flags.split() for one in fruit_of(store).values()]
-    assert [one.count("depth-resampled") for one in flags] == [1, 1, 1]
+    assert [flag.count("depth-resampled") for flag in flags] == [1, 1, 1]
     [saved] = store.stop(stop.key).captures
     read = stored_capture(store.images, saved, stop)
     shape = (read.height, read.width)
-    again = measurer.measure_instance(read, instance_of(saved.fruit[0], shape))
-    assert Flag.DEPTH_RESAMPLED in again.flags
+    fruit = measurer.measure_instance(read, instance_of(saved.fruit[0], shape))
+    assert Flag.DEPTH_RESAMPLED in fruit.flags
     assert check_store(store).sound

@@ -158,7 +158,7 @@ def test_what_another_program_changed_is_found(
     used = (ArtifactRecord("model", "detector", "ab", {"runtime": "x"}),)
     stop = make_stop(2, captures=(capture,), artifacts=used, row="3")
     store.save_stop(stop)
-    first, second = (one.key for one in store.detections(WALK))
+    first, second = (detection.key for detection in store.detections(WALK))
     store.set_verdict([first], Verdict.ACCEPTED)
     store.pick([second], at_s=5.0)
     store.save_joint(WALK, [JointRecord(key_of("joint"), "a", 2)], ())
@@ -183,7 +183,7 @@ def test_what_the_store_changes_itself_is_sound(
     del refs
     stop = make_stop(2)
     store.save_stop(stop)
-    keys = [one.key for one in store.detections(WALK)]
+    keys = [detection.key for detection in store.detections(WALK)]
     store.add_fruit(stop.key, stop.captures[0].name, DetectionRecord(1))
     store.correct(keys[0], replace(stop.captures[0].fruit[0], length=Length(0.5)))
     store.merge(*keys)

@@ -26,25 +26,25 @@ def keys(store: Store, make_stop: MakeStop) -> list[str]:
     """Four detections: two stops with two fruit each."""
     for step in (1, 2):
         store.save_stop(make_stop(step))
-    return [one.key for one in store.detections(WALK)]
+    return [detection.key for detection in store.detections(WALK)]
 
 
 def said(store: Store) -> list[Any]:
     """Everything that can be changed by hand."""
-    return [(one, store.links(WALK)) for one in store.detections(WALK)]
+    return [(detection, store.links(WALK)) for detection in store.detections(WALK)]
 
 
 def group(store: Store, key: str) -> set[str]:
     views = store.detections(WALK)
-    best = next(one.group for one in views if one.key == key)
-    return {one.key for one in views if one.group == best}
+    best = next(view.group for view in views if view.key == key)
+    return {view.key for view in views if view.group == best}
 
 
 def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]) -> None:
     store.signed("ana").set_verdict(keys[:2], Verdict.ACCEPTED)
     store.signed("bo").set_verdict(keys[1:3], Verdict.REJECTED)
     store.signed("bo").set_verdict(keys[2:3], None)
-    assert [one.verdict for one in store.detections(WALK)] == [
+    assert [detection.verdict for detection in store.detections(WALK)] == [
         Verdict.ACCEPTED,
         Verdict.REJECTED,
         None,
@@ -111,7 +111,10 @@ def test_an_earlier_action_is_taken_back_unless_a_later_one_stands_on_it(
     with pytest.raises(StoreConflictError, match=f"depends on action {first}; undo the later"):
         store.undo(number=first)
     store.undo(number=other)
-    assert [one.verdict for one in store.detections(WALK)[:2]] == [Verdict.REJECTED, None]
+    assert [detection.verdict for detection in store.detections(WALK)[:2]] == [
+        Verdict.REJECTED,
+        None,
+    ]
     with pytest.raises(StoreError, match=f"no action {other}"):
         store.undo(number=other)
     undo = store.log(WALK)[0].number
@@ -241,8 +244,8 @@ def test_more_fruit_than_a_command_takes_are_picked_at_once(
 ) -> None:
     monkeypatch.setattr("cucumbervision_greenhouse.store.corrections._AT_ONCE", 3)
     store.save_stop(make_stop(1, 8))
-    store.pick([one.key for one in store.detections(WALK)])
-    assert all(one.picked_s for one in store.detections(WALK))
+    store.pick([detection.key for detection in store.detections(WALK)])
+    assert all(detection.picked_s for detection in store.detections(WALK))
 
 
 def test_growth_is_linked_and_unlinked_by_hand(
@@ -266,10 +269,10 @@ def test_two_pages_that_mark_one_fruit_both_are_heard(
     store: Store, keys: list[str], tmp_path: Any
 ) -> None:
     address = store.engine.url.render_as_string(hide_password=False)
-    with open_store(address) as other:
+    with open_store(address) as second_store:
         for n in range(5):
             store.signed(f"a{n}").set_verdict(keys[:1], Verdict.ACCEPTED)
-            other.signed(f"b{n}").set_verdict(keys[:1], Verdict.REJECTED)
+            second_store.signed(f"b{n}").set_verdict(keys[:1], Verdict.REJECTED)
     assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 10
 
@@ -278,30 +281,30 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
     store: Store, keys: list[str]
 ) -> None:
     before, stop = said(store), key_of(WALK, 1)
-    found = DetectionRecord(1, mask="abc", length=Length(0.3), mask_source="sam")
-    added = store.signed("ana").add_fruit(stop, "a", found)
-    *_, view = (one for one in store.detections(WALK) if one.stop_key == stop)
+    record = DetectionRecord(1, mask="abc", length=Length(0.3), mask_source="sam")
+    added = store.signed("ana").add_fruit(stop, "a", record)
+    *_, view = (detection for detection in store.detections(WALK) if detection.stop_key == stop)
     assert (view.key, view.record.number, view.verdict) == (added, 3, Verdict.ACCEPTED)
-    assert store.detection(added).original == replace(found, number=3)
-    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2, 3]
+    assert store.detection(added).original == replace(record, number=3)
+    assert [fruit.number for fruit in store.stop(stop).captures[0].fruit] == [1, 2, 3]
     assert [one.fruit for one in store.rounds() if one.key == WALK] == [5]
     assert [one.fruit for one in store.stops(WALK)] == [3, 2]
     assert [(line.kind, line.by) for line in store.log(WALK)] == [("add", "ana")]
     store.undo(WALK)
     assert said(store) == before
-    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2]
+    assert [fruit.number for fruit in store.stop(stop).captures[0].fruit] == [1, 2]
     assert [one.fruit for one in store.stops(WALK)] == [2, 2]
     for ask in (store.detection, lambda key: store.pick([key])):
         with pytest.raises(StoreError, match="is not in the store"):
             ask(added)
-    again = store.add_fruit(stop, "a", found)
-    assert store.detection(again).original.number == 4
+    second_key = store.add_fruit(stop, "a", record)
+    assert store.detection(second_key).original.number == 4
 
 
 def test_a_fruit_can_be_added_to_a_capture_without_any(store: Store, make_stop: MakeStop) -> None:
     store.save_stop(make_stop(1, fruit=0))
     store.add_fruit(key_of(WALK, 1), "a", DetectionRecord(9))
-    assert [one.record.number for one in store.detections(WALK)] == [1]
+    assert [detection.record.number for detection in store.detections(WALK)] == [1]
     with pytest.raises(StoreError, match="has no capture 'b'"):
         store.add_fruit(key_of(WALK, 1), "b", DetectionRecord(1))
 

@@ -22,7 +22,7 @@ def stops(store: Store, make_stop: MakeStop) -> list[str]:
     """Two stops with two fruit each, at 0.4 and 0.8 m of row 3."""
     for step in (1, 2):
         store.save_stop(make_stop(step))
-    return [one.key for one in store.stops(WALK)]
+    return [stop.key for stop in store.stops(WALK)]
 
 
 def test_a_stop_is_moved_and_its_fruit_with_it(store: Store, stops: list[str]) -> None:
@@ -40,7 +40,7 @@ def test_a_stop_is_moved_and_its_fruit_with_it(store: Store, stops: list[str]) -
     ]
     assert {view.row for view in views if view.stop_key == stops[0]} == {"4"}
     store.undo(WALK)
-    assert [(one.row, one.position_m, one.step) for one in store.stops(WALK)] == [
+    assert [(stop.row, stop.position_m, stop.step) for stop in store.stops(WALK)] == [
         ("3", 0.4, 1),
         ("3", 0.8, 2),
     ]
@@ -63,7 +63,7 @@ def test_a_deleted_stop_is_in_no_list_and_comes_back(store: Store, stops: list[s
     store.save_merging(WALK, [LinkRecord(LinkKind.SAME, keys[0], keys[2], 0.9)])
     before = store.stops(WALK), store.detections(WALK), store.links(WALK), store.rounds()
     store.delete_stop(stops[1])
-    assert [one.key for one in store.stops(WALK)] == stops[:1]
+    assert [stop.key for stop in store.stops(WALK)] == stops[:1]
     assert [view.key for view in store.detections(WALK)] == keys[:2]
     assert store.links(WALK) == []
     assert [(one.stops, one.fruit) for one in store.rounds() if one.key == WALK] == [(1, 2)]
@@ -84,7 +84,7 @@ def test_a_deleted_stop_that_is_sent_again_stays_deleted(
 ) -> None:
     store.delete_stop(stops[0])
     assert store.save_stop(make_stop(1)) is Saved.ALREADY_THERE
-    assert [one.key for one in store.stops(WALK)] == stops[1:]
+    assert [stop.key for stop in store.stops(WALK)] == stops[1:]
     gone = [store.stop_is_deleted(key) for key in (*stops, key_of("nowhere"))]
     assert gone == [True, False, None]
     with pytest.raises(StoreError, match="has no capture"):
@@ -96,10 +96,10 @@ def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops:
     second = store.place_stop(stops[0], StopPlace("3", "left", 1.5, 1))
     with pytest.raises(StoreConflictError, match="undo the later change first"):
         store.undo(number=first)
-    assert [one.position_m for one in store.stops(WALK)] == [1.5, 0.8]
+    assert [stop.position_m for stop in store.stops(WALK)] == [1.5, 0.8]
     store.undo(number=second)
     store.undo(number=first)
-    assert [one.position_m for one in store.stops(WALK)] == [0.4, 0.8]
+    assert [stop.position_m for stop in store.stops(WALK)] == [0.4, 0.8]
 
 
 def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -> None:

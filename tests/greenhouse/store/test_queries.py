@@ -61,7 +61,7 @@ def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
     assert detail.original == whole
     assert (detail.capture, detail.stop) == (stop.captures[0], stop)
     assert (detail.links, detail.log) == ((), ())
-    methods = tuple(replace(one, path_m=(), diameter_m=()) for one in whole.methods)
+    methods = tuple(replace(method, path_m=(), diameter_m=()) for method in whole.methods)
     assert store.measurements(WALK)[listed.key] == methods
 
 

@@ -23,7 +23,7 @@ def keys(store: Store, make_stop: MakeStop) -> list[str]:
     for walk in (Round(WALK, started_s=1000.0), Round(NEXT_DAY, started_s=87400.0)):
         for step in (1, 2):
             store.save_stop(make_stop(step, round=walk))
-    return [one.key for walk in (WALK, NEXT_DAY) for one in store.detections(walk)]
+    return [detection.key for walk in (WALK, NEXT_DAY) for detection in store.detections(walk)]
 
 
 def same(first: str, second: str, score: float | None = None) -> LinkRecord:

@@ -52,7 +52,7 @@ def test_fruit_that_are_the_same_keep_their_keys_and_what_was_said_of_them(
     assert (views[corrected].record.length_m, views[corrected].corrected) == (0.6, True)
     [link] = store.links(WALK, LinkKind.SAME)
     assert {link.first, link.second} == {kept, beside}
-    place = next(one for one in store.stops(WALK) if one.key == first.key)
+    place = next(stop for stop in store.stops(WALK) if stop.key == first.key)
     assert (place.row, place.position_m, place.fruit) == ("4", 2.0, 3)
     assert store.stop(first.key) == replace(again, row="4", position_m=2.0, step=9)
     newest = store.log(WALK)[0]

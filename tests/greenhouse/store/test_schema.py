@@ -40,8 +40,8 @@ def test_a_database_has_every_table_with_every_column(store: Store) -> None:
     found = inspect(store.engine)
     assert set(found.get_table_names()) >= set(Base.metadata.tables)
     for name, table in Base.metadata.tables.items():
-        columns = {one["name"]: one["nullable"] for one in found.get_columns(name)}
-        assert columns == {one.name: one.nullable for one in table.columns}
+        columns = {column["name"]: column["nullable"] for column in found.get_columns(name)}
+        assert columns == {column.name: column.nullable for column in table.columns}
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_database_has_every_table_with_every_column(store: Store) -> None:
 def test_a_field_of_a_record_is_a_column_or_stored_elsewhere(
     record: type[Any], cells: tuple[str, ...], apart: set[str]
 ) -> None:
-    names = {one.name for one in fields(record)}
+    names = {field.name for field in fields(record)}
     lengths = {*LENGTH_CELLS, *(f"raw_{name}" for name in LENGTH_CELLS)}
     assert names - apart == set(cells) - (lengths if record is DetectionRecord else set())
     assert apart <= names

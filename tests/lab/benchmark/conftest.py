@@ -17,7 +17,7 @@ def make_record() -> MakeRecord:
     """Give a maker of records: 20 cm along the axis, 22 by thread, 19.5 straight."""
 
     def make(case: str = "a", /, **changes: Any) -> LengthRecord:
-        one = LengthRecord(
+        record = LengthRecord(
             case=case,
             suite="paper",
             masks=Masks.EXACT,
@@ -31,6 +31,6 @@ def make_record() -> MakeRecord:
             hidden_share=0.0,
             fill=1.0,
         )
-        return replace(one, **changes)
+        return replace(record, **changes)
 
     return make

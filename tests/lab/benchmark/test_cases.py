@@ -72,7 +72,7 @@ def test_a_case_keeps_its_fruit_whatever_is_measured_of_it() -> None:
     assert first.fruit == again.fruit
     np.testing.assert_array_equal(build_fruit(first).axis_m, build_fruit(again).axis_m)
     assert first.distance_m != again.distance_m
-    assert {one.hidden_share for one in paper_cases()} == {0.0}
+    assert {case.hidden_share for case in paper_cases()} == {0.0}
 
 
 def test_colours_are_painted_only_where_networks_look() -> None:

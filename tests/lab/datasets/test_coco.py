@@ -40,8 +40,8 @@ def assert_same_label(a: Label, b: Label) -> None:
 def assert_same_picture(a: LabelledPicture, b: LabelledPicture) -> None:
     plain = [{k: v for k, v in vars(p).items() if k != "labels"} for p in (a, b)]
     assert plain[0] == plain[1]
-    for one, other in zip(a.labels, b.labels, strict=True):
-        assert_same_label(one, other)
+    for label, other in zip(a.labels, b.labels, strict=True):
+        assert_same_label(label, other)
 
 
 def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -> None:

@@ -70,7 +70,9 @@ def save(store: Store, metre: float, round_key: str = WALK, *, pictures: bool = 
     )
     stop = StopRecord(new_key(), round_key, row="1", position_m=metre, captures=(capture,))
     store.save_stop(stop)
-    return [one.key for one in store.detections(round_key) if one.stop_key == stop.key]
+    return [
+        detection.key for detection in store.detections(round_key) if detection.stop_key == stop.key
+    ]
 
 
 def test_what_people_said_of_finds_becomes_labels(store: Store, tmp_path: Path) -> None:

@@ -54,8 +54,8 @@ def test_what_becomes_of_a_fruit() -> None:
     true = TrueFruit(
         BOX, encode_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
     )
-    seen = DetectedFruit(BOX + np.array([20, 0, 20, 0]), 0.8, encode_mask(mask(150, 200)))
-    hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [seen])], 0.3)
+    fruit = DetectedFruit(BOX + np.array([20, 0, 20, 0]), 0.8, encode_mask(mask(150, 200)))
+    hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [fruit])], 0.3)
     # 80 of 120 pixels of the boxes' length are common, and half of the mask.
     assert (hit.found, hit.score) == (True, 0.8)
     assert hit.box_iou == pytest.approx(80 / 120)

@@ -173,8 +173,8 @@ def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) 
         "0 0.125 0.25 0.375 0.25 0.375 0.75\n0 0.5 0.5 0.6 0.5 0.6 0.6\n", encoding="utf-8"
     )
     fits = AuditedBox((7.5, 11.5, 23.5, 35.5), AuditKind.CUCUMBER)
-    other = AuditedBox((40.5, 11.5, 63.5, 35.5), AuditKind.CUCUMBER)
-    audit = audit_of(photo("a.png", sha1, "train", fits, other))
+    box = AuditedBox((40.5, 11.5, 63.5, 35.5), AuditKind.CUCUMBER)
+    audit = audit_of(photo("a.png", sha1, "train", fits, box))
     first, second = audited(tmp_path, audit=audit, outlines=True).pictures[0].labels
     assert first.mask is not None
     assert first.mask.sum() == pytest.approx(16 * 24 / 2, abs=20)

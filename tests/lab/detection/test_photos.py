@@ -113,8 +113,8 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
     true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
-    seen = DetectedFruit(SPOTS[0], 0.9, keypoints=points)
-    frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(seen,), kept=(seen,))
+    fruit = DetectedFruit(SPOTS[0], 0.9, keypoints=points)
+    frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(fruit,), kept=(fruit,))
     found = score_photos([frame], ["trial"], 0.25)
     (row,) = found.ends
     assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
@@ -131,9 +131,9 @@ def test_audited_photos(shared_data: Path) -> None:
     photos, missing = audited_photos(shared_data)
     assert missing == 0
     boxes = [one for photo in photos for one in photo.truth.true]
-    assert sum(one.required for one in boxes) > 40
-    assert any(one.optional for one in boxes)
-    assert any(one.ignore for one in boxes)
+    assert sum(box.required for box in boxes) > 40
+    assert any(box.optional for box in boxes)
+    assert any(box.ignore for box in boxes)
     for split in ("train", "val"):
         others, _ = audited_photos(shared_data, split)
         assert not {p.truth.scene for p in photos} & {p.truth.scene for p in others}

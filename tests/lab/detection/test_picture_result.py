@@ -91,13 +91,13 @@ def test_what_is_judged_is_what_ships() -> None:
 def test_of_low_confidence_is_ranked_and_not_reported() -> None:
     sure, unsure = np.zeros((40, 120), bool), np.zeros((40, 120), bool)
     sure[10:20, 10:50] = unsure[25:35, 60:110] = True
-    found = Replay(
+    replay = Replay(
         Instance(box_of_mask(sure), 0.9, detector_mask=sure),
         Instance(box_of_mask(unsure), 0.05, detector_mask=unsure),
     )
     heap = TrueFruit(np.array([80.0, 0.0, 119.0, 8.0]), ignore=True)
     labels = (heap, *(TrueFruit(box_of_mask(mask)) for mask in (unsure, sure)))
-    networks = Networks(cast(YoloDetector, found), None, None, 0.3)
+    networks = Networks(cast(YoloDetector, replay), None, None, 0.3)
     frame = Frame("a.png", "a", 120, 40, labels)
     result = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)
     assert [one.score for one in result.frame.segmented] == [0.9, 0.05]

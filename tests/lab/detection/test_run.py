@@ -169,7 +169,7 @@ def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
 
 def test_average_precision_and_recall(result: DetectionResult) -> None:
     summary = summarise(result)
-    found = {(one.stage, one.iou_type): one for one in summary.precisions}
+    found = {(precision.stage, precision.iou_type): precision for precision in summary.precisions}
     assert len(found) == 5
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101

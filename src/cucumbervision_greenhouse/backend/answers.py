@@ -17,8 +17,8 @@ from starlette.websockets import WebSocketDisconnect
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.access import device_of
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import ask_for
-from cucumbervision_greenhouse.backend.words import page_remedy
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -45,7 +45,7 @@ def answer(
 ) -> Callable[[Request], Awaitable[Response]]:
     """Make a route from a function of a request and its content, and send its result as JSON.
 
-    A named error is answered in one line for people, with status 409.
+    A named error is answered in one line for people, with status 409, and its fault in English.
     """
 
     @wraps(work)
@@ -58,9 +58,9 @@ def answer(
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
-            return JSONResponse({"error": page_remedy(str(error))}, 409)
+            return JSONResponse({"error": said(error), "fault": error.message}, 409)
         except ValidationError:
-            return JSONResponse({"error": "the request is damaged; reload the page"}, 400)
+            return JSONResponse({"error": said("the request is damaged; reload the page")}, 400)
         if isinstance(reply, Response):
             return reply
         return JSONResponse(reply, headers={"cache-control": "no-store"})

@@ -115,6 +115,27 @@ def ngettext(singular: str, plural: str, number: int) -> str:
     return catalogue(language()).ngettext(singular, plural, number)
 
 
+def counted(number: int, singular: str, plural: str, **parts: object) -> str:
+    """Return a number within its words, in the language that is shown.
+
+    Parameters
+    ----------
+    number : int
+        The number, which `{n}` in the words stands for; without `{n}` it comes first.
+    singular, plural : str
+        The words for 1 and for any other number, in English.
+    **parts
+        What other placeholders of the words stand for.
+
+    Examples
+    --------
+    >>> counted(1, "stop", "stops"), counted(2, "{n} stops of {all}", "{n} stops of {all}", all=3)
+    ('1 stop', '2 stops of 3')
+    """
+    words = ngettext(singular, plural, number)
+    return (words if "{n}" in words else f"{{n}} {words}").format(n=number, **parts)
+
+
 def marked(text: str) -> str:
     """Return a text as it is; it is translated where it is shown."""
     return text

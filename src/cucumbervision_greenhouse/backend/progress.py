@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

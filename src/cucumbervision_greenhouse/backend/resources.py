@@ -16,6 +16,7 @@ from cucumbervision_greenhouse.backend.access import VIEWER, device_of
 from cucumbervision_greenhouse.backend.jobs import JobQueue
 from cucumbervision_greenhouse.backend.language import asked_language, best_of, decide_by
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
+from cucumbervision_greenhouse.backend.plain_text import told_apart
 from cucumbervision_greenhouse.backend.settings import (
     STORE_VARIABLE,
     Settings,
@@ -25,7 +26,6 @@ from cucumbervision_greenhouse.backend.settings import (
     write_settings,
 )
 from cucumbervision_greenhouse.backend.uploads import Uploads
-from cucumbervision_greenhouse.backend.words import told_apart
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import RoundSummary

@@ -22,7 +22,6 @@ from cucumbervision_greenhouse.backend.resources import (
 )
 from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_round
 from cucumbervision_greenhouse.backend.tasks import mergings, progress
-from cucumbervision_greenhouse.backend.words import page_remedy
 from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
 from cucumbervision_greenhouse.rounds.day_comparison import (
     DayComparison,
@@ -152,8 +151,8 @@ def rows_of(round_summary: RoundSummary) -> list[RowCounts]:
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def doubts_of(round_summary: RoundSummary) -> list[str]:
-    """Return the doubts about the data of a round, each once and with its remedy."""
-    return [page_remedy(line) for line in round_doubts(store(), content_of(round_summary).views)]
+    """Return the doubts about the data of a round in the core's words, each once."""
+    return round_doubts(store(), content_of(round_summary).views)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)

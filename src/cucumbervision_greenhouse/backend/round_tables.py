@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision_greenhouse.backend.forecast_words import daily_growth_words
+from cucumbervision_greenhouse.backend.fruit_words import grade_words, interval_words, length_words
 from cucumbervision_greenhouse.backend.language import decimal_words
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import (
-    daily_growth_words,
+from cucumbervision_greenhouse.backend.round_words import (
     day_words,
-    grade_words,
-    interval_words,
-    length_words,
     metres_words,
     row_name,
     side_words,

@@ -21,9 +21,9 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError
 from cucumbervision.measurement.result import MethodName, calibration_key
 from cucumbervision.names import checked_name
-from cucumbervision_greenhouse.backend.language import decimal_words, number_words
+from cucumbervision_greenhouse.backend.language import counted, decimal_words, number_words
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import counted, round_day
+from cucumbervision_greenhouse.backend.round_words import round_day
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 
 if TYPE_CHECKING:

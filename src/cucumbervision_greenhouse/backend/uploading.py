@@ -16,8 +16,8 @@ from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadEr
 from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
-from cucumbervision_greenhouse.backend.words import page_remedy
 from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all
 from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import last_step, refuse_taken
@@ -142,7 +142,7 @@ def _round_captures(
 
 
 def _failed(name: str, words: str) -> UploadOutcome:
-    return UploadOutcome(name=name, saved=False, words=page_remedy(words))
+    return UploadOutcome(name=name, saved=False, words=said(words))
 
 
 def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened | UploadOutcome:

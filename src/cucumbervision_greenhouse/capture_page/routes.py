@@ -22,6 +22,7 @@ from cucumbervision.errors import NameRefusedError
 from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.backend.language import ask_for, page_text
 from cucumbervision_greenhouse.backend.language import gettext as _
@@ -124,7 +125,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
                 sent_press.row.strip() or None, sent_press.side or None, sent_press.position_m
             )
         except NameRefusedError as error:
-            taken.append(str(error))
+            taken.append(said(error))
             continue
         press = Press(sent_press.number, sent_press.at_s)
         if sent_press.round not in round_keys:

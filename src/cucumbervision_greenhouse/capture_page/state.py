@@ -10,15 +10,13 @@ from urllib.parse import quote
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.errors import CucumberVisionError, StoreError
 from cucumbervision_greenhouse.backend import cameras, resources, round_caches, tasks
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.fruit_pictures import mask_outline, stop_layers
+from cucumbervision_greenhouse.backend.fruit_words import added_words, grade_words, length_words
+from cucumbervision_greenhouse.backend.language import counted, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import marked
-from cucumbervision_greenhouse.backend.words import (
+from cucumbervision_greenhouse.backend.round_words import (
     action_words,
-    added_words,
-    counted,
-    grade_words,
-    length_words,
     metres_words,
     round_name,
     stop_name,
@@ -84,7 +82,9 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "sides": sides_of(stops),
         "work": progress.told,
         "first": progress.first_words,
-        "doubts": [line for x in rounds if x.key == home for line in round_caches.doubts_of(x)],
+        "doubts": [
+            said(line) for x in rounds if x.key == home for line in round_caches.doubts_of(x)
+        ],
         "aside": counted(
             len(aside),
             "{n} photo failed three times and was not measured; it is kept beside the store in "
@@ -150,7 +150,7 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
                 ],
             }
         )
-    fault = record.failures[0]["message"] if record.failures else ""
+    fault = said(record.failures[0]["message"]) if record.failures else ""
     return {
         "key": last.key,
         "round": last.round_key,

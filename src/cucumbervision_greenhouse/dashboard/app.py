@@ -12,9 +12,10 @@ import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import marked
-from cucumbervision_greenhouse.backend.words import plain
+from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 from cucumbervision_greenhouse.dashboard.views import (
@@ -59,7 +60,7 @@ def main() -> None:
         if chosen != pages[-1]:
             footer(pages[-1])
     except CucumberVisionError as error:
-        st.error(plain(error), icon=":material/error:")
+        st.error(plain(said(error)), icon=":material/error:")
 
 
 def _pages() -> list[StreamlitPage]:

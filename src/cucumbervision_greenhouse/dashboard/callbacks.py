@@ -8,7 +8,7 @@ from typing import Any
 import streamlit as st
 from streamlit.runtime.state.safe_session_state import SafeSessionState
 
-from cucumbervision_greenhouse.backend.words import Option, told_apart
+from cucumbervision_greenhouse.backend.plain_text import Option, told_apart
 
 _will_rerun = SafeSessionState.on_script_will_rerun
 

@@ -17,10 +17,11 @@ from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
+from cucumbervision_greenhouse.backend.fruit_words import class_words, label_words
 from cucumbervision_greenhouse.backend.language import date_names, day_month_words, decimal_words
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.round_words import date_words
 from cucumbervision_greenhouse.backend.theme import ink
-from cucumbervision_greenhouse.backend.words import class_words, date_words, label_words
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:

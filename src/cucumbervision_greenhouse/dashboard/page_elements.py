@@ -13,17 +13,13 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.forecast_words import hours_words
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
+from cucumbervision_greenhouse.backend.language import counted, language, page_text
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import language, page_text
-from cucumbervision_greenhouse.backend.words import (
-    counted,
-    hours_words,
-    plain,
-    sentence,
-    step_words,
-    taken_back,
-)
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence
+from cucumbervision_greenhouse.backend.round_words import step_words, taken_back
 from cucumbervision_greenhouse.dashboard.round_choice import choose_round, missing_round
 
 if TYPE_CHECKING:
@@ -60,7 +56,7 @@ def do(act: Callable[[], object]) -> bool:
     try:
         act()
     except CucumberVisionError as error:
-        st.session_state["fault"] = str(error)
+        st.session_state["fault"] = said(error)
         return False
     return True
 
@@ -72,7 +68,7 @@ def draw_undo(round_key: str) -> None:
         try:
             action = tasks.undo(resources.store(), round_key)
         except CucumberVisionError as error:
-            st.session_state["fault"] = str(error)
+            st.session_state["fault"] = said(error)
         else:
             st.toast(plain(taken_back(action)), icon=":material/undo:")
 

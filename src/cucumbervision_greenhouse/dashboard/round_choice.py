@@ -10,8 +10,11 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
 from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import counted, plain, round_name, sentence
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence
+from cucumbervision_greenhouse.backend.round_words import round_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
 from cucumbervision_greenhouse.store.records import Round
@@ -101,7 +104,7 @@ def _begin() -> None:
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:
-            st.session_state["begin_fault"] = str(error)
+            st.session_state["begin_fault"] = said(error)
             return
         if (same := same_house(house, houses)) != " ".join(house.split()):
             words = _("The round is in the house '{house}', which is known by that name.")
@@ -178,7 +181,7 @@ def _do(act: Callable[[str], None], key: str) -> None:
     try:
         act(key)
     except CucumberVisionError as error:
-        st.session_state["round_fault"] = str(error)
+        st.session_state["round_fault"] = said(error)
     else:
         st.session_state[_CHANGING] = False
 

@@ -18,6 +18,7 @@ from starlette.routing import Route
 from cucumbervision.capture.source import safe_name
 from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.uploads import Sending
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
@@ -54,7 +55,7 @@ def _receive(request: Request, content: bytes) -> Any:
         received = uploads.append(part.upload, part.number, part.offset, content)
     except OSError as error:  # a full disk: the browser sends the part again until there is space
         words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
-        return JSONResponse({"error": words}, 507)
+        return JSONResponse({"error": said(words)}, 507)
     if uploads.is_whole(part.upload):
         tasks.measure_uploads()
     return {"received": received}

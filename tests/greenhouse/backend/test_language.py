@@ -13,8 +13,9 @@ import pytest
 pytest.importorskip("babel")
 
 from cucumbervision_greenhouse.backend import language
+from cucumbervision_greenhouse.backend.language import counted
+from cucumbervision_greenhouse.backend.round_words import day_words, metres_words
 from cucumbervision_greenhouse.backend.settings import Units
-from cucumbervision_greenhouse.backend.words import counted, day_words, metres_words
 
 ROOT = Path(__file__).parents[3]
 BACKEND = ROOT / "src/cucumbervision_greenhouse/backend"

@@ -465,7 +465,7 @@ $("undo").onclick = async () => {
   } catch (fault) {
     show($("fault"), fault.message);
     // Its stop is gone: somebody deleted it elsewhere.
-    if (pressed && fault.status === 409 && /not in the store/.test(fault.message)) keepStops(stops.filter((one) => one !== pressed));
+    if (pressed && fault.status === 409 && /not in the store/.test(fault.fault)) keepStops(stops.filter((one) => one !== pressed));
   }
   $("undo").disabled = false;
   drawPresses();

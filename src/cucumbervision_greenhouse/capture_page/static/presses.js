@@ -18,8 +18,8 @@ export async function post(path, content, patience_ms = PATIENCE_MS, turn = new 
       method: "POST", body: JSON.stringify(content), headers: { "content-type": "application/json" }, signal: turn.signal,
     });
     if (answer.ok) return await answer.json();
-    const { error } = await answer.json().catch(() => ({}));
-    throw Object.assign(new Error(error || _("Not admitted: open 'Today' to log in.")), { status: answer.status });
+    const { error, fault } = await answer.json().catch(() => ({}));
+    throw Object.assign(new Error(error || _("Not admitted: open 'Today' to log in.")), { status: answer.status, fault });
   } finally {
     clearTimeout(late);
   }

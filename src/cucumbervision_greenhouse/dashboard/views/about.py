@@ -7,7 +7,7 @@ import streamlit as st
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import plain
+from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 
 

@@ -10,6 +10,8 @@ from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.fruit_words import length_words
 from cucumbervision_greenhouse.backend.hand_lengths import (
     LENGTHS,
     hand_file,
@@ -21,8 +23,9 @@ from cucumbervision_greenhouse.backend.hand_lengths import (
 )
 from cucumbervision_greenhouse.backend.language import decimal_words, marked, number_words
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.round_words import metres_words
 from cucumbervision_greenhouse.backend.site_calibrations import bias_words
-from cucumbervision_greenhouse.backend.words import length_words, metres_words, plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.dashboard.views import calibrations
@@ -195,4 +198,4 @@ def _methods(own_truth: OwnTruth) -> None:
     if any(score.metrics.measured < 1 for score in own_truth.scores):
         st.caption(_("A fruit that a method did not measure counts as an error of 100 %."))
     for note in own_truth.notes:
-        st.caption(plain(note))
+        st.caption(plain(said(note)))

@@ -9,20 +9,16 @@ import streamlit as st
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.crop_limits import (
     CropLimits,
     class_counts,
     save_own_profile,
 )
+from cucumbervision_greenhouse.backend.fruit_words import class_words, label_words
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import (
-    class_words,
-    label_words,
-    plain,
-    round_name,
-    sentence,
-    told_apart,
-)
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence, told_apart
+from cucumbervision_greenhouse.backend.round_words import round_name
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 
@@ -56,7 +52,7 @@ def draw() -> None:
         _form(name, profile, own=not entries[name].shipped)
     for entry in entries.values():
         if entry.fault:
-            st.warning(plain(entry.fault), icon=":material/error:")
+            st.warning(plain(said(entry.fault)), icon=":material/error:")
 
 
 def _limits(profile: CropProfile) -> None:
@@ -85,7 +81,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     try:
         changed = limits.applied_to(profile, title.strip())
     except CucumberVisionError as error:
-        st.error(sentence(error), icon=":material/error:")
+        st.error(sentence(said(error)), icon=":material/error:")
         return
     _preview(profile, changed)
 
@@ -93,7 +89,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
         try:
             path = save_own_profile(changed)
         except CucumberVisionError as error:
-            st.session_state["limits_fault"] = str(error)
+            st.session_state["limits_fault"] = said(error)
             return
         resources.forget_profiles()
         resources.change_settings(profile=path.stem)

@@ -9,16 +9,12 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend import round_tables as tables
+from cucumbervision_greenhouse.backend.forecast_words import daily_growth_words
+from cucumbervision_greenhouse.backend.fruit_words import label_words
+from cucumbervision_greenhouse.backend.language import counted, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import marked
-from cucumbervision_greenhouse.backend.words import (
-    counted,
-    daily_growth_words,
-    day_words,
-    label_words,
-    plain,
-    row_name,
-)
+from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.round_words import day_words, row_name
 from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.day_comparison import Change

@@ -10,17 +10,16 @@ import streamlit as st
 from cucumbervision.agronomy.classes import UNDECIDED, class_of
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import (
-    age_words,
-    class_words,
-    counted,
+from cucumbervision_greenhouse.backend.forecast_words import (
     growth_words,
     hours_span_words,
-    plain,
-    round_day,
     span_words,
 )
+from cucumbervision_greenhouse.backend.fruit_words import class_words
+from cucumbervision_greenhouse.backend.language import counted
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.round_words import age_words, round_day
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.charts import (
     expected_classes,

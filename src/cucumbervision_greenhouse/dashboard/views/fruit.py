@@ -14,6 +14,7 @@ from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import painted_mask
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.fruit_pictures import (
     as_data_url,
     depth_picture,
@@ -23,21 +24,18 @@ from cucumbervision_greenhouse.backend.fruit_pictures import (
     scale_bar,
     stop_layers,
 )
-from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import marked
-from cucumbervision_greenhouse.backend.round_tables import GradedRound, figure_lines
-from cucumbervision_greenhouse.backend.words import (
-    counted,
+from cucumbervision_greenhouse.backend.fruit_words import (
     grade_words,
     interval_words,
     kind_words,
     length_words,
-    plain,
     remarks,
-    round_day,
-    sentence,
-    step_words,
 )
+from cucumbervision_greenhouse.backend.language import counted, marked
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence
+from cucumbervision_greenhouse.backend.round_tables import GradedRound, figure_lines
+from cucumbervision_greenhouse.backend.round_words import round_day, step_words
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, cloud_ply, point_cloud
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
@@ -150,7 +148,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         st.caption(sentence(f"{words}."))
     with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
-            st.caption(plain(rule))
+            st.caption(plain(said(rule)))
         page_elements.table(figure_lines(record))
 
 
@@ -192,7 +190,7 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
     try:
         capture = _capture(detail)
     except CucumberVisionError as error:
-        st.warning(plain(error), icon=":material/broken_image:")
+        st.warning(plain(said(error)), icon=":material/broken_image:")
         return
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
     picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")

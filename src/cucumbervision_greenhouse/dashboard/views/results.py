@@ -12,21 +12,18 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend import round_tables as tables
-from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import marked
-from cucumbervision_greenhouse.backend.round_tables import GradedRound
-from cucumbervision_greenhouse.backend.words import (
-    counted,
+from cucumbervision_greenhouse.backend.fruit_words import (
     grade_words,
     interval_words,
     label_words,
     length_words,
-    metres_words,
-    plain,
     remarks,
-    row_name,
-    side_words,
 )
+from cucumbervision_greenhouse.backend.language import counted, marked
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.round_tables import GradedRound
+from cucumbervision_greenhouse.backend.round_words import metres_words, row_name, side_words
 from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.fruit_words import length_words
+from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
-from cucumbervision_greenhouse.backend.words import (
+from cucumbervision_greenhouse.backend.round_words import (
     count_words,
-    counted,
-    length_words,
     metres_words,
-    plain,
     round_day,
     row_name,
     step_words,

@@ -10,10 +10,11 @@ from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision_greenhouse.backend import cameras, resources
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import DRAFTS, LANGUAGES, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.settings import EXPOSURE_US, PRESETS
-from cucumbervision_greenhouse.backend.words import plain
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.views import calibrations, crop_form
 
@@ -137,7 +138,7 @@ def _other_calibration() -> None:
         if calibration:
             read_site_calibration(Path(calibration))
     except CucumberVisionError as error:
-        st.error(plain(error), icon=":material/error:")
+        st.error(plain(said(error)), icon=":material/error:")
     else:
         resources.change_settings(calibration=calibration)
         st.rerun()

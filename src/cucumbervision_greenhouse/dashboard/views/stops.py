@@ -8,8 +8,9 @@ import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.words import counted, side_words, stop_name
+from cucumbervision_greenhouse.backend.round_words import side_words, stop_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop

@@ -11,18 +11,20 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
-from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.language import marked, ngettext
-from cucumbervision_greenhouse.backend.round_tables import doubtful
-from cucumbervision_greenhouse.backend.words import (
-    age_words,
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.fruit_words import (
     class_words,
-    counted,
     height_words,
     length_words,
-    metres_words,
     pick_words,
-    plain,
+)
+from cucumbervision_greenhouse.backend.language import counted, marked, ngettext
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.round_tables import doubtful
+from cucumbervision_greenhouse.backend.round_words import (
+    age_words,
+    metres_words,
     round_day,
     side_words,
 )
@@ -301,7 +303,7 @@ def _undo(number: int) -> None:
     try:
         resources.store().undo(number=number)
     except CucumberVisionError as error:
-        st.toast(plain(error))
+        st.toast(plain(said(error)))
     st.session_state.pop("picked_all", None)
 
 

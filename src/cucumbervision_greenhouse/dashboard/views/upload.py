@@ -10,17 +10,14 @@ from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.progress import progress_of
+from cucumbervision_greenhouse.backend.round_words import round_day, side_words
 from cucumbervision_greenhouse.backend.uploading import CAMERAS
 from cucumbervision_greenhouse.backend.uploads import MOST_FILES, SentPlace
-from cucumbervision_greenhouse.backend.words import (
-    counted,
-    plain,
-    round_day,
-    sentence,
-    side_words,
-)
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
@@ -71,7 +68,7 @@ def page(round_summary: RoundSummary) -> None:
         },
     )
     if doubts := round_caches.doubts_of(round_summary):
-        words = f"{_('Check the data of this round.')} {'. '.join(doubts)}."
+        words = f"{_('Check the data of this round.')} {'. '.join(map(said, doubts))}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
         _show(upload)
@@ -132,7 +129,7 @@ def _draw_place(
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
-        st.warning(sentence(error), icon=":material/error:")
+        st.warning(sentence(said(error)), icon=":material/error:")
         named = ""
     return SentPlace(
         row=named,
@@ -205,7 +202,7 @@ def _show(upload: Upload) -> None:
         {
             _("File"): outcome.name,
             "": _("saved") if outcome.saved else _("not saved"),
-            _("Result"): outcome.words,
+            _("Result"): said(outcome.words),
         }
         for outcome in sorted(upload.outcomes, key=lambda outcome: outcome.saved)
     ]

@@ -10,8 +10,8 @@ from tests.greenhouse.rounds.test_adding import CAMERA, OPTIONS, draw
 
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision_greenhouse.backend.fruit_pictures import drawn_on, joint_tube, tube_outline
+from cucumbervision_greenhouse.backend.fruit_words import length_words
 from cucumbervision_greenhouse.backend.settings import Units
-from cucumbervision_greenhouse.backend.words import length_words
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table

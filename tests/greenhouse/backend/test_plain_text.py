@@ -8,7 +8,7 @@ pytest.importorskip("markdown_it")
 
 from markdown_it import MarkdownIt
 
-from cucumbervision_greenhouse.backend.words import page_remedy, plain
+from cucumbervision_greenhouse.backend.plain_text import plain
 
 # What Streamlit and Markdown's extensions look for in the text that is drawn, as in their sources.
 LIVE = (
@@ -49,22 +49,3 @@ def test_streamlits_own_marks_are_text() -> None:
     assert plain(":red[x] $a$") == r"\:red\[x\] \$a\$"
     assert plain("two\nlines") == "two lines"
     assert plain("a\u202eb") == "a?b"
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "made for another camera; calibrate this camera, or measure it without --calibration",
-        "align depth to colour, or say so with --aligned-to color",
-        "the colour picture was aligned to depth, say so with --aligned-to depth",
-        "check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
-        "no fruit has a possible size: --depth-unit 0.001 or 0.0001 would explain it",
-        "begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
-        "a recording's depth is along the axis; leave out --depth-along and --aligned-to",
-        "leave --input-size out, or export the network with dynamic sizes",
-        "put them into mask_visib/, or choose other --instances",
-        "measured as fruit: 2 of class cucumber, 1 of class leaf; --classes chooses among them",
-    ],
-)
-def test_a_remedy_on_a_page_names_no_option_of_a_command(line: str) -> None:
-    assert "--" not in page_remedy(line)

@@ -104,6 +104,14 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
     picture[:] = drawn(480, 640, RIGHT)
     segmenter.mask_at(picture, 490, 250)
     assert len(runs) == 2
+    # The one before is still known, and a few more; the oldest is not.
+    (later,) = segmenter.segment(drawn(480, 640, LEFT), fruit)
+    assert len(runs) == 2
+    assert iou(first.mask, later.mask) == 1
+    for grey in (10, 20, 30, 40):
+        segmenter.mask_at(np.full((60, 80, 3), grey, np.uint8), 40, 30)
+    segmenter.segment(drawn(480, 640, LEFT), fruit)
+    assert len(runs) == 7
 
 
 @pytest.mark.parametrize("size", [(640, 480), (720, 1280)])

@@ -1,13 +1,14 @@
 """SAM networks: a mask for each prompted fruit of a picture.
 
-The encoder runs once per picture, even if its fruit come in several calls; the decoder takes
-several prompts at once. Sources: SAM (Kirillov et al. 2023, "Segment Anything")
-and MobileSAM (Zhang et al. 2023, "Faster Segment Anything").
+The encoder runs once per picture, even if its fruit come in several calls with other pictures
+between; the decoder takes several prompts at once. Sources: SAM (Kirillov et al. 2023, "Segment
+Anything") and MobileSAM (Zhang et al. 2023, "Faster Segment Anything").
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -59,6 +60,8 @@ least this share as long: the detector's masks are too wide before leaves of the
 
 _LEAST_PART = 0.1
 """Least share of the detector's mask for a part to be segmented separately."""
+
+_HELD = 4  # pictures whose embeddings are held, 4 MB each
 
 _TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
 _TOGETHER_ON_CARD = 32  # there each call waits for the card once
@@ -114,7 +117,7 @@ class Sam:
             full_precision=True,
             verified=verified,
         )
-        self._encoded: tuple[object, NDArray[np.float32] | CardArray | None] = (None, None)
+        self._encoded: OrderedDict[object, NDArray[np.float32] | CardArray] = OrderedDict()
         self._kept = ("embedding",) if self._decoder.card else ()
         self._together = _TOGETHER_ON_CARD if self._decoder.card else _TOGETHER
 
@@ -213,19 +216,20 @@ class Sam:
         return answered
 
     def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32] | CardArray:
-        """Return the picture's embedding, which stays on a card; the last one is cached."""
+        """Return the picture's embedding, which stays on a card; the last ones are held."""
         # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
-        encoded, embedding = self._encoded
-        if encoded != picture or embedding is None:
+        embedding = self._encoded.pop(picture, None)
+        if embedding is None:
             fixed_rows = self._encoder.inputs[0].shape[2]
             # Padding is 44 % of the square under a picture of 16:9.
             rows = rows_needed(*color_rgb.shape[:2]) if fixed_rows is None else fixed_rows
             picture_levels = prepare_picture(color_rgb, rows)
-            outputs = self._encoder.run({"image": picture_levels}, self._kept)
-            embedding = outputs["embedding"]
-            self._encoded = picture, embedding
+            embedding = self._encoder.run({"image": picture_levels}, self._kept)["embedding"]
+            while len(self._encoded) >= _HELD:
+                self._encoded.popitem(last=False)
+        self._encoded[picture] = embedding
         return embedding
 
 

@@ -21,7 +21,7 @@ from cucumbervision.measurement.flags import Flag
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
-from cucumbervision_greenhouse.rounds.adding import RoundCapture, add_all
+from cucumbervision_greenhouse.rounds.adding import RoundCapture, add_all, capture_sha256
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_capture
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
@@ -61,6 +61,7 @@ class SharedMeasurer:
         self._lock = threading.Lock()
         self._loaded: Measurer | None = None
         self._segmenter: NetworkSegmenter | None = None
+        self._prompted: tuple[object, NDArray[np.bool_] | None] = (None, None)
 
     def with_options(self, options: MeasureOptions) -> Measurer:
         """Return a measurer with these options."""
@@ -76,6 +77,10 @@ class SharedMeasurer:
         self.with_options(options).measure(replace(first, masks=()))
         with suppress(InstancesError):  # the result is ignored
             self.mask_from_click(first, (first.width / 2, first.height / 2))
+
+    def prepare(self, capture: Capture) -> None:
+        """Compute what outlining needs of a picture, before somebody taps into it."""
+        self._sam().mask_at(capture.color, capture.width / 2, capture.height / 2)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point.
@@ -119,15 +124,23 @@ class SharedMeasurer:
     ) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point, or in a box where none is given.
 
+        The last one is held: it is shown as an outline first, and measured then.
+
         Raises
         ------
         InstancesError
             If there is none.
         """
-        if point:
-            return self.mask_from_click(capture, (float(point[0]), float(point[1])))
-        x1, y1, x2, y2 = (float(value) for value in box or ())
-        return self.mask_from_box(capture, (x1, y1, x2, y2))
+        prompt = capture_sha256(capture), *map(float, point or box or ())
+        prompted, mask = self._prompted
+        if mask is None or prompted != prompt:
+            if point:
+                mask = self.mask_from_click(capture, (float(point[0]), float(point[1])))
+            else:
+                x1, y1, x2, y2 = (float(value) for value in box or ())
+                mask = self.mask_from_box(capture, (x1, y1, x2, y2))
+            self._prompted = prompt, mask
+        return mask
 
     def correct(
         self,

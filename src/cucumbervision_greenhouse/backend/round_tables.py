@@ -14,7 +14,7 @@ from cucumbervision_greenhouse.backend.language import decimal_words
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.round_words import (
     day_words,
-    metres_words,
+    position_words,
     row_name,
     side_words,
 )
@@ -111,12 +111,13 @@ def length_lines(
 
 def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
     """Return a line for each fruit with a position: along the row, height, class, length."""
+    per_metre = units.along[1]
     return [
         {
             "key": view.key,
             "row": row_and_side(view),
-            "along": round(max(view.along_m, 0.0), 2),
-            "height": -round(view.record.centre_y_m or 0.0, 3),
+            "along": round(max(view.along_m, 0.0) * per_metre, 2),
+            "height": -round((view.record.centre_y_m or 0.0) * per_metre, 3),
             "length": units.value(view.record.length_m),
             "class": graded.grades[view.key].label,
             "says": map_words(view, graded, units),
@@ -150,7 +151,7 @@ def change_words(fruit: FruitChange, units: Units) -> list[str]:
     lengths = [length_words(x.record, units) for x in (fruit.before, fruit.after) if x is not None]
     growth = fruit.growth_m_per_day
     return [
-        f"{row_and_side(view)}, {metres_words(view.along_m)}",
+        f"{row_and_side(view)}, {position_words(view.along_m, units)}",
         " → ".join(lengths),
         "" if growth is None else daily_growth_words(growth, units),
         _("picked") if view.picked_s is not None else "",
@@ -185,7 +186,7 @@ def length_days(views: Iterable[DetectionSummary], units: Units) -> list[dict[st
 def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
     """Return the map's text on a fruit: its place, length and class."""
     grades = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
-    place = f"{row_and_side(view)}, {metres_words(view.along_m)}"
+    place = f"{row_and_side(view)}, {position_words(view.along_m, units)}"
     return ", ".join([f"{place}: {length_words(view.record, units)}", *grades])
 
 

@@ -17,21 +17,24 @@ from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
 _DEMONSTRATION = marked("Demonstration (computer-made example)")
 
 
-def metres_words(along_m: float | None) -> str:
+def position_words(along_m: float | None, units: Units) -> str:
     """Return a position along a row in words; a negative position is shown as 0.
 
     Examples
     --------
-    >>> metres_words(1.204), metres_words(-0.12)
-    ('1.20 m', '0.00 m')
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> [position_words(1.204, Units(name)) for name in ("cm", "in")]
+    ['1.20 m', '3.95 ft']
     """
-    return f"{number_words(max(along_m or 0.0, 0.0), 2)} m"
+    name, per_metre = units.along
+    return f"{number_words(max(along_m or 0.0, 0.0) * per_metre, 2)} {name}"
 
 
 def round_day(at_s: float) -> str:
@@ -132,16 +135,17 @@ def taken_back(action: LogEntry) -> str:
     return _("Taken back: {action}").format(action=action_words(action))
 
 
-def stop_name(stop: Stop | StopSummary) -> str:
+def stop_name(stop: Stop | StopSummary, units: Units) -> str:
     """Return the place of a stop in words.
 
     Examples
     --------
     >>> from cucumbervision.capture.frames import Stop
-    >>> stop_name(Stop("3", "left", 1.2, 4))
+    >>> from cucumbervision_greenhouse.backend.settings import Units
+    >>> stop_name(Stop("3", "left", 1.2, 4), Units("cm"))
     'Stop 4: row 3, left, 1.20 m'
     """
-    position = "" if stop.position_m is None else metres_words(stop.position_m)
+    position = "" if stop.position_m is None else position_words(stop.position_m, units)
     row = _("row {row}").format(row=stop.row) if stop.row else ""
     where = ", ".join(filter(None, (row, side_words(stop.side), position)))
     return f"{step_words(stop.step)}: {where or _('no place given')}"

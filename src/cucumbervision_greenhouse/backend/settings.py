@@ -22,6 +22,7 @@ STORE_VARIABLE = "CUCUMBERVISION_STORE"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 
 _UNITS = {"cm": 100.0, "in": 1 / 0.0254}
+_UNITS_ALONG = {"cm": ("m", 1.0), "in": ("ft", 1 / 0.3048)}  # of positions along a row
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,17 @@ class Units:
     def digits(self) -> int:
         """Decimals to display."""
         return 1 if self.name == "cm" else 2
+
+    @property
+    def along(self) -> tuple[str, float]:
+        """Unit of positions along a row, and how many of it a metre has.
+
+        Examples
+        --------
+        >>> Units("cm").along
+        ('m', 1.0)
+        """
+        return _UNITS_ALONG[self.name]
 
     def text(self, length_m: float | None) -> str:
         """Return a length with its unit."""

@@ -84,11 +84,16 @@ class SentUndo(Sent):
     round: Key | None = None
 
 
-class SentFruit(Sent):
-    """A point in a missed fruit, or a box around it, in pixels of its capture."""
+class SentPicture(Sent):
+    """A picture: its stop and capture."""
 
     stop: Key
     capture: Annotated[str, Field(max_length=500)]
+
+
+class SentFruit(SentPicture):
+    """A point in a missed fruit, or a box around it, in pixels of its capture."""
+
     point: tuple[float, float] | None = None
     box: tuple[float, float, float, float] | None = None
 
@@ -163,6 +168,12 @@ def _add_fruit(request: Request, content: bytes) -> Any:
 
 
 @answer
+def _prepare(request: Request, content: bytes) -> Any:  # noqa: ARG001
+    state.prepare(SentPicture.model_validate_json(content))
+    return {}
+
+
+@answer
 def _outline(request: Request, content: bytes) -> Any:  # noqa: ARG001
     sent = SentFruit.model_validate_json(content)
     return state.outline(sent)
@@ -224,6 +235,7 @@ def routes() -> list[Route | WebSocketRoute]:
         Route("/api/rounds", _begin, methods=post),
         Route("/api/undo", _undo, methods=post),
         Route("/api/fruit", _add_fruit, methods=post),
+        Route("/api/prepare", _prepare, methods=post),
         Route("/api/outline", _outline, methods=post),
         Route("/api/camera", _retry, methods=post),
         Route("/api/picture/{stop}/{capture:path}", _picture),

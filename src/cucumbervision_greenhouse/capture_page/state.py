@@ -17,7 +17,7 @@ from cucumbervision_greenhouse.backend.language import counted, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.round_words import (
     action_words,
-    metres_words,
+    position_words,
     round_name,
     stop_name,
     taken_back,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision_greenhouse.backend.jobs import Job
-    from cucumbervision_greenhouse.capture_page.routes import SentFruit, SentUndo
+    from cucumbervision_greenhouse.capture_page.routes import SentFruit, SentPicture, SentUndo
     from cucumbervision_greenhouse.capture_page.shutter import Pressed
     from cucumbervision_greenhouse.store.records import StopRecord
     from cucumbervision_greenhouse.store.repository import Store
@@ -77,6 +77,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "home": home,
         "source": source,
         "place": asdict(place),
+        "along": resources.settings().units.along,
         "rows": _rows([*stops, *waiting]),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
@@ -154,7 +155,7 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
     return {
         "key": last.key,
         "round": last.round_key,
-        "name": stop_name(last),
+        "name": stop_name(last, units),
         "fault": fault,
         "captures": captures,
     }
@@ -179,10 +180,11 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     except Exception:  # `error` is None while it is undecided
         state = "refused" if pressed.is_lost else "waiting"
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
-    words = _("{stop}: saved").format(stop=stop_name(queued.stop))
+    units = resources.settings().units
+    words = _("{stop}: saved").format(stop=stop_name(queued.stop, units))
     if pressed.moved is not None:
         taken = _("Another stop is already at {position}")
-        words += f". {taken.format(position=metres_words(pressed.stop.position_m))}"
+        words += f". {taken.format(position=position_words(pressed.stop.position_m, units))}"
     where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
     return {"state": "saved", "words": words, **where}
 
@@ -234,7 +236,7 @@ def _delete_stop(store: Store, key: str) -> str:
     waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
     if waiting is not None and not waiting.tries:
         resources.waiting().done(waiting)
-        return _("{stop}: deleted").format(stop=stop_name(waiting.stop))
+        return _("{stop}: deleted").format(stop=stop_name(waiting.stop, resources.settings().units))
     until = time.monotonic() + _UNDO_S
     while resources.waiting().holds(key):  # it is being measured
         if time.monotonic() > until:
@@ -265,6 +267,21 @@ def outline(asked: SentFruit) -> dict[str, Any]:
     return {"outline": mask_outline(job.result)}
 
 
+def prepare(asked: SentPicture) -> None:
+    """Begin to compute what outlining needs of a picture, since somebody is about to tap into it.
+
+    Raises
+    ------
+    StoreError
+        If the picture is not there.
+    """
+    record, capture = _picture_of(asked)
+    measurer = resources.measurer()
+    resources.worker().submit(
+        marked("Preparing the picture"), lambda _: measurer.prepare(capture), record.round_key
+    )
+
+
 def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     """Outline and measure the fruit at a point or in a box; return it with words for people.
 
@@ -286,7 +303,7 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
 
 
-def _picture_of(asked: SentFruit) -> tuple[StopRecord, Capture]:
+def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:
     store = resources.store()
     record = store.stop(asked.stop)
     taken = next((capture for capture in record.captures if capture.name == asked.capture), None)

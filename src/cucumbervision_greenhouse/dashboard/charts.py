@@ -154,7 +154,7 @@ def map_picture(
         layer["shapes"].append(mark)
     grid = {
         name: [
-            (place(axis, value), f"{decimal_words(f'{value:g}')} m")
+            (place(axis, value), f"{decimal_words(f'{value:g}')} {units.along[0]}")
             for value in _round_values(*ends[axis])
         ]
         for name, axis in (("across", "along"), ("up", "height"))

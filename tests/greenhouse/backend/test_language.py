@@ -14,7 +14,7 @@ pytest.importorskip("babel")
 
 from cucumbervision_greenhouse.backend import language
 from cucumbervision_greenhouse.backend.language import counted
-from cucumbervision_greenhouse.backend.round_words import day_words, metres_words
+from cucumbervision_greenhouse.backend.round_words import day_words, position_words
 from cucumbervision_greenhouse.backend.settings import Units
 
 ROOT = Path(__file__).parents[3]
@@ -46,7 +46,7 @@ def test_texts_numbers_and_dates_are_of_the_language(speaking: list[str]) -> Non
             counted(1, "{n} day", "{n} days"),
             counted(2, "{n} day", "{n} days"),
             Units("cm").text(0.2532),
-            metres_words(1.2),
+            position_words(1.2, Units("cm")),
             day_words(noon_s),
         ]
 

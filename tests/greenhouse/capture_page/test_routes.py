@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -252,6 +253,36 @@ def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Sto
     np.testing.assert_allclose(drawn, edges, atol=0.1 * (edges[2] - edges[0]))
     assert len(store.detections(WALK)) == 8
     assert not store.detection(view.key).view.corrected
+
+
+def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
+    asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sam = resources.measurer()._sam()
+    runs: list[str] = []
+    for name in ("_encoder", "_decoder"):
+        network = getattr(sam, name)
+
+        def run(feeds: Any, name: str = name, network: Any = network) -> Any:
+            runs.append(name)
+            return network.run(feeds)
+
+        counted = SimpleNamespace(run=run, inputs=network.inputs, runtime=network.runtime)
+        monkeypatch.setattr(sam, name, counted)
+    view = store.detections(WALK)[0]
+    picture = {"stop": view.stop_key, "capture": view.capture}
+    assert asked.post("/api/prepare", json=picture).json() == {}
+    box = view.record
+    edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
+    assert asked.post("/api/outline", json={**picture, "box": edges}).status_code == 200
+    assert runs.count("_encoder") == 1
+    drawn = runs.count("_decoder")
+    # It is another fruit's, and refused; but it was not drawn again.
+    assert asked.post("/api/fruit", json={**picture, "box": edges}).status_code == 409
+    assert runs.count("_decoder") == drawn
+    assert runs.count("_encoder") == 1
+    gone = asked.post("/api/prepare", json={**picture, "capture": "other"})
+    assert "not there any more" in gone.json()["error"]
 
 
 @pytest.mark.parametrize("name", ["../routes.py", "%2e%2e%2froutes.py", "none.js", ""])

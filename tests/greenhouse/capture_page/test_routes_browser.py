@@ -17,6 +17,7 @@ pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 from cucumbervision.capture.raw_frames import FrameRing
 from cucumbervision_greenhouse.backend.camera_process import CameraFolder
+from cucumbervision_greenhouse.backend.settings import Settings, settings_file, write_settings
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
@@ -175,6 +176,54 @@ def test_capture_opens_and_takes_presses_while_the_server_is_away(
     page.context.set_offline(False)
     wait_for_stops(page, walk, 1)
     shot(page, "reloaded")
+
+
+def test_the_page_can_be_installed_and_starts_offline(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(locale="nl-NL"), walk)
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    asked = page.context.new_cdp_session(page)
+    manifest = asked.send("Page.getAppManifest")
+    assert manifest["errors"] == []
+    assert manifest["manifest"]["startUrl"] == f"{walk.address}/capture"
+    # A browser of tests keeps nothing, which Chromium calls incognito; nothing else is missing.
+    missing = asked.send("Page.getInstallabilityErrors")["installabilityErrors"]
+    assert {error["errorId"] for error in missing} <= {"in-incognito"}
+    page.context.set_offline(True)
+    # As from the home screen. The worker kept it in its own language, and is asked in Dutch.
+    page.goto("about:blank")
+    page.goto(f"{walk.address}/capture", timeout=60_000)
+    assert page.locator("button.take span").first.inner_text() == "Foto nemen"
+    page.locator("#lost").get_by_text("Verbinding met de cameracomputer").wait_for()
+
+
+def test_positions_are_in_the_unit_that_was_chosen(
+    tmp_path: Path,
+    make_recording: Callable[..., Path],
+    start_server: Callable[..., Any],
+    new_page: Callable[..., Any],
+) -> None:
+    write_settings(Settings(unit="in"), settings_file(str(tmp_path / "house.db")))
+    walk = Walk(tmp_path, make_recording(tmp_path / "walk.db3", 300), start_server)
+    page = opened(new_page(), walk)
+    position = page.get_by_label("Next stop at [ft]")
+    assert position.input_value() == "0.00"
+    page.get_by_label("Step [ft]").fill("2")
+    position.fill("4")
+    position.press("Tab")
+    for number in (1, 2):
+        page.locator("button.take").click()
+        wait_for_stops(page, walk, number)
+    assert position.input_value() == "8.00"
+    with open_store(walk.store) as store:
+        while len(stops := store.stops(WALK.key)) < 2:
+            page.wait_for_timeout(500)
+    at_m = sorted(stop.position_m or 0.0 for stop in stops)
+    assert at_m == pytest.approx([4 * 0.3048, 6 * 0.3048], abs=0.006)
+    page.locator("#where").get_by_text("6.00 ft").wait_for()
+    walk.kill()
+    CameraFolder(walk.store.with_suffix(".frames") / "replay").end()
 
 
 def test_an_answer_that_is_cut_off_replaces_nothing_that_was_known(

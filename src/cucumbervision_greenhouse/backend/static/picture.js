@@ -22,6 +22,14 @@ async function post(path, content) {
   throw new Error(error || _("Not admitted: reload the page."));
 }
 
+// What outlining needs of a picture is computed while a finger is on its way; a tap without it only takes longer.
+function prepare(data, own) {
+  const asked = { stop: data.stop, capture: data.capture }, name = JSON.stringify(asked);
+  if (!["point", "box"].includes(own.tool) || own.prepared === name) return;
+  own.prepared = name;
+  post("/api/prepare", asked).catch(() => { own.prepared = ""; });
+}
+
 // What was tapped is outlined at once, and measured then: added here, or by whom it is sent to.
 async function prompt(data, own, kind, value, redraw, send) {
   const asked = { stop: data.stop, capture: data.capture, [kind]: value };
@@ -252,6 +260,7 @@ function chips(root, data, own, again) {
       own.tool = own.tool === tool ? "" : tool;
       own.ends = [];
       own.drag = null;
+      prepare(data, own);
       again();
     }));
   }
@@ -271,11 +280,12 @@ function chips(root, data, own, again) {
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
-  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, zoomed: false, details: false, fingers: new Map(), moved: false };
+  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, prepared: "", zoomed: false, details: false, fingers: new Map(), moved: false };
   state.set(root, own);
   if (own.stale) Object.assign(own, { stale: false, draft: [] });
   if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [], painted: null });
   own.view = own.view || opening(data);
+  prepare(data, own);
   const opened = data.map?.opened?.key;
   if (own.opened !== opened) Object.assign(own, { opened, card: opened });
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;

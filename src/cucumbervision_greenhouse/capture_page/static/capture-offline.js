@@ -19,7 +19,8 @@ async function answer(request) {
     shelf.put(new URL(request.url).pathname, whole.clone()).catch(() => {});
     return whole;
   } catch (fault) {
-    const kept = await shelf.match(request, { ignoreSearch: true });
+    // In another language than asked for rather than not at all.
+    const kept = await shelf.match(request, { ignoreSearch: true, ignoreVary: true });
     if (kept) return kept;
     throw fault;
   }

@@ -7,7 +7,7 @@ const fill = (words, parts) => words.replace(/\{(\w+)\}/g, (_whole, name) => par
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, SILENCE_MS = 7000, CLOCK_S = 0.5;  // news come every 2 s
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, work: "", undone: "", rows: {} };
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, work: "", undone: "", rows: {}, along: ["m", 1] };
 
 function show(node, words) {
   node.textContent = words;
@@ -65,6 +65,7 @@ function showWalk(walk) {
   Object.assign(own, { walk, round: walk.missing ? own.round : walk.round, source: walk.source });
   const home = own.home;
   own.home = walk.home;
+  showUnit(walk.along || own.along);
   if (`${own.round} ${walk.source} ${walk.home}` !== own.watched) {
     own.watched = `${own.round} ${walk.source} ${walk.home}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
@@ -93,21 +94,30 @@ function showWalk(walk) {
   else if (walk.aside) show($("told"), walk.aside);
   else show($("told"), own.undone);
   $("take").disabled = !walk.round;
-  $("rows").replaceChildren(...Object.entries(walk.rows).map(([row, on]) => new Option(`${on.position_m.toFixed(2)} m`, row)));
+  $("rows").replaceChildren(...Object.entries(walk.rows).map(([row, on]) => new Option(`${shown(on.position_m)} ${own.along[0]}`, row)));
   $("house-name").textContent = walk.house;
   show($("doubts"), walk.doubts.length ? `${_("Check the data of this round.")} ${walk.doubts.join(". ")}.` : "");
   drawLast(walk.last, walk.first);
   drawUndo();
 }
 
-// ---- The place of the next stop.
+// ---- The place of the next stop, in the unit that was chosen.
+const shown = (position_m) => (position_m * own.along[1]).toFixed(2);
+
+function showUnit(along) {
+  if (along[0] === own.along[0]) return;
+  own.along = along;
+  for (const node of document.querySelectorAll(".along")) [node.textContent] = along;
+  if (own.place) usePlace(own.place);
+}
+
 function usePlace(place) {
   own.place = { ...place };
   const sides = [...new Set([...(own.walk?.sides || []), place.side])];
   $("side").replaceChildren(...sides.map((side) => new Option({ left: _("Left"), right: _("Right") }[side] || side[0]?.toUpperCase() + side.slice(1), side, false, side === place.side)));
   $("row").value = place.row;
-  $("position").value = place.position_m.toFixed(2);
-  $("step").value = place.step_m.toFixed(2);
+  $("position").value = shown(place.position_m);
+  $("step").value = shown(place.step_m);
   $("way").value = place.back ? "back" : "onward";
   localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, from: own.walk?.from, at: Date.now() }));
 }
@@ -122,9 +132,13 @@ function placeIn(row) {
 }
 
 function readPlace() {
-  const number = (id, known) => { const value = $(id).valueAsNumber; return Number.isFinite(value) ? Math.min(Math.max(value, 0), 10000) : known; };
-  const row = $("row").value.replace(UNSEEN, "").trim(), typed = $("position").value !== own.place.position_m.toFixed(2);
-  const place = { row, side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
+  // A field that nobody typed into keeps its place to the millimetre.
+  const number = (id, known_m, most_m) => {
+    const value_m = $(id).valueAsNumber / own.along[1];
+    return $(id).value !== shown(known_m) && Number.isFinite(value_m) ? Math.min(Math.max(value_m, 0), most_m) : known_m;
+  };
+  const row = $("row").value.replace(UNSEEN, "").trim(), typed = $("position").value !== shown(own.place.position_m);
+  const place = { row, side: $("side").value, position_m: number("position", own.place.position_m, 10000), step_m: number("step", own.place.step_m, 5), back: $("way").value === "back" };
   if (row !== own.place.row && !typed) {
     const { position_m, step_m, back } = placeIn(row);
     usePlace({ ...place, position_m, step_m, back });
@@ -137,7 +151,7 @@ function readPlace() {
 // Positions end at 0: from there a walk goes on upwards only when somebody says so.
 function onward(place) {
   const at_m = place.position_m + (place.back ? -place.step_m : place.step_m);
-  return { ...place, position_m: Math.max(Math.round(100 * at_m) / 100, 0) };
+  return { ...place, position_m: Math.max(Math.round(1000 * at_m) / 1000, 0) };
 }
 
 // ---- The button.
@@ -221,8 +235,8 @@ document.onkeydown = (event) => {
 // Presses that gave no stop, together where they are of one row and for one reason.
 function lostWords(some) {
   const [{ sent, words }] = some, at_m = some.map((one) => one.sent.position_m);
-  const [low, high] = [Math.min(...at_m), Math.max(...at_m)].map((value) => value.toFixed(2));
-  const where = [sent.row && fill(_("row {row}"), sent), { left: _("left"), right: _("right") }[sent.side] || sent.side, low === high ? `${low} m` : fill(_("{low} to {high}"), { low, high: `${high} m` })].filter(Boolean).join(", ");
+  const [low, high] = [Math.min(...at_m), Math.max(...at_m)].map(shown);
+  const where = [sent.row && fill(_("row {row}"), sent), { left: _("left"), right: _("right") }[sent.side] || sent.side, low === high ? `${low} ${own.along[0]}` : fill(_("{low} to {high}"), { low, high: `${high} ${own.along[0]}` })].filter(Boolean).join(", ");
   return `${fill(_("{n} lost: {where}."), { n: some.length, where })} ${words.charAt(0).toUpperCase()}${words.slice(1)}`;
 }
 

@@ -47,7 +47,7 @@ export default function (component) {
   const own = state.get(root) || { files: [], busy: false };
   state.set(root, own);
   own.data = data;
-  const [drop, input, folder, says, bar, button] = [".drop", "input", ".folder", ".says", "progress", ".measure"].map((name) => root.querySelector(name));
+  const [drop, input, files, folder, says, bar, button] = [".drop", "input", ".files", ".folder", ".says", "progress", ".measure"].map((name) => root.querySelector(name));
   input.accept = data.accept;
   const tell = (words, share) => {
     says.textContent = words;
@@ -72,6 +72,7 @@ export default function (component) {
   };
   input.oncancel = () => { input.webkitdirectory = false; };
   input.onchange = () => { input.webkitdirectory = false; chosen(input.files); };
+  files.onclick = () => input.click();
   folder.onclick = () => { input.webkitdirectory = true; input.click(); };
   drop.ondragover = (event) => { event.preventDefault(); drop.classList.add("over"); };
   drop.ondragleave = () => drop.classList.remove("over");

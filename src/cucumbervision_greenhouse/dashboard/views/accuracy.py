@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.backend.hand_lengths import (
 from cucumbervision_greenhouse.backend.language import decimal_words, marked, number_words
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
-from cucumbervision_greenhouse.backend.round_words import metres_words
+from cucumbervision_greenhouse.backend.round_words import position_words
 from cucumbervision_greenhouse.backend.site_calibrations import bias_words
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
@@ -149,7 +149,7 @@ def _read(
 
 def _line(view: DetectionSummary, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
-    position = metres_words(view.along_m) if view.along_m is not None else ""
+    position = position_words(view.along_m, units) if view.along_m is not None else ""
     return {
         "key": view.key,
         "picture": round_caches.thumbnail_of(view),

@@ -23,7 +23,7 @@ from cucumbervision_greenhouse.backend.language import counted, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import GradedRound
-from cucumbervision_greenhouse.backend.round_words import metres_words, row_name, side_words
+from cucumbervision_greenhouse.backend.round_words import position_words, row_name, side_words
 from cucumbervision_greenhouse.dashboard import charts, page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
@@ -241,7 +241,7 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
 def _line(graded: GradedRound, view: DetectionSummary) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     interval = interval_words(record, units)
-    position = "" if view.along_m is None else f", {metres_words(view.along_m)}"
+    position = "" if view.along_m is None else f", {position_words(view.along_m, units)}"
     checked = _(_VERDICTS[view.verdict]), _("corrected") if view.corrected else ""
     picked = _("picked") if view.picked_s else ""
     says = [

@@ -15,7 +15,7 @@ from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
 from cucumbervision_greenhouse.backend.round_words import (
     count_words,
-    metres_words,
+    position_words,
     round_day,
     row_name,
     step_words,
@@ -232,7 +232,7 @@ def _pictures(
     st.markdown(f"**{title}**")
 
     def words(view: DetectionSummary) -> str:
-        place = f"{step_words(view.step).lower()} · {metres_words(view.along_m)}"
+        place = f"{step_words(view.step).lower()} · {position_words(view.along_m, units)}"
         return f"{length_words(view.record, units)} · {place}"
 
     def draw(view: DetectionSummary) -> None:

@@ -47,7 +47,8 @@ def list_stops(round_summary: RoundSummary) -> None:
 
 def _words(stop: StopSummary) -> str:
     note = f" ({stop.note})" if stop.note else ""
-    return f"{stop_name(stop)}{note} · {counted(stop.fruit, '{n} fruit', '{n} fruit')}"
+    name = stop_name(stop, resources.settings().units)
+    return f"{name}{note} · {counted(stop.fruit, '{n} fruit', '{n} fruit')}"
 
 
 def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
@@ -68,11 +69,13 @@ def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
         key=f"stop_side_{version}",
         accept_new_options=True,
     )
+    unit, per_metre = resources.settings().units.along
+    at = None if stop.position_m is None else stop.position_m * per_metre
     position.number_input(
-        _("At [m]"),
-        min(0.0, stop.position_m or 0.0),
+        _("At [{unit}]").format(unit=unit),
+        min(0.0, at or 0.0),
         None,
-        stop.position_m,
+        at,
         0.1,
         "%.2f",
         key=f"stop_at_{version}",
@@ -85,7 +88,8 @@ def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
         names = ("row", "side", "at", "step", "note")
         typed = [st.session_state[f"stop_{name}_{version}"] for name in names]
         row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
-        return move_stop(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
+        at_m = None if typed[2] is None else typed[2] / per_metre
+        return move_stop(store, stop, Stop(row or None, side or None, at_m, typed[3]), note)
 
     def remove() -> int:
         return store.delete_stop(stop.key)

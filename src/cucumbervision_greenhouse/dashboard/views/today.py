@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.backend.round_words import (
     age_words,
-    metres_words,
+    position_words,
     round_day,
     side_words,
 )
@@ -241,7 +241,7 @@ def _lines(
         key = pick.fruit.fruit_id
         view = views.get(key)
         says = [
-            f"{metres_words(pick.fruit.position_m)} {side_words(pick.fruit.side)}".strip(),
+            f"{position_words(pick.fruit.position_m, units)} {side_words(pick.fruit.side)}".strip(),
             "" if view is None else length_words(view.record, units),
             pick_words(pick),
             "" if view is None else height_words(view.record, units),

@@ -86,7 +86,9 @@ def _place(round_summary: RoundSummary) -> SentPlace:
 
     def suggest(place: NextPlace) -> None:
         side = place.side if place.side in sides else sides[0]
-        values = place.row, side, place.position_m, place.step_m, "down" if place.back else "up"
+        per_metre = resources.settings().units.along[1]
+        at, step = place.position_m * per_metre, place.step_m * per_metre
+        values = place.row, side, at, step, "down" if place.back else "up"
         st.session_state.update(zip(keys.values(), values, strict=True))
 
     def change_row() -> None:
@@ -122,6 +124,7 @@ def _draw_place(
     keep: Callable[[], None],
 ) -> SentPlace:
     """Draw the fields of a place by the keys of their values, and return what they hold."""
+    unit, per_metre = resources.settings().units.along
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
@@ -143,11 +146,23 @@ def _draw_place(
         )
         or sides[0],
         position_m=position.number_input(
-            _("First at [m]"), 0.0, step=0.1, format="%.2f", key=keys["at"], on_change=keep
-        ),
+            _("First at [{unit}]").format(unit=unit),
+            0.0,
+            step=0.1,
+            format="%.2f",
+            key=keys["at"],
+            on_change=keep,
+        )
+        / per_metre,
         step_m=step.number_input(
-            _("Step [m]"), 0.0, 5.0, step=0.1, key=keys["step"], on_change=keep
-        ),
+            _("Step [{unit}]").format(unit=unit),
+            0.0,
+            5.0 * per_metre,
+            step=0.1,
+            key=keys["step"],
+            on_change=keep,
+        )
+        / per_metre,
         back=way.segmented_control(
             _("Walking"),
             ["up", "down"],

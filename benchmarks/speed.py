@@ -23,26 +23,26 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # what is compared with the 
 import argparse
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from statistics import median
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tests draw
+
+from figures import Figure, as_table, machine
+from pages import dashboard
 
 from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
@@ -50,25 +50,19 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.geometry.tube_kernel import kernel_name
-from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception.registry import load_registry
-from cucumbervision.perception.runtime import import_onnxruntime
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
 from cucumbervision.pipeline.folder import OutputFolder
 from cucumbervision.pipeline.inputs import Listed, list_captures
-from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
 from cucumbervision.streaming import stream as streaming
-from cucumbervision.streaming.sources import in_order
 from cucumbervision.streaming.stream import FruitStream
-from cucumbervision_greenhouse.rounds.adding import add_captures
-from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -81,8 +75,6 @@ CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 PAPER_METHODS = (MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5)
 BINS, SAMPLES = 25, 1000
 TRIES = 4
-LOOK_MS = 10  # between two looks for what a page is to show
-PATIENCE_S = 300.0
 LIMITS = {
     "M1 to M5, times the plain NumPy floor": 4.0,
     "M6, times the plain NumPy floor": 15.0 if kernel_name() == "numpy" else 9.0,
@@ -162,29 +154,6 @@ class StageClock:
         for user in [m for key, m in sys.modules.items() if key.startswith("cucumbervision")]:
             for known in [key for key, value in vars(user).items() if value is function]:
                 setattr(user, known, timed)
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One line of a table: what, how much, and what it should be ('<= 8' or '>= 1.7')."""
-
-    what: str
-    value: float
-    unit: str
-    aim: str = ""
-
-    @property
-    def kept(self) -> bool:
-        """Whether the aim, if there is one, is reached."""
-        if not self.aim:
-            return True
-        sign, limit = self.aim.split()
-        return self.value <= float(limit) if sign == "<=" else self.value >= float(limit)
-
-    @property
-    def verdict(self) -> str:
-        """The aim in words."""
-        return f"{self.aim}: {'kept' if self.kept else 'MISSED'}" if self.aim else ""
 
 
 def copies(folder: Path, count: int) -> Path:
@@ -515,269 +484,6 @@ def workers(quick: bool) -> list[Figure]:
     return figures
 
 
-class Visit:
-    """A page of Chromium on a dashboard of its own."""
-
-    def __init__(self, store: Path, page: Any, address: str) -> None:
-        self.store, self.page, self.address = store, page, address
-
-    def seconds(self, act: Callable[[], object], shown: str) -> float:
-        """Return the time from an act to the moment at which an element is seen.
-
-        Playwright's own `wait_for` looks after 0.27, 0.77 and 1.27 s, and not between: a page
-        that shows after 0.3 s would count as 0.77 s.
-        """
-        begun = time.perf_counter()
-        act()
-        element = self.page.locator(shown).first
-        while not element.is_visible():
-            if time.perf_counter() - begun > PATIENCE_S:
-                raise SystemExit(f"{shown} is not shown on {self.page.url}")
-            self.page.wait_for_timeout(LOOK_MS)
-        return time.perf_counter() - begun
-
-    def open(self, path: str, shown: str) -> float:
-        """Open an address, and return how long that takes."""
-        return self.seconds(lambda: self.page.goto(f"{self.address}{path}"), shown)
-
-    def kept(self) -> int:
-        """Return how many captures are stops, or wait to be measured."""
-        waiting = WaitingCaptures(waiting_folder(str(self.store)))
-        keys = {one.key for one in (*waiting.captures(), *waiting.set_aside())}
-        with open_store(self.store) as store:
-            keys |= {stop.key for one in store.rounds() for stop in store.stops(one.key)}
-        return len(keys)
-
-    def received(self, wait_s: float) -> tuple[int, int]:
-        """Return how many pictures, and bytes of them, the preview sends while nobody acts."""
-        sizes: list[int] = []
-        self.page.on(
-            "websocket",
-            lambda line: (
-                "preview" in line.url
-                and line.on("framereceived", lambda frame: sizes.append(len(frame)))
-            ),
-        )
-        self.open("/capture", "button.take:enabled")
-        self.page.wait_for_timeout(4000)
-        sizes.clear()
-        self.page.wait_for_timeout(1000 * wait_s)
-        return len(sizes), sum(sizes)
-
-
-@contextmanager
-def visit(store: Path, replay: Path) -> Iterator[Visit]:
-    """Serve a dashboard on the loopback, and open a page of Chromium on it."""
-    from playwright.sync_api import sync_playwright
-    from tests.greenhouse.conftest import FLAGS
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    code = "from cucumbervision.cli.app import main; main()"
-    words = ["--no-browser", "--port", str(port), "--store", str(store), "--replay", str(replay)]
-    command = [sys.executable, "-c", code, "dashboard", *words]
-    quiet, address = subprocess.DEVNULL, f"http://127.0.0.1:{port}"
-    with subprocess.Popen(command, stdout=quiet, stderr=quiet) as server, sync_playwright() as web:
-        try:
-            browser = web.chromium.launch(
-                executable_path=shutil.which("chromium"), args=list(FLAGS)
-            )
-            page = browser.new_page(viewport={"width": 1280, "height": 800}, has_touch=True)
-            page.set_default_timeout(1000 * PATIENCE_S)
-            while server.poll() is None:
-                try:
-                    page.request.get(f"{address}/_stcore/health")
-                    break
-                except Exception:  # it does not listen yet
-                    time.sleep(0.2)
-            yield Visit(store, page, address)
-        finally:
-            server.terminate()
-
-
-def passing(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Draw a frame of a walk: a wall of leaves passes by, 24 pixels of 1280 a frame."""
-    rng = np.random.default_rng(3)
-    leaves = rng.integers(20, 200, (18, 32, 3), np.uint8)
-    color = cv2.resize(leaves, (320, 180), interpolation=cv2.INTER_CUBIC)
-    depth = cv2.resize(leaves[..., 0].astype(np.uint16) + 450, (320, 180))
-    shift = -6 * index % 320
-    return np.roll(depth, shift, axis=1), np.roll(color, shift, axis=1)
-
-
-def dashboard(quick: bool) -> list[Figure]:
-    """Time presses, preview and pages in Chromium; the server has the same cores."""
-    from tests.conftest import record
-    from tests.greenhouse.conftest import LONG, WALK, long_round
-
-    presses = 20 if quick else 200
-    measured = "#where:has-text('saved')"
-    with tempfile.TemporaryDirectory() as tmp:
-        house, walk = Path(tmp) / "house.db", Path(tmp) / "walk.db"
-        with open_store(walk) as store:
-            store.save_round(WALK)
-        with visit(walk, record(Path(tmp) / "walk.db3", 150, scene=passing, enlarged=4)) as seen:
-            moving, _ = seen.received(5.0)
-            for _ in range(presses):
-                seen.page.locator("button.take").tap()
-                seen.page.wait_for_timeout(100)
-            seen.page.locator("#presses .waiting").first.wait_for(state="hidden")
-            kept = seen.kept()
-        with open_store(house) as store:
-            store.save_round(WALK)
-            add_captures(store, WALK.key, [example_captures()], GIVEN)
-            long_round(store, store.stop(store.stops(WALK.key)[0].key), 320)
-        with visit(house, example_captures()) as seen:
-            _, still = seen.received(5.0)
-            seen.page.get_by_text("Loading the networks").first.wait_for(state="hidden")
-            take = seen.page.locator("button.take")
-            press_s = seen.seconds(take.tap, measured)
-            tapped: dict[str, float] = {}
-            seen.open(f"/results?round={WALK.key}", ".fruit button")
-            first = seen.page.locator(".fruit button").first
-            tapped["fruit"] = seen.seconds(first.click, "svg.view polygon")
-            for name in ("outline, first", "outline"):
-                seen.page.get_by_role("button", name="Redraw by tap").click()
-                tap = seen.page.locator("svg.view").click
-                tapped[name] = seen.seconds(tap, "svg.view polygon[stroke-dasharray]")
-                seen.page.get_by_text("Saved: measured with this outline").wait_for()
-                seen.page.reload()
-                seen.page.locator("svg.view polygon").first.wait_for()
-            pages = {
-                "results": ".fruit button",
-                "map": "text=One mark per fruit",
-                "forecast": "text=fruit too small to be detected today",
-                "accuracy": "[data-testid=stDataFrame] canvas",
-            }
-            cold, within = [], []
-            for name, shown in pages.items():
-                cold.append(seen.open(f"/{name}?round={LONG.key}", shown))
-            for name, shown in pages.items():
-                way = seen.page.locator(".st-key-nav a").filter(has_text=re.compile(name, re.I))
-                within.append(seen.seconds(way.click, shown))
-                seen.page.wait_for_timeout(2000)
-    return [
-        Figure("presses that are one stop each", 100 * kept / presses, "%", ">= 100"),
-        Figure("preview of 1280x720 while it moves, pictures a second", moving / 5, "/s", ">= 10"),
-        Figure("preview while still", still / 5e3, "kB/s", "<= 1"),
-        Figure("first result of a press", press_s, "s", "<= 1.5"),
-        Figure("tap to screen: fruit", tapped["fruit"], "s", "<= 0.4"),
-        Figure("tap to screen: outline, first", tapped["outline, first"], "s", "<= 1.0"),
-        Figure("tap to screen: outline", tapped["outline"], "s", "<= 0.7"),
-        Figure("pages of 320 stops, cold: slowest", max(cold), "s", "<= 0.6"),
-        Figure("pages of 320 stops, within the app: slowest", max(within), "s", "<= 0.3"),
-    ]
-
-
-ON_CARD = {
-    "card, float32": MeasureOptions(instances="models", runtime="cuda", full_precision=True),
-    "card, TF32": MeasureOptions(instances="models", runtime="cuda", full_precision=False),
-    "card, TensorRT in half precision": MeasureOptions(
-        instances="models", runtime="tensorrt", full_precision=False
-    ),
-}
-NEEDED = {"cuda": "CUDAExecutionProvider", "tensorrt": "TensorrtExecutionProvider"}
-
-
-def card_figures(options: MeasureOptions, quick: bool) -> list[Figure]:
-    """Time a stream's frames by stage on a card, and compare lengths with the processor's."""
-    rounds = 3 if quick else 20
-    captures = [ref.load() for ref in open_source(example_captures())]
-    measurer, clock = Measurer(options), StageClock(time.perf_counter)
-    figures = lengths_beside_the_processors(measurer, captures)
-    streams = {"--fast": FruitStream.fast(options), "all networks": FruitStream(measurer)}
-    aims = {"--fast": ">= 60", "all networks": ">= 30"}
-    for name, stream in streams.items():
-        stages_ms = by_turn_ms(clock, stream, captures, rounds)
-        fruit = sum(len(stream.take(capture).fruit) for capture in captures) / len(captures)
-        label = f"stream, {name}"
-        frame_ms = sum(stages_ms.values())
-        rate, lag_s = overlapped(stream, captures, rounds)
-        figures += [
-            Figure(f"{label}, {fruit:.1f} fruit a frame", 1e3 / frame_ms, "frames/s", aims[name]),
-            Figure(f"{label}, searched ahead", rate, "frames/s"),
-            Figure(f"{label}, from a frame to its line", 1e3 * lag_s, "ms"),
-            *(
-                Figure(f"{label}: {stage}, alone {1e3 / ms:.0f} frames/s", ms, "ms")
-                for stage, ms in sorted(stages_ms.items(), key=lambda pair: -pair[1])
-                if ms >= 0.05
-            ),
-        ]
-    return figures
-
-
-def by_turn_ms(
-    clock: StageClock, stream: FruitStream, captures: Sequence[Capture], rounds: int
-) -> dict[str, float]:
-    """Return the median time of a frame by stage, by the clock on the wall."""
-    turns = []
-    for turn in range(rounds + 2):
-        clock.start()
-        begun = time.perf_counter()
-        for capture in captures:
-            stream.take(capture)
-        taken_s = {**clock.taken_s, "rest": time.perf_counter() - begun}
-        taken_s["rest"] -= sum(clock.taken_s.values())
-        if turn > 1:
-            turns.append({stage: 1e3 * s / len(captures) for stage, s in taken_s.items()})
-    return {stage: median(turn[stage] for turn in turns) for stage in turns[0]}
-
-
-def overlapped(
-    stream: FruitStream, captures: Sequence[Capture], rounds: int
-) -> tuple[float, float]:
-    """Return frames a second of a whole stream, as the command runs it, and the median latency."""
-    times_s, latencies_s = [], []
-    for frame in stream.follow(in_order(rounds * list(captures))):
-        if isinstance(frame, Failure):
-            raise SystemExit(frame.message)
-        times_s.append(time.perf_counter())
-        latencies_s.append(frame.latency_s)
-    count = len(captures)
-    rate = (len(times_s) - count) / (times_s[-1] - times_s[count - 1])
-    return rate, median(latencies_s[count:])
-
-
-def lengths_beside_the_processors(measurer: Measurer, captures: Sequence[Capture]) -> list[Figure]:
-    """Compare the lengths of the same fruit with those that float32 on the processor gives."""
-    reference = Measurer(replace(MODELS, runtime="onnxruntime", full_precision=True))
-    errors_cm, unpaired = [], 0
-    for capture in captures:
-        on_card = list(measurer.measure(capture).fruit)
-        for fruit in reference.measure(capture).fruit:
-            boxes = np.array([candidate.instance.box for candidate in on_card]).reshape(-1, 4)
-            ious = box_ious(fruit.instance.box[None], boxes)[0]
-            if not ious.size or ious.max() <= 0.5:
-                unpaired += 1
-                continue
-            lengths = fruit.length, on_card.pop(int(ious.argmax())).length
-            values_m = [length.value_m for length in lengths if length is not None]
-            unpaired += len(values_m) == 1
-            errors_cm += [100 * abs(values_m[0] - values_m[1])] if len(values_m) == 2 else []
-        unpaired += len(on_card)
-    return [
-        Figure("fruit measured on both", len(errors_cm), "fruit"),
-        Figure("fruit measured on one alone", unpaired, "fruit", "<= 0"),
-        Figure("lengths off the processor's, most", max(errors_cm, default=0.0), "cm", "<= 0.02"),
-    ]
-
-
-def card_parts() -> dict[str, Callable[[bool], list[Figure]]]:
-    """Return what can be timed on the card of this machine; ends where there is none."""
-    providers = import_onnxruntime().get_available_providers()
-    if NEEDED["cuda"] not in providers:
-        raise SystemExit(
-            f"card: ONNX Runtime has no {NEEDED['cuda']} here; on a machine with an NVIDIA card "
-            "install onnxruntime-gpu in place of onnxruntime"
-        )
-    return {
-        name: partial(card_figures, options)
-        for name, options in ON_CARD.items()
-        if NEEDED[options.runtime] in providers
-    }
-
-
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
     part.__name__: part for part in (pipeline, processor, start, kernels, peers, workers, dashboard)
 }
@@ -828,19 +534,6 @@ def check() -> int:
     for (name, limit), ratio in zip(LIMITS.items(), ratios, strict=True):
         print(f"{name}: {ratio:.2f} (limit {limit:.2f}) {'ok' if ratio <= limit else 'TOO SLOW'}")
     return int(any(ratio > limit for ratio, limit in zip(ratios, LIMITS.values(), strict=True)))
-
-
-def machine() -> str:
-    """Return what this ran on."""
-    names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-    load = os.getloadavg()[0]
-    return f"{len(os.sched_getaffinity(0))} cores, {names[0]}; load {load:.1f}"
-
-
-def as_table(rows: list[Figure]) -> str:
-    """Return figures as a Markdown table."""
-    body = [f"| {r.what} | {r.value:.3g} {r.unit} | {r.verdict} |" for r in rows]
-    return "\n".join(["| what | figure | aim |", "|---|--:|---|", *body])
 
 
 def main() -> None:

@@ -1,6 +1,8 @@
 """The captures that come with the package: simulated, free to pass on, with exact truth.
 
-python website/demo_captures.py FOLDER    # writes them anew
+    python website/demo_captures.py FOLDER    # writes them anew; needs Blender's module bpy
+
+Colour is path-traced; depth, masks and truth are of the same bodies by ray casting.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from cucumbervision_lab.synthesis.colors import jitter
 from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.lighting import Light
+from cucumbervision_lab.synthesis.path_trace import path_trace
 from cucumbervision_lab.synthesis.placing import foliage
 from cucumbervision_lab.synthesis.raycast import Plane, Stem, scaled_camera
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
@@ -46,6 +49,7 @@ _LAYERS = (
     (0.6, 1.5),
 )  # metres behind the fruit, leaf area for each area of view
 _FRAMES = 5
+_SAMPLES = 24
 _JPEG_QUALITY = 90
 _STILL = Exposure(
     highlights=1.2, stops=-0.25, contrast=1.1, saturation=1.1, shot=0.0003, read=0.001, quality=0
@@ -78,7 +82,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class DemoScene:
-    """A named scene: its fruit, where they are, their skin's kind and sRGB, light, seed."""
+    """A named scene: its fruit, setting, skin's kind and sRGB, light, seeds of shape and colour."""
 
     name: str
     fruit: tuple[Pose, ...]
@@ -87,6 +91,7 @@ class DemoScene:
     base: tuple[float, float, float]
     light: Light
     seed: int
+    color_seed: int = 2
 
 
 SCENES = (
@@ -114,6 +119,7 @@ SCENES = (
         (34.0, 76.0, 34.0),
         Light((-0.45, -0.75, -0.48), (1.08, 1.0, 0.92), sun_strength=3.0, shade=0.35),
         2,
+        3,
     ),
     DemoScene(
         "simulated-bench",
@@ -200,7 +206,7 @@ def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
 
 
 def _draw_scene(
-    demo: DemoScene, frames: int = _FRAMES
+    demo: DemoScene, samples: int, frames: int = _FRAMES
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], tuple[FruitTruth, ...]]:
     """Render a burst of a scene.
 
@@ -208,6 +214,8 @@ def _draw_scene(
     ----------
     demo : DemoScene
         What to render.
+    samples : int
+        Paths per pixel, as `path_trace` takes them; 0 for fast shading.
     frames : int
         Size of the burst.
 
@@ -221,8 +229,8 @@ def _draw_scene(
         Of each fruit.
     """
     scene, leaf_roles, stem_roles = build_scene(demo)
-    light = _shaded(demo, scene, leaf_roles, stem_roles)
     view = render(scene, CAMERA)
+    light = _light(demo, scene, leaf_roles, stem_roles, samples)
     rng = np.random.default_rng([demo.seed, 1])
     sharpest = int(rng.integers(frames))
     colors = [
@@ -235,12 +243,14 @@ def _draw_scene(
     return colors, depths_m, truth_of(scene, CAMERA, view)
 
 
-def _shaded(
-    demo: DemoScene, scene: Scene, leaf_roles: tuple[str, ...], stem_roles: tuple[str, ...]
+def _light(
+    demo: DemoScene,
+    scene: Scene,
+    leaf_roles: tuple[str, ...],
+    stem_roles: tuple[str, ...],
+    samples: int,
 ) -> NDArray[np.float32]:
-    # Shaded at twice the size and averaged, which smooths every outline.
-    rng = np.random.default_rng([demo.seed, 2])
-    fine = scaled_camera(CAMERA, 2.0)
+    rng = np.random.default_rng([demo.seed, demo.color_seed])
     style = random_style(
         rng, scene, Assets(), demo.setting.value, leaf_roles=leaf_roles, stem_roles=stem_roles
     )
@@ -256,11 +266,19 @@ def _shaded(
         material_colors=(_WOOD,),
         gloom_per_m=0.0 if bench else 2.2,
     )
+    if samples:
+        # No stalks for the leaves, which would all reach across the picture to two or three stems.
+        style = replace(style, stem_roles=("stalk",) * len(scene.stems))
+        return path_trace(scene, CAMERA, style, Assets(), rng, samples).linear
+    # Shaded at twice the size and averaged, which smooths every outline.
+    fine = scaled_camera(CAMERA, 2.0)
     light = shade(scene, render(scene, fine), fine, style, Assets(), rng)
     return np.asarray(cv2.resize(light, CAMERA.size, interpolation=cv2.INTER_AREA))
 
 
-def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]:
+def write_demo(
+    folder: Path, scenes: Sequence[DemoScene] = SCENES, samples: int = _SAMPLES
+) -> list[Path]:
     """Write the bundled captures as native capture folders, each with a `truth.json`.
 
     Parameters
@@ -269,17 +287,22 @@ def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]
         Where the capture folders go.
     scenes : sequence of DemoScene
         Which to render.
+    samples : int
+        Paths per pixel; 0 for fast shading, without bpy.
 
     Returns
     -------
     list of Path
         One folder a scene.
     """
-    return [_write_scene(folder / scene.name, scene, step) for step, scene in enumerate(scenes, 1)]
+    return [
+        _write_scene(folder / scene.name, scene, step, samples)
+        for step, scene in enumerate(scenes, 1)
+    ]
 
 
-def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
-    colors, depths, truth = _draw_scene(scene)
+def _write_scene(folder: Path, scene: DemoScene, step: int, samples: int) -> Path:
+    colors, depths, truth = _draw_scene(scene, samples)
     capture = Capture(
         colors[0],
         depths[0],

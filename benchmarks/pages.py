@@ -224,7 +224,7 @@ SHOWN = {
     "results": ".fruit button",
     "map": "text=One mark per fruit",
     "forecast": "text=fruit too small to be detected today",
-    "accuracy": "[data-testid=stDataFrame] canvas",
+    "accuracy": "text=Save these lengths",
 }
 
 

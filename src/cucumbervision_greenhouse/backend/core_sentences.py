@@ -438,6 +438,8 @@ SENTENCES = (
     marked("calibrate again with this software"),
     marked("the model {name} is not on this machine"),
     marked("the file is missing"),
+    marked("this installation names no address of its source (Source in [project.urls])"),
+    marked("whoever runs it owes you the source (AGPL-3.0, section 13)"),
     marked("its SHA-256 is not the registry's"),
     # Notes on lengths by hand.
     marked("Hand-measured lengths: {file}, {n} of them."),

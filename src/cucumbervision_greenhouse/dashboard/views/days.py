@@ -164,7 +164,7 @@ def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummar
                 _("Class"): label_words(name),
                 _("Before"): first[name],
                 _("Now"): last[name],
-                _("Change"): f"{last[name] - first[name]:+d}",
+                _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0"),
             }
             for name in sorted({*first, *last})
         ]

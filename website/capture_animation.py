@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 OUT = Path(__file__).parents[1] / "docs" / "images" / "capture.gif"
 SCENE = "simulated-row-a"
-WIDTH_PX, COLOURS = 720, 200
+WIDTH_PX, COLOURS = 720, 256
 GROWTH = np.linspace(0.1, 1.0, 8)
 
 
@@ -75,7 +75,7 @@ def main() -> None:
     together = Image.new("RGB", (WIDTH_PX, 3 * height))
     for row, picture in enumerate((small[0], small[1], small[-1])):
         together.paste(picture, (0, row * height))
-    palette = together.quantize(COLOURS)
+    palette = together.quantize(COLOURS, kmeans=3)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in small]
     frames[0].save(
         OUT,

@@ -83,9 +83,9 @@ class Visit:
     def kept(self) -> int:
         """Return how many captures are stops, or wait to be measured."""
         waiting = WaitingCaptures(waiting_folder(str(self.store)))
-        keys = {one.key for one in (*waiting.captures(), *waiting.set_aside())}
+        keys = {waits.key for waits in (*waiting.captures(), *waiting.set_aside())}
         with open_store(self.store) as store:
-            keys |= {stop.key for one in store.rounds() for stop in store.stops(one.key)}
+            keys |= {stop.key for walk in store.rounds() for stop in store.stops(walk.key)}
         return len(keys)
 
     def received(self, wait_s: float) -> tuple[int, int]:
@@ -245,7 +245,7 @@ def axe_findings(seen: Visit) -> int:
     from tests.greenhouse.dashboard.test_app_sizes import PAGES, SIZES
 
     with open_store(seen.store) as store:
-        newest = max(store.rounds(), key=lambda one: one.record.started_s).key
+        newest = max(store.rounds(), key=lambda walk: walk.record.started_s).key
         fruit = next(view for view in store.detections(newest) if view.record.length_m)
     findings = 0
     for path, words in PAGES.values():

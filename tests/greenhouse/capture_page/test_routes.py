@@ -263,11 +263,11 @@ def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
     for name in ("_encoder", "_decoder"):
         network = getattr(sam, name)
 
-        def run(feeds: Any, name: str = name, network: Any = network) -> Any:
+        def run(*given: Any, name: str = name, network: Any = network) -> Any:
             runs.append(name)
-            return network.run(feeds)
+            return network.run(*given)
 
-        counted = SimpleNamespace(run=run, inputs=network.inputs, runtime=network.runtime)
+        counted = SimpleNamespace(run=run, inputs=network.inputs, card=network.card)
         monkeypatch.setattr(sam, name, counted)
     view = store.detections(WALK)[0]
     picture = {"stop": view.stop_key, "capture": view.capture}

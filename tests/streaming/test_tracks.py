@@ -103,6 +103,24 @@ def test_a_fruit_out_of_sight_for_too_long_is_another() -> None:
     assert tracker.assign([view], CAMERA, 1.2) == [2]
 
 
+def test_a_clock_that_is_set_back_keeps_no_fruit_of_the_future() -> None:
+    row = rows_of(6, 3, 0.2)
+    tracker = Tracker()
+    tracker.assign(row.seen(0.1)[1], CAMERA, 3600.0)
+    before = tracker.numbers
+    tracker.assign(row.seen(0.1)[1], CAMERA, 0.0)
+    assert before
+    assert not before & tracker.numbers
+
+
+def test_time_that_stands_still_does_not_pile_up_fruit() -> None:
+    row = rows_of(7, 220, 0.4)
+    tracker = Tracker()
+    for frame in range(400):  # every other shows another fruit
+        tracker.assign(row.seen(0.2 * frame)[1], CAMERA, 5.0)
+    assert len(tracker.numbers) < 130
+
+
 def test_without_depth_the_masks_tell() -> None:
     nowhere = np.full(3, np.nan)
     a = Sighting(nowhere, 100, 100, np.ones((20, 5), bool))

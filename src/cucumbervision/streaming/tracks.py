@@ -124,6 +124,9 @@ def sighting_of(capture: Capture, instance: Instance) -> Sighting:
     return Sighting(at_m, rows.start, columns.start, outline)
 
 
+_MOST_UNSEEN = 200  # frames, more than any camera takes in `keep_s`
+
+
 @dataclass(eq=False)
 class _Track:
     """A tracked fruit, with its position after the estimated movement of the camera."""
@@ -133,6 +136,11 @@ class _Track:
     at_m: NDArray[np.float64]
     moved_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     seen_s: float = 0.0
+    unseen_frames: int = 0
+
+    def is_lost(self, now_s: float, keep_s: float) -> bool:
+        """Return whether it was out of sight for too long, also where time stands or goes back."""
+        return abs(now_s - self.seen_s) > keep_s or self.unseen_frames > _MOST_UNSEEN
 
 
 class Tracker:
@@ -195,11 +203,13 @@ class Tracker:
         camera : Intrinsics
             Intrinsics of the frame.
         now_s : float
-            Time in seconds, not decreasing.
+            Time in seconds. Fruit seen at another time than within `keep_s` of it are forgotten.
         """
         elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
         self._at_s = now_s
-        self._tracks = [track for track in self._tracks if now_s - track.seen_s <= self._keep_s]
+        self._tracks = [track for track in self._tracks if not track.is_lost(now_s, self._keep_s)]
+        for track in self._tracks:
+            track.unseen_frames += 1
         if self._tracks and sightings:
             pairs = self._pair(sightings, camera, elapsed_s)
         else:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.geometry.tube import (
@@ -105,6 +106,14 @@ def test_weights_sum_to_one_and_are_never_negative(segments: int) -> None:
     assert basis.shape == (101, segments + 3)
     np.testing.assert_allclose(basis.sum(axis=1), 1)
     assert basis.min() >= 0
+
+
+@pytest.mark.parametrize("segments", [1, 4, 12])
+def test_weights_are_scipys_to_the_last_bit(segments: int) -> None:
+    places = np.concatenate([np.linspace(0, 1, 64), [1 / 3, 0.25]])
+    knots = np.arange(-3, segments + 4) / segments
+    expected = BSpline.design_matrix(places, knots, 3).toarray()
+    assert np.array_equal(cubic_basis(places, segments), expected)
 
 
 def test_evenly_spaced_controls_make_a_straight_line() -> None:

@@ -349,8 +349,6 @@ def with_keypoints(
     >>> with_keypoints([fruit], [pose])[0].keypoints.shape
     (5, 3)
     """
-    from scipy.optimize import linear_sum_assignment
-
     poses = [pose for pose in poses if pose.keypoints is not None]
     boxes, pose_boxes = (
         np.array([instance.box for instance in members]).reshape(-1, 4)
@@ -361,11 +359,22 @@ def with_keypoints(
     worth = overlaps + [pose.confidence > sure for pose in poses]
     worth[overlaps < _SAME_IOU] = 0.0
     out = list(instances)
-    for i, j in zip(*linear_sum_assignment(worth, maximize=True), strict=True):
-        if worth[i, j] > 0:
-            pose = poses[j]
-            out[i] = replace(out[i], keypoints=pose.keypoints, end_confidence=pose.end_confidence)
+    for i, j in _best_pairs(worth):
+        pose = poses[j]
+        out[i] = replace(out[i], keypoints=pose.keypoints, end_confidence=pose.end_confidence)
     return tuple(out)
+
+
+def _best_pairs(worth: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Return the pairs of a row and a column, each once, whose sum of worth is largest."""
+    pairs = list(zip(*(indices.tolist() for indices in np.nonzero(worth > 0)), strict=True))
+    if all(len(set(members)) == len(pairs) for members in zip(*pairs, strict=True)):
+        return pairs  # nothing to choose from; SciPy's import takes a tenth of the start
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(worth, maximize=True)
+    chosen = zip(rows.tolist(), columns.tolist(), strict=True)
+    return [(i, j) for i, j in chosen if worth[i, j] > 0]
 
 
 @dataclass(frozen=True, eq=False)

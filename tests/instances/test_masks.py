@@ -24,6 +24,7 @@ from cucumbervision.instances.masks import (
     mask_pixels,
     mask_window,
     without_flower,
+    without_spurs,
 )
 
 MASKS = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=40))
@@ -282,3 +283,17 @@ def test_a_fruit_that_runs_through_the_picture_is_no_box() -> None:
     mask = np.zeros((60, 80), bool)
     mask[20:40] = True
     assert not is_box_mask(mask)
+
+
+def test_a_stem_beside_a_fruit_leaves_its_outline_and_both_halves_of_a_crossed_one_stay() -> None:
+    v, u = np.mgrid[:120, :300]
+    fruit = ((u - 150) / 100) ** 2 + ((v - 60) / 25) ** 2 <= 1  # an ellipse with a radius of 25 px
+    crossed = fruit & (abs(u - 120) > 6)
+    stem = (abs(v - 60) <= 2) & (u > 240)
+    outline = without_spurs(crossed | stem)
+    assert not outline[60, 260:].any()
+    # What an ellipse loses is at most where the stem leaves it and the corners of the cut.
+    assert (outline ^ crossed).sum() < 0.02 * crossed.sum()
+    assert outline[:, :110].any()
+    assert outline[:, 130:].any()
+    assert not without_spurs(np.zeros((9, 9), bool)).any()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from tests.perception.test_networks import registry_of
+from tests.perception.test_networks import ends_network, pose_network, registry_of
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -155,6 +155,40 @@ def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_pa
     assert mask_iou(first.detector_mask, visible) > 0.95
     # Of the neighbour, the green part is too little to take it for an outline of the same fruit.
     assert second.detector_mask is neighbour
+
+
+def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    color = np.full((120, 320, 3), 200, np.uint8)
+    bare = replace(_instance(), detector_mask=None)
+    shown, unseen = looker.rescore(color, None, None, [_instance(), bare])
+    # The network's log-odds are 2, those that change nothing 1: 0.4 more for the detector's.
+    assert np.log(shown.confidence / (1 - shown.confidence)) == pytest.approx(np.log(4) + 0.4)
+    assert unseen is bare
+
+
+def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    shipped = load_registry().resolve("cucumber-seg")["network"]
+    segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
+    fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
+    ends = ends_network(tmp_path / "weights" / "ends.onnx")
+    pose = pose_network(tmp_path / "weights" / "pose.onnx")
+    registry = registry_of(tmp_path, segment=segment, fruit=fruit, ends=ends, pose=pose)
+    loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
+    detectors = loader.detectors()
+    assert [model["task"] for model in loader.models] == ["segment", "fruit", "ends"]
+    color = next(iter(open_source(example_captures()))).load().color
+    assert detectors.gives_keypoints
+    assert loader.ends is not None
+    # Without depth the look rescores; this one takes everything for a cucumber.
+    surest = max(fruit.confidence for fruit in detectors.find(color))
+    alone = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
+    alone_surest = max(f.confidence for f in alone.detectors(keypoints=False).find(color))
+    assert surest > alone_surest
+    given = NetworkLoader(registry, runtime="onnxruntime")
+    given.detectors(pose=pose)
+    assert "fruit" not in {model["task"] for model in given.models}
 
 
 def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_path: Path) -> None:

@@ -54,6 +54,8 @@ class Detectors:
         detector's confidences and the sizes of cucumbers.
     fruit : FruitLooker, optional
         Gives the outlines and the keypoints of what is found.
+    ends : EndClassifier, optional
+        Gives the direction of those keypoints.
     """
 
     def __init__(
@@ -64,9 +66,10 @@ class Detectors:
         *,
         depth_votes: bool = False,
         fruit: FruitLooker | None = None,
+        ends: EndClassifier | None = None,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._depth_votes, self._fruit = depth_votes, fruit
+        self._depth_votes, self._fruit, self._ends = depth_votes, fruit, ends
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -101,11 +104,10 @@ class Detectors:
         tuple of Instance
             Best first, with the detector's masks and the pose network's keypoints.
         """
-        detector, pose = self._detector, self._pose
+        detector, pose, looker = self._detector, self._pose, self._fruit
         voting = depth_m if self._depth_votes and focal_px is not None else None
-        least_confidence = (
-            None if voting is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
-        )
+        may_raise = voting is not None or looker is not None
+        least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence) if may_raise else None
         detections = detector.detect(color_rgb, least_confidence)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
         fruit = each_fruit_once(
@@ -115,10 +117,13 @@ class Detectors:
             confidence=self._confidence,
             looks=detector.looks,
             focal_px=None if voting is None else focal_px,
+            look=None if looker is None else partial(looker.rescore, color_rgb, depth_m, focal_px),
         )
-        if self._fruit is None:
+        if looker is None:
             return fruit
-        refined = self._fruit.refine(color_rgb, depth_m, focal_px, fruit)
+        refined = looker.refine(color_rgb, depth_m, focal_px, fruit)
+        if self._ends is not None:
+            refined = self._ends.order_ends(color_rgb, refined)
         return with_disjoint_masks(refined, depth_m)
 
 
@@ -130,6 +135,7 @@ def each_fruit_once(
     confidence: float = DEFAULT_CONFIDENCE,
     looks: int = 1,
     focal_px: float | None = None,
+    look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
 ) -> tuple[Instance, ...]:
     """Merge a detector's and a pose network's detections of one picture.
 
@@ -148,6 +154,8 @@ def each_fruit_once(
     focal_px : float, optional
         Focal length of the colour camera, pixels. If given, depth rescores each detection with
         enough readings, instead of the pose network.
+    look : callable, optional
+        Rescores the other detections, before the pose network.
 
     Returns
     -------
@@ -160,6 +168,7 @@ def each_fruit_once(
     unvoted = [
         detection for detection, voted in zip(detected, by_depth, strict=True) if voted is None
     ]
+    unvoted = unvoted if look is None else list(look(unvoted))
     unvoted = unvoted if posed is None else list(with_pose_votes(unvoted, posed, looks))
     voted = sorted([*filter(None, by_depth), *unvoted], key=lambda detection: -detection.confidence)
     fruit = merge_instances([detection for detection in voted if detection.confidence > confidence])
@@ -342,7 +351,7 @@ class NetworkLoader:
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
-        self._with_ends: YoloDetector | None = None
+        self._ends: EndClassifier | None = None
         self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
@@ -351,8 +360,8 @@ class NetworkLoader:
 
     @property
     def ends(self) -> EndClassifier | None:
-        """The classifier of stem ends of the loaded pose network, or None."""
-        return None if self._with_ends is None else self._with_ends.ends
+        """The classifier of stem ends, or None without a network whose keypoints need it."""
+        return self._ends
 
     @property
     def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
@@ -426,7 +435,7 @@ class NetworkLoader:
             self._note(path.name, network.task, file_sha256(path), network)
         if network.by_place:
             network.ends = self._companion("ends", EndClassifier)
-            self._with_ends = network if network.ends else self._with_ends
+            self._ends = network.ends or self._ends
         looks_twice = isinstance(chosen, str) if second_look is None else second_look
         if looks_twice and network.task == "segment":
             network.crops = self._companion("crops", CropClassifier)
@@ -466,16 +475,17 @@ class NetworkLoader:
         *,
         keypoints: bool = True,
     ) -> Detectors:
-        """Load a detector and the pose network beside it.
+        """Load a detector and the network beside it that gives keypoints.
 
         Parameters
         ----------
         file : Path, optional
-            A user's detector; by default the registry's, together with its pose network.
+            A user's detector; by default the registry's, together with its network that looks at
+            each fruit, or else its pose network.
         pose : YoloDetector or Path, optional
-            Used instead of the registry's pose network.
+            A pose network to use instead of these.
         keypoints : bool
-            Whether to use the registry's pose network.
+            Whether to use these networks of the registry.
 
         Raises
         ------
@@ -488,7 +498,10 @@ class NetworkLoader:
                 "this version comes without a cucumber detector",
                 remedy="name a YOLO ONNX export (--instances FILE)",
             )
-        votes_by_pose = file is None and keypoints and pose_model is not None
+        by_look = (
+            file is None and keypoints and pose is None and bool(self.registry.default("fruit"))
+        )
+        votes_by_pose = file is None and keypoints and pose_model is not None and not by_look
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
         if votes_by_pose and pose is None and segment_model is not None and pose_model is not None:
             paths = [self.verify(model.name)["network"] for model in (segment_model, pose_model)]
@@ -500,8 +513,17 @@ class NetworkLoader:
             pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        fruit = self._companion("fruit", FruitLooker) if file is None and keypoints else None
-        return Detectors(detector, pose, self._confidence, depth_votes=file is None, fruit=fruit)
+        fruit = self._companion("fruit", FruitLooker) if by_look else None
+        if fruit is not None:
+            self._ends = self._companion("ends", EndClassifier)
+        return Detectors(
+            detector,
+            pose,
+            self._confidence,
+            depth_votes=file is None,
+            fruit=fruit,
+            ends=None if fruit is None else self.ends,
+        )
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

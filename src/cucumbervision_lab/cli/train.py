@@ -239,7 +239,12 @@ def classifier(
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of epochs.", show_default="20, and 8 for look"),
+        typer.Option(
+            min=0,
+            help="Number of epochs; 0, for fruit and look: judge the network of --init, and learn "
+            "the intervals by it.",
+            show_default="20, and 8 for look",
+        ),
     ] = None,
     seed: Seed = 0,
     leaves: Annotated[
@@ -261,7 +266,10 @@ def classifier(
     """
     name = name or f"cucumber-{kind}"
     out.mkdir(parents=True, exist_ok=True)
-    epochs = epochs or (8 if kind is SmallNetwork.LOOK else 20)
+    if epochs is None:
+        epochs = 8 if kind is SmallNetwork.LOOK else 20
+    if epochs == 0 and kind not in (SmallNetwork.FRUIT, SmallNetwork.LOOK):
+        raise typer.BadParameter("0 is for fruit and look only", param_hint="--epochs")
     if leaves is not None and kind is not SmallNetwork.LOOK:
         raise typer.BadParameter("is for look only", param_hint="--leaves")
     further: dict[str, int] = {}

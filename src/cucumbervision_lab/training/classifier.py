@@ -133,6 +133,8 @@ def fit(
         torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     network = make()
+    if options.epochs == 0:
+        return network.eval()
     batches = count // options.batch + 1
     optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_WEIGHT_DECAY)
     steps = options.epochs * batches

@@ -210,7 +210,7 @@ def collect_covered_ends(
     learnt = [
         (number, measured)
         for number, measured in enumerate(fruit)
-        if not (measured.cut or is_held_out(measured.scene))
+        if not (measured.cut or measured.held_out)
     ]
     for file, group in groupby(learnt, lambda entry: entry[1].picture):
         color = read_color(data.path(pictures[file]))
@@ -312,7 +312,7 @@ def collect_set(
     by_label = [
         picture
         for picture in data.pictures
-        if picture.depth_file is None or not is_held_out(picture.scene or picture.file)
+        if picture.depth_file is None or not is_held_out(picture)
     ]
     fruit = [measured for picture in by_label for measured in labelled_fruit(picture, rng)]
     covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else None
@@ -325,7 +325,7 @@ def _crops_of(
     number: int, fruit: MeasuredFruit, capture: Capture, rng: np.random.Generator
 ) -> list[tuple[Any, ...]]:
     axis, mask = np.array(fruit.axis_m), fruit.mask.decode()
-    held, rows = is_held_out(fruit.scene), []
+    held, rows = fruit.held_out, []
     for line, end in ((axis, fruit.ends[0]), (axis[::-1], fruit.ends[1])):
         moves = (0.0,) if held else (0.0, float(rng.normal(0, _MOVED_SD)) * fruit.diameter_m / 2)
         for by_m in moves:

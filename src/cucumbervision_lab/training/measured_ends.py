@@ -73,6 +73,8 @@ class MeasuredFruit:
     ----------
     picture, scene : str
         The picture's file, and its scene.
+    held_out : bool
+        As `is_held_out`.
     given : bool
         Whether the mask is the label's; otherwise the networks drew it.
     mask : Rle
@@ -104,6 +106,7 @@ class MeasuredFruit:
     ends: tuple[EndTruth, EndTruth]
     hidden_share: float
     cut: bool
+    held_out: bool = False
     features: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -340,12 +343,17 @@ def _measured_fruit(
         ends=ends,
         hidden_share=float(label.hidden_share or 0.0),
         cut=label.cut_off,
+        held_out=is_held_out(picture),
     )
 
 
-def is_held_out(scene: str) -> bool:
-    """Return whether a scene is not trained on: ends are judged and intervals learnt on these."""
-    return crc32(scene.encode()) % 2 == 0
+def is_held_out(picture: LabelledPicture) -> bool:
+    """Return whether a picture is not trained on: half of the scenes, and the split 'val'.
+
+    Ends are judged, and intervals learnt, on these.
+    """
+    scene = crc32((picture.scene or picture.file).encode())
+    return picture.split == "val" or scene % 2 == 0
 
 
 def write_measured(
@@ -372,7 +380,7 @@ def write_measured(
         text = keep.read_text(encoding="utf-8")
         keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
     pictures = [picture for picture in data.pictures if picture.file not in done]
-    held = [is_held_out(picture.scene or picture.file) for picture in pictures]
+    held = [is_held_out(picture) for picture in pictures]
     turn = [
         sum(h == is_held for h in held[:k]) * (1 if is_held else 4)
         for k, is_held in enumerate(held)

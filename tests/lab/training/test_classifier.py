@@ -22,6 +22,7 @@ from cucumbervision_lab.training.classifier import (
     export_classifier,
     export_network,
     first_layers,
+    fit,
     fit_classifier,
     predict,
     write_classifier_card,
@@ -66,6 +67,21 @@ def test_it_learns_what_the_targets_say() -> None:
     assert ((logits > 0) == (target > 0.5)).all()
     assert [number for number, _ in told] == list(range(1, 9))
     assert told[-1][1] < 0.2 * told[0][1]
+
+
+def test_no_epoch_leaves_the_network_as_it_was() -> None:
+    import torch
+
+    network = torch.nn.Linear(3, 1)
+    before = network.weight.detach().clone()
+
+    def loss(*_: Any) -> Any:
+        pytest.fail("nothing is learnt")
+
+    untrained = fit(lambda: network, 8, loss, ClassifierOptions(epochs=0))
+    assert untrained is network
+    assert not untrained.training
+    assert torch.equal(untrained.weight, before)
 
 
 def test_the_same_seed_learns_the_same_and_another_something_else() -> None:

@@ -20,7 +20,7 @@ from cucumbervision_lab.training.end_crops import (
     collect_end_crops,
     moved_axis,
 )
-from cucumbervision_lab.training.measured_ends import is_held_out, labelled_fruit
+from cucumbervision_lab.training.measured_ends import labelled_fruit
 
 if TYPE_CHECKING:
     pass
@@ -51,7 +51,7 @@ def test_ends_of_training_come_once_more_moved_along_the_axis(drawn: DataSet) ->
     rng = np.random.default_rng(0)
     fruit = [one for picture in drawn.pictures for one in labelled_fruit(picture, rng)]
     found = collect_end_crops(fruit, drawn)
-    held = np.array([is_held_out(one.scene) for one in fruit])
+    held = np.array([one.held_out for one in fruit])
     assert (found.held_out == held[found.fruit]).all()
     assert not (found.moved & found.held_out).any()
     plain = found.only(~found.moved)
@@ -103,7 +103,7 @@ def test_covered_ends_miss_what_a_leaf_hides(drawn: DataSet) -> None:
     found = collect_covered_ends(fruit, drawn, [leaf], seed=1)
     assert found is not None
     assert not found.held_out.any()
-    assert not any(is_held_out(fruit[number].scene) for number in found.fruit)
+    assert not any(fruit[number].held_out for number in found.fruit)
     # Some ends are covered by far more than any true end of these fruit misses; others stay true.
     assert (found.missing > max(0.05, 2 * max(x for x in ends if abs(x) <= 0.03))).any()
     assert (np.abs(found.missing) < 0.1).any()
@@ -112,5 +112,5 @@ def test_covered_ends_miss_what_a_leaf_hides(drawn: DataSet) -> None:
 def test_nothing_is_covered_in_scenes_held_out(drawn: DataSet) -> None:
     rng = np.random.default_rng(0)
     fruit = [one for picture in drawn.pictures for one in labelled_fruit(picture, rng)]
-    held = [one for one in fruit if is_held_out(one.scene)]
+    held = [one for one in fruit if one.held_out]
     assert collect_covered_ends(held, drawn, [], seed=1) is None

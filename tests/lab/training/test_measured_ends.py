@@ -122,7 +122,7 @@ def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     keep = tmp_path / "ends.jsonl"
     write_measured(some, keep)
     assert {file for file, _ in asked} == {picture.file for picture in some.pictures}
-    held = {picture.file: is_held_out(picture.scene) for picture in some.pictures}
+    held = {picture.file: is_held_out(picture) for picture in some.pictures}
     assert all(given is not held[file] for file, given in asked)
     fruit = read_measured([keep])
     assert fruit
@@ -136,3 +136,14 @@ def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     write_measured(some, keep)
     assert len(asked) == 1
     assert len(read_measured([keep])) == len(fruit)
+
+
+def test_the_split_val_is_held_out_whatever_its_scene_is_called() -> None:
+    pictures = [
+        LabelledPicture(f"{number}.png", 8, 8, (), f"scene {number}", split)
+        for number in range(64)
+        for split in ("train", "val")
+    ]
+    held = [is_held_out(picture) for picture in pictures]
+    assert all(held[1::2])
+    assert 16 < sum(held[::2]) < 48

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.instances.fruit_crops import FruitCrop
     from cucumbervision.instances.instance import Instance
+    from cucumbervision.perception.ends import EndClassifier
 
 LEAST_AGREEMENT = 0.6
 """IoU of a new outline with the detector's mask below which the detector's stays."""
@@ -123,6 +124,7 @@ class FruitLooker(SmallNetwork):
         depth_m: NDArray[np.float32] | None,
         focal_px: float | None,
         instances: Sequence[Instance],
+        ends: EndClassifier | None = None,
     ) -> tuple[Instance, ...]:
         """Return detections with the network's outlines and keypoints.
 
@@ -136,6 +138,8 @@ class FruitLooker(SmallNetwork):
             Focal length of the colour camera, pixels.
         instances : sequence of Instance
             Those without `detector_mask` stay as they are.
+        ends : EndClassifier, optional
+            Gives the direction of the keypoints, instead of this network.
 
         Returns
         -------
@@ -148,7 +152,11 @@ class FruitLooker(SmallNetwork):
         for number, (crop, look) in looks.items():
             neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
-        return tuple(refined_instances)
+        return (
+            tuple(refined_instances)
+            if ends is None
+            else ends.order_ends(color_rgb, refined_instances)
+        )
 
 
 def rescored(confidence: float, log_odds: float) -> float:

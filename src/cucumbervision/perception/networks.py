@@ -121,9 +121,7 @@ class Detectors:
         )
         if looker is None:
             return fruit
-        refined = looker.refine(color_rgb, depth_m, focal_px, fruit)
-        if self._ends is not None:
-            refined = self._ends.order_ends(color_rgb, refined)
+        refined = looker.refine(color_rgb, depth_m, focal_px, fruit, self._ends)
         return with_disjoint_masks(refined, depth_m)
 
 
@@ -513,9 +511,7 @@ class NetworkLoader:
             pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        fruit = self._companion("fruit", FruitLooker) if by_look else None
-        if fruit is not None:
-            self._ends = self._companion("ends", EndClassifier)
+        fruit = self.fruit_looker() if by_look else None
         return Detectors(
             detector,
             pose,
@@ -524,6 +520,19 @@ class NetworkLoader:
             fruit=fruit,
             ends=None if fruit is None else self.ends,
         )
+
+    def fruit_looker(self) -> FruitLooker | None:
+        """Load the registry's network that looks at each fruit, and the one for `ends`.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If a file is missing or damaged, or another kind of network.
+        """
+        fruit = self._companion("fruit", FruitLooker)
+        if fruit is not None:
+            self._ends = self._companion("ends", EndClassifier)
+        return fruit
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

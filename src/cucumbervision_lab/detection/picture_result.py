@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.pictures import read_color
@@ -21,13 +23,14 @@ from cucumbervision_lab.detection.pictures import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.instances.instance import Instance
+    from cucumbervision.perception.ends import EndClassifier
+    from cucumbervision.perception.fruit_look import FruitLooker
     from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet
@@ -52,6 +55,10 @@ class Networks:
         SAM.
     confidence : float
         Confidence threshold for recall, precision and measurement.
+    fruit : FruitLooker, optional
+        Looks at each fruit, instead of the pose network.
+    ends : EndClassifier, optional
+        Gives the direction of the keypoints.
     models : list of dict
         File, SHA-256 and runtime of each network, for the provenance.
     """
@@ -61,6 +68,8 @@ class Networks:
     segmenter: NetworkSegmenter | None
     confidence: float
     models: list[dict[str, Any]] = field(default_factory=list)
+    fruit: FruitLooker | None = None
+    ends: EndClassifier | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +138,9 @@ def open_networks(
     detector = None if segment is None else loader.yolo(segment, second_look=second_look)
     points = None if pose is None else loader.yolo(pose)
     sam = None if segmenter is None else loader.segmenter(segmenter)
-    return Networks(detector, points, sam, confidence, loader.models)
+    shipped = isinstance(segment, str) and not isinstance(pose, Path)
+    fruit = loader.fruit_looker() if shipped else None
+    return Networks(detector, points, sam, confidence, loader.models, fruit, loader.ends)
 
 
 def detect_picture(
@@ -164,6 +175,7 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
+    scene = color, depth_m, focal_px
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     instances = merge_detections(
         segmented if networks.segment else None,
@@ -172,8 +184,13 @@ def detect_picture(
         depth_m,
         looks=networks.segment.looks if networks.segment else 1,
         focal_px=focal_px,
+        look=None if networks.fruit is None else partial(networks.fruit.rescore, *scene),
     )
-    if networks.segmenter is not None and any(fruit.keypoints is not None for fruit in frame.true):
+    if networks.fruit is not None:
+        instances = networks.fruit.refine(*scene, instances, networks.ends)
+    elif networks.segmenter is not None and any(
+        fruit.keypoints is not None for fruit in frame.true
+    ):
         instances = _placed(instances, networks.segmenter, color)
 
     def coded(instances: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
@@ -218,6 +235,7 @@ def merge_detections(
     *,
     looks: int = 1,
     focal_px: float | None = None,
+    look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
 ) -> tuple[Instance, ...]:
     """Merge the detections of both networks as the product does, each fruit once with keypoints.
 
@@ -233,24 +251,27 @@ def merge_detections(
         Metres, aligned to colour.
     looks : int
         Number of input sizes at which the detector was run.
-    focal_px : float, optional
-        See `each_fruit_once`.
+    focal_px, look : optional
+        See `each_fruit_once`; with a look the pose network has no vote.
     """
+    if look is not None:
+        posed = ()
     if segmented is None or posed is None:
         candidates = posed if segmented is None else segmented
         return each_fruit_once(candidates or (), None, depth_m, confidence=confidence)
     floor = detector_floor(confidence, votes=True)
-    if focal_px is not None:
+    if focal_px is not None or look is not None:
         floor = min(floor, CANDIDATE_CONFIDENCE)
     detected = [instance for instance in segmented if instance.confidence > floor]
     poses = [instance for instance in posed if instance.confidence > pose_floor(confidence)]
     return each_fruit_once(
         detected,
-        poses,
+        None if look is not None else poses,
         depth_m,
         confidence=confidence,
         looks=looks,
         focal_px=focal_px,
+        look=look,
     )
 
 

@@ -4,6 +4,7 @@ import importlib.util
 import logging
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.runtime import (
     Network,
+    TensorInfo,
     _openvino_core,
     open_network,
     open_networks,
@@ -319,3 +321,18 @@ def test_a_loop_that_never_ends_is_ended(runtime: str, monkeypatch: pytest.Monke
     network = open_network(endless, runtime)
     with pytest.raises(ModelError, match="the network fails on a"):
         network.run({"a": np.ones((1, 64), np.float32)})
+
+
+def test_checking_a_large_output_takes_no_memory() -> None:
+    output = np.ones((1, 4, 1000, 500), np.float32)
+    info = TensorInfo("y", output.shape, output.dtype)
+    network = Network((), (info,), {}, "onnxruntime", "a.onnx", lambda _: [output])
+    tracemalloc.start()
+    try:
+        assert network.run({})["y"] is output
+        assert tracemalloc.get_traced_memory()[1] < output.size / 10  # bytes
+    finally:
+        tracemalloc.stop()
+    output[0, 3, 999, 499] = np.nan
+    with pytest.raises(ModelError, match="numbers that are not finite"):
+        network.run({})

@@ -383,7 +383,8 @@ def _in_table(
             change(connection, table, [(name, kind) for _, name, kind, *_ in columns])
             connection.commit()
             return bytes(connection.serialize())
-    except (sqlite3.Error, IndexError, OverflowError, MemoryError):  # as SQLite calls damage too
+    # SQLite calls damage a lack of memory too, and quotes damaged names, which are no text.
+    except (sqlite3.Error, IndexError, OverflowError, MemoryError, UnicodeError):
         return _flip(data, random)
 
 

@@ -164,7 +164,9 @@ class Network:
         return np.ascontiguousarray(feed, dtype) if isinstance(feed, np.ndarray) else feed
 
     def _checked(self, name: str, array: Array) -> Array:
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
+        # The extremes show what is not finite, and need no memory beside that of a large output.
+        extremes = (array.min(), array.max()) if array.dtype.kind == "f" and array.size else ()
+        if not np.isfinite(extremes).all():
             raise ModelError(
                 f"the network's output {name!r} has numbers that are not finite",
                 source=self.source,

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.instances.instance import with_disjoint_masks
 from cucumbervision.instances.masks import mask_iou, without_spurs
 from cucumbervision.perception.classifier import SmallNetwork
 
@@ -144,7 +145,8 @@ class FruitLooker(SmallNetwork):
         Returns
         -------
         tuple of Instance
-            In the same order. An outline that differs much from the detector's mask is not taken.
+            In the same order, without common pixels. An outline that differs much from the
+            detector's mask is not taken.
         """
         looks = self._looks(color_rgb, depth_m, focal_px, instances)
         masks = [instance.detector_mask for instance in instances]
@@ -152,11 +154,9 @@ class FruitLooker(SmallNetwork):
         for number, (crop, look) in looks.items():
             neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
-        return (
-            tuple(refined_instances)
-            if ends is None
-            else ends.order_ends(color_rgb, refined_instances)
-        )
+        if ends is not None:
+            refined_instances = list(ends.order_ends(color_rgb, refined_instances))
+        return with_disjoint_masks(refined_instances, depth_m)
 
 
 def rescored(confidence: float, log_odds: float) -> float:

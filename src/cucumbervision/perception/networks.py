@@ -121,8 +121,7 @@ class Detectors:
         )
         if looker is None:
             return fruit
-        refined = looker.refine(color_rgb, depth_m, focal_px, fruit, self._ends)
-        return with_disjoint_masks(refined, depth_m)
+        return looker.refine(color_rgb, depth_m, focal_px, fruit, self._ends)
 
 
 def each_fruit_once(

@@ -124,20 +124,18 @@ def ahead(items: Iterable[T], work: Callable[[T], U]) -> Iterator[U]:
         line.close()
 
 
-class _Line(Generic[T, U]):
-    """Holds one result until it is taken."""
+class _Filled(Generic[T]):
+    """What a thread fills with items for a consumer in another thread."""
 
-    def __init__(self, work: Callable[[T], U]) -> None:
-        self._work = work
+    def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._results: list[U] = []
         self._error: BaseException | None = None
         self._ended = self._closed = self._busy = False
 
     def fill(self, items: Iterable[T]) -> None:
         try:
             for item in items:
-                if not self._begin() or not self._finish(self._work(item)):
+                if not self._put(item):
                     break
         except BaseException as error:
             # Raised in the consumer's thread.
@@ -145,17 +143,30 @@ class _Line(Generic[T, U]):
         finally:
             close = getattr(items, "close", None)
             if close is not None:
-                close()
+                close()  # releases a camera in the thread that used it
             with self._changed:
                 self._ended, self._busy = True, False
                 self._changed.notify_all()
 
-    def _begin(self) -> bool:
+    def _put(self, item: T) -> bool:
+        """Take an item; return whether another one is wanted."""
+        raise NotImplementedError
+
+
+class _Line(_Filled[T], Generic[T, U]):
+    """Holds one result until it is taken."""
+
+    def __init__(self, work: Callable[[T], U]) -> None:
+        super().__init__()
+        self._work = work
+        self._results: list[U] = []
+
+    def _put(self, item: T) -> bool:
         with self._changed:
             self._busy = not self._closed
-            return self._busy
-
-    def _finish(self, result: U) -> bool:
+            if not self._busy:
+                return False
+        result = self._work(item)
         with self._changed:
             self._results.append(result)
             self._busy = False
@@ -184,38 +195,21 @@ class _Line(Generic[T, U]):
                 self._changed.wait()
 
 
-class _Inbox(Generic[T]):
+class _Inbox(_Filled[T]):
     """Holds the newest item."""
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
+        super().__init__()
         self._newest: Arrival[T] | None = None
-        self._error: BaseException | None = None
-        self._ended = self._closed = False
 
-    def fill(self, items: Iterable[T]) -> None:
-        try:
-            for item in items:
-                if self._put(Arrival(item, time.monotonic())):
-                    break
-        except BaseException as error:
-            # Raised in the consumer's thread.
-            self._error = error
-        finally:
-            close = getattr(items, "close", None)
-            if close is not None:
-                close()  # releases a camera in the thread that used it
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()
-
-    def _put(self, arrival: Arrival[T]) -> bool:
+    def _put(self, item: T) -> bool:
+        arrival = Arrival(item, time.monotonic())
         with self._changed:
             before = self._newest
             missed = 0 if before is None else before.dropped + 1
             self._newest = replace(arrival, dropped=missed)
             self._changed.notify_all()
-            return self._closed
+            return not self._closed
 
     def take(self) -> Arrival[T] | None:
         with self._changed:

@@ -313,22 +313,6 @@ def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
     return days, Age.OLD if days > _FRESH_DAYS else Age.FRESH
 
 
-def age_words(days: int) -> str:
-    """Return an age as text.
-
-    Examples
-    --------
-    >>> age_words(0), age_words(1), age_words(4), age_words(400)
-    ('of today', 'of yesterday', '4 days old', '1 year old')
-    """
-    if days < 2:
-        return "of yesterday" if days == 1 else "of today"
-    if days < 60:
-        return f"{days} days old"
-    count, unit = (days // 365, "year") if days >= 365 else (days // 30, "month")
-    return f"{count} {unit}{'' if count == 1 else 's'} old"
-
-
 def forecast_today(
     store: Store,
     round_summary: RoundSummary,

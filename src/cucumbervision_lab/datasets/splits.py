@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -34,6 +35,24 @@ _SCENE_CORNERS = 8
 _NEAREST, _FAR_COLOR = 20, 0.6  # corners are compared only for the nearest pictures by colour
 
 _SIDE, _COLOR_SIDE, _CORNER_SIDE = 32, 128, 320
+
+
+def is_held_out(picture: LabelledPicture, every: int) -> bool:
+    """Return whether a picture is for validation: one of so many scenes, and the split 'val'.
+
+    A scene is told by its name, so that it is held out in windows and sheets of other sets, too.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.datasets.labels import LabelledPicture
+    >>> scenes = [LabelledPicture("a.png", 8, 8, scene=f"scene {n}") for n in range(800)]
+    >>> 80 < sum(is_held_out(picture, 8) for picture in scenes) < 120
+    True
+    >>> is_held_out(LabelledPicture("a.png", 8, 8, split="val"), 8)
+    True
+    """
+    scene = crc32((picture.scene or picture.file).encode())
+    return picture.split == "val" or scene % every == 0
 
 
 @dataclass(frozen=True, eq=False)

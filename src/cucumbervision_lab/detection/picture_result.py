@@ -254,19 +254,20 @@ def merge_detections(
     focal_px, look : optional
         See `each_fruit_once`; with a look the pose network has no vote.
     """
-    if look is not None:
-        posed = ()
-    if segmented is None or posed is None:
+    if segmented is None or (posed is None and look is None):
         candidates = posed if segmented is None else segmented
         return each_fruit_once(candidates or (), None, depth_m, confidence=confidence)
     floor = detector_floor(confidence, votes=True)
     if focal_px is not None or look is not None:
         floor = min(floor, CANDIDATE_CONFIDENCE)
     detected = [instance for instance in segmented if instance.confidence > floor]
-    poses = [instance for instance in posed if instance.confidence > pose_floor(confidence)]
+    poses = None
+    if look is None:
+        sure = pose_floor(confidence)
+        poses = [instance for instance in posed or () if instance.confidence > sure]
     return each_fruit_once(
         detected,
-        None if look is not None else poses,
+        poses,
         depth_m,
         confidence=confidence,
         looks=looks,

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from cucumbervision.perception.crops import CROP_MARGIN, CROP_PX, crop_square, l
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture, ticked
+from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.learn import true_positives
 from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.training.classifier import (
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 SURROUND_PX = 128
 """Side of the crops to train on: 16 px more on each side than the network sees, to move it in."""
 
-_HELD_OUT = 8  # an eighth of the scenes is used for validation, as is the split val
+HELD_OUT = 8
+"""One of so many scenes is used for validation, as is the split val."""
+
 MOST = 12
 """Candidates of a picture that are cut out."""
 
@@ -134,7 +136,7 @@ def collect_crops(sets: Sequence[DataSet], progress: Callable[[int], None] | Non
         for picture in ticked(dataset.pictures, progress):
             if picture.split == "test":
                 continue
-            judged = is_held_out(picture)
+            judged = is_held_out(picture, HELD_OUT)
             color = read_color(dataset.path(picture))
             instances = detector.detect(color)
             labels = labels_of(picture, dataset, instances)
@@ -165,19 +167,12 @@ def proposing_detector() -> YoloDetector:
     return loader.yolo(loader.verify("cucumber-seg")["network"])
 
 
-def is_held_out(picture: LabelledPicture) -> bool:
-    """Return whether crops of a picture are for validation: an eighth of the scenes, and 'val'."""
-    # By the scene's name: a scene comes back in windows and sheets of other sets.
-    scene = crc32((picture.scene or picture.file).encode())
-    return picture.split == "val" or scene % _HELD_OUT == 0
-
-
 def too_few_scenes(sets: Sequence[DataSet]) -> TrainingError:
     """Return the error of sets of which no scenes can be held out."""
     return TrainingError(
         "too few scenes in which the detector proposes anything",
         source=sets[0].folder if sets else None,
-        remedy=f"give at least {_HELD_OUT} scenes with fruit",
+        remedy=f"give at least {HELD_OUT} scenes with fruit",
     )
 
 

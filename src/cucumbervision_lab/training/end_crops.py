@@ -16,11 +16,12 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.instances.end_crops import end_crop
+from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.synthesis.covers import FruitPicture, cover_end
 from cucumbervision_lab.training.measured_ends import (
+    HELD_OUT,
     camera_of,
-    is_held_out,
     labelled_fruit,
     read_measured,
     write_measured,
@@ -312,7 +313,7 @@ def collect_set(
     by_label = [
         picture
         for picture in data.pictures
-        if picture.depth_file is None or not is_held_out(picture)
+        if picture.depth_file is None or not is_held_out(picture, HELD_OUT)
     ]
     fruit = [measured for picture in by_label for measured in labelled_fruit(picture, rng)]
     covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else None

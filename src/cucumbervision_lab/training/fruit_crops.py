@@ -18,10 +18,11 @@ from cucumbervision.files import write_bytes
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
 from cucumbervision.instances.masks import mask_iou
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
+from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.training.crops import (
+    HELD_OUT,
     MOST,
-    is_held_out,
     labels_of,
     proposing_detector,
     too_few_scenes,
@@ -171,7 +172,7 @@ def collect_fruit_crops(
     for picture in ticked(dataset.pictures, progress):
         if picture.split == "test":
             continue
-        held = is_held_out(picture)
+        held = is_held_out(picture, HELD_OUT)
         color = read_color(dataset.path(picture))
         capture = capture_of(picture, dataset, color)
         depth_m = None if capture is None else capture.depth_m

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from cucumbervision.perception.keypoint_axis import axis_line
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.pictures import capture_of
 
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 AXIS_POINTS = 33
+
+HELD_OUT = 2
+"""One of so many scenes is not trained on: ends are judged and intervals learnt on these."""
+
 _FOUND_IOU = 0.5
 _LEAST_SEEN = 12  # pixels of the visible mask
 _FINE = 201  # points of a true axis that mask pixels are assigned to
@@ -74,7 +78,7 @@ class MeasuredFruit:
     picture, scene : str
         The picture's file, and its scene.
     held_out : bool
-        As `is_held_out`.
+        Whether it is not trained on.
     given : bool
         Whether the mask is the label's; otherwise the networks drew it.
     mask : Rle
@@ -343,17 +347,8 @@ def _measured_fruit(
         ends=ends,
         hidden_share=float(label.hidden_share or 0.0),
         cut=label.cut_off,
-        held_out=is_held_out(picture),
+        held_out=is_held_out(picture, HELD_OUT),
     )
-
-
-def is_held_out(picture: LabelledPicture) -> bool:
-    """Return whether a picture is not trained on: half of the scenes, and the split 'val'.
-
-    Ends are judged, and intervals learnt, on these.
-    """
-    scene = crc32((picture.scene or picture.file).encode())
-    return picture.split == "val" or scene % 2 == 0
 
 
 def write_measured(
@@ -380,7 +375,7 @@ def write_measured(
         text = keep.read_text(encoding="utf-8")
         keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
     pictures = [picture for picture in data.pictures if picture.file not in done]
-    held = [is_held_out(picture) for picture in pictures]
+    held = [is_held_out(picture, HELD_OUT) for picture in pictures]
     turn = [
         sum(h == is_held for h in held[:k]) * (1 if is_held else 4)
         for k, is_held in enumerate(held)

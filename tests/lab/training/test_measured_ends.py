@@ -8,11 +8,12 @@ import pytest
 
 from cucumbervision.instances.mask_codes import Rle
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate
 from cucumbervision_lab.training.measured_ends import (
+    HELD_OUT,
     end_truths,
-    is_held_out,
     labelled_fruit,
     read_measured,
     write_measured,
@@ -122,7 +123,7 @@ def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     keep = tmp_path / "ends.jsonl"
     write_measured(some, keep)
     assert {file for file, _ in asked} == {picture.file for picture in some.pictures}
-    held = {picture.file: is_held_out(picture) for picture in some.pictures}
+    held = {picture.file: is_held_out(picture, HELD_OUT) for picture in some.pictures}
     assert all(given is not held[file] for file, given in asked)
     fruit = read_measured([keep])
     assert fruit
@@ -144,6 +145,6 @@ def test_the_split_val_is_held_out_whatever_its_scene_is_called() -> None:
         for number in range(64)
         for split in ("train", "val")
     ]
-    held = [is_held_out(picture) for picture in pictures]
+    held = [is_held_out(picture, HELD_OUT) for picture in pictures]
     assert all(held[1::2])
     assert 16 < sum(held[::2]) < 48

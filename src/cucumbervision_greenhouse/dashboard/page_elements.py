@@ -316,8 +316,12 @@ def finished_job(key: str) -> Job | None:
 
 def live() -> None:
     """Show the current work, and redraw the page whenever its round changes."""
-    opened = st.session_state.get("round") or ""
-    data = {"round": opened, "version": round_caches.news(opened)["version"]}
+    opened, context = st.session_state.get("round") or "", get_script_run_ctx()
+    data = {
+        "round": opened,
+        "version": round_caches.news(opened)["version"],
+        "page": context.page_script_hash if context else "",
+    }
     component("live")(key="live", data=data, on_changed_change=lambda: None)
 
 

@@ -129,6 +129,26 @@ def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: D
     page.locator("svg.view").wait_for()
 
 
+def test_a_link_that_is_tapped_as_news_come_is_followed(dashboard: Dashboard) -> None:
+    page, lines = dashboard.page, list[Any]()
+    # No news but what this test sends.
+    page.route_web_socket("**/api/news?*", lambda line: lines.append(line))
+    page.goto(f"{dashboard.address}/results")
+    page.get_by_text("tap one to open it").wait_for()
+    dashboard.quiet()
+    # The page asks to be drawn anew 0.4 s after the news; the link is tapped just before.
+    links = "[...document.querySelectorAll('.st-key-nav a')]"
+    tap = f"name => {links}.find(link => link.innerText.includes(name)).click()"
+    for number, name in enumerate(["Settings", "Results"] * 5):
+        lines[-1].send(json.dumps({"version": f"news {number}", "work": None}))
+        page.evaluate(f"name => setTimeout({tap}, 380, name)", name)
+        page.wait_for_url(re.compile(f"/{name.lower()}"))
+        page.get_by_role("heading", name=name, level=1).wait_for()
+        page.wait_for_timeout(1500)
+        assert f"/{name.lower()}" in page.url
+        dashboard.quiet()
+
+
 def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:
     page, news = dashboard.page, list[Any]()
     walk: dict[str, Any] = {}

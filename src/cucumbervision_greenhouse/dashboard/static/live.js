@@ -1,6 +1,7 @@
 // The server's news on every page: the work and its time left, a lost connection. A page whose round changed is drawn anew.
 const AGAIN_MS = 1000, SETTLE_MS = 400, LOST_MS = 1500, SILENCE_MS = 7000; // news come every 2 s
-const own = { line: null, round: null, version: "", asked: "", news: null, lost: false, root: null, trigger: null, begun: new Map() };
+const LEAVING_MS = 10000; // a page that has not come by then does not come
+const own = { line: null, round: null, page: null, version: "", asked: "", news: null, lost: false, root: null, trigger: null, begun: new Map(), leftAt: -Infinity };
 
 function left(work) {
   const now = performance.now(), name = work.words.split(":")[0];
@@ -32,7 +33,8 @@ function heard() {
   if (version === own.version || version === own.asked) return;
   // The page's own change is drawn by then.
   setTimeout(() => {
-    if (own.news.version !== version || version === own.version) return;
+    // Between a click on a link and the new page, Streamlit takes any message as a request for the old page.
+    if (own.news.version !== version || version === own.version || performance.now() - own.leftAt < LEAVING_MS) return;
     own.asked = version;
     own.trigger("changed", { version, at: location.search });
   }, SETTLE_MS);
@@ -63,9 +65,15 @@ function listen() {
   };
 }
 
+document.addEventListener("click", (event) => {
+  const link = event.target.closest?.("[data-testid=stPageLink-NavLink]");
+  if (link && new URL(link.href).pathname !== location.pathname) own.leftAt = performance.now();
+}, true);
+
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
   if (data.go) { location.replace(data.go); return; }
+  if (own.page !== data.page) Object.assign(own, { page: data.page, leftAt: -Infinity });
   Object.assign(own, { root, trigger: setTriggerValue, version: data.version });
   if (own.round !== data.round) {
     own.round = data.round;

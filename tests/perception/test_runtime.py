@@ -4,6 +4,7 @@ import importlib.util
 import logging
 import subprocess
 import sys
+import threading
 import tracemalloc
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from cucumbervision.perception.runtime import (
     Network,
     TensorInfo,
     _openvino_core,
+    begin_networks,
     open_network,
     open_networks,
 )
@@ -275,6 +277,31 @@ def test_several_files_are_loaded_as_each_alone(runtime: str, tmp_path: Path) ->
     files[1].write_bytes(b"no network")
     with pytest.raises(ModelError, match=r"b\.onnx"):
         open_networks(files, runtime)
+
+
+def test_networks_that_were_begun_are_taken_up_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, threads = tmp_path / "a.onnx", []
+    file.write_bytes(scaled_sum())
+
+    def opened(paths: list[Path], *_: object) -> list[Network]:
+        threads.append(threading.current_thread())
+        return [open_network(path, "onnxruntime") for path in paths]
+
+    monkeypatch.setattr("cucumbervision.perception.runtime._open_together", opened)
+    begin_networks([file])
+    for precise in (False, True, False):
+        (network,) = open_networks([file], full_precision=precise)
+        assert network.source == str(file)
+    assert [thread is threading.main_thread() for thread in threads] == [False, True, True]
+
+
+def test_what_could_not_be_begun_is_said_where_it_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "b.onnx").write_bytes(b"no network")
+    begin_networks([tmp_path / "b.onnx"], "onnxruntime")
+    with pytest.raises(ModelError, match=r"b\.onnx"):
+        open_networks([tmp_path / "b.onnx"], "onnxruntime")
 
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:

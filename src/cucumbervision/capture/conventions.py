@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+MASKS = "mask_visib"
+"""Folder of a data set's masks, beside the pictures of a capture or of a BOP scene."""
+
 
 class Stream(StrEnum):
     """The stream that a set of intrinsics was calibrated for."""

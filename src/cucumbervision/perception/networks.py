@@ -500,8 +500,9 @@ class NetworkLoader:
         )
         votes_by_pose = file is None and keypoints and pose_model is not None and not by_look
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
-        if votes_by_pose and pose is None and segment_model is not None and pose_model is not None:
-            paths = [self.verify(model.name)["network"] for model in (segment_model, pose_model)]
+        if file is None:
+            models = self.registry.searching[: None if keypoints and pose is None else 1]
+            paths = [self.verify(model.name)["network"] for model in models]
             networks = open_networks(paths, self._runtime, full_precision=self._full_precision)
             self._opened = dict(zip(paths, networks, strict=True))
         chosen = segment_model.name if file is None and segment_model is not None else file or ""

@@ -186,6 +186,15 @@ class Registry:
             (model for model in (*self.user_models[::-1], *embedded) if model.task == task), None
         )
 
+    @property
+    def searching(self) -> tuple[Model, ...]:
+        """The networks in use that see whole pictures: detector, and what gives its keypoints.
+
+        A network that looks at each fruit alone makes the pose network superfluous.
+        """
+        tasks = ("segment",) if self.default("fruit") else ("segment", "pose")
+        return tuple(model for model in map(self.default, tasks) if model is not None)
+
     def segmenter(self, name: str | None = None) -> Model:
         """Return a network that draws masks: the named one, or the default without a name.
 

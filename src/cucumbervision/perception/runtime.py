@@ -14,7 +14,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -265,6 +265,28 @@ def open_network(
     return network
 
 
+_begun: dict[tuple[tuple[Path, ...], str, bool], Future[list[Network]]] = {}
+
+
+def begin_networks(
+    paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
+) -> None:
+    """Begin in a thread what `open_networks` does, which then waits for it.
+
+    A runtime compiles without Python's lock, so that a program can import and read meanwhile.
+
+    Parameters
+    ----------
+    paths, runtime, full_precision
+        As in `open_networks`, which takes up only what was begun with the same values.
+    """
+    loading = ThreadPoolExecutor(1, thread_name_prefix="load networks")
+    _begun[(tuple(paths), runtime, full_precision)] = loading.submit(
+        _open_together, paths, runtime, full_precision
+    )
+    loading.shutdown(wait=False)
+
+
 def open_networks(
     paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
 ) -> list[Network]:
@@ -285,6 +307,11 @@ def open_networks(
     >>> [network.inputs[0].shape[2:] for network in open_networks(files)]
     [(64, 192), (96, 96)]
     """
+    begun = _begun.pop((tuple(paths), runtime, full_precision), None)
+    return _open_together(paths, runtime, full_precision) if begun is None else begun.result()
+
+
+def _open_together(paths: Sequence[Path], runtime: str, full_precision: bool) -> list[Network]:
     if runtime in ("auto", "openvino") and importlib.util.find_spec("openvino"):
         # `open_network` takes another runtime, or says which file it is.
         with suppress(ModelError):

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.conventions import DepthAlong
+from cucumbervision.capture.conventions import MASKS, DepthAlong
 from cucumbervision.capture.depth import (
     depth_along_axis,
     depth_to_metres,
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 FORMAT = "cucumbervision-capture"
 
 MANIFEST = "capture.json"
-
-MASKS = "mask_visib"
 
 
 def _inside(name: str) -> str:

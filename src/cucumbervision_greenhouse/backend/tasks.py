@@ -119,7 +119,7 @@ def merge(round_key: str) -> None:
 def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry:
     """Undo the viewer's last action in a round, and return it.
 
-    If a stop was moved, the round is merged again.
+    Rounds whose stop or house has changed are merged again.
 
     Parameters
     ----------
@@ -139,9 +139,8 @@ def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry
     action = next((x for x in actions if number in (None, x.number)), None)
     if action is None:
         raise StoreError("nothing to undo", remedy="see the log")
-    moved = undo_in(store, number=action.number)
-    if moved:
-        merge(moved)
+    for changed in undo_in(store, number=action.number):
+        merge(changed)
     return action
 
 

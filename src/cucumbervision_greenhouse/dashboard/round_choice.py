@@ -16,7 +16,7 @@ from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.round_words import round_name
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
-from cucumbervision_greenhouse.rounds.merge_and_link import delete_round
+from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_rounds
 from cucumbervision_greenhouse.store.records import Round
 
 if TYPE_CHECKING:
@@ -172,8 +172,7 @@ def _house(round_summary: RoundSummary) -> None:
 
 
 def _move(keys: list[str], house: str) -> None:
-    resources.store().move_rounds(keys, house)
-    for key in keys:
+    for key in move_rounds(resources.store(), keys, house):
         tasks.merge(key)  # linked to the other rounds of its house now
 
 

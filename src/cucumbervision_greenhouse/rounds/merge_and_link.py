@@ -26,7 +26,7 @@ from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
-from cucumbervision_greenhouse.store.corrections import STOP_EDITS, StopPlace
+from cucumbervision_greenhouse.store.corrections import MOVE_ROUND, STOP_EDITS, StopPlace
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
 
 if TYPE_CHECKING:
@@ -330,22 +330,50 @@ def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list
     return [later.key for later in after]  # its fruit are those of the round before now
 
 
-def undo(store: Store, round_key: str | None = None, *, number: int | None = None) -> str:
+def move_rounds(store: Store, keys: Sequence[str], house: str) -> list[str]:
+    """Move rounds to a house, as `Store.move_rounds` does.
+
+    Returns
+    -------
+    list of str
+        The rounds that have to be settled then: those that moved, and those that follow on them,
+        in the house that they left and in the other.
+    """
+    before = store.rounds()
+    store.move_rounds(keys, house)
+    return _to_settle(keys, before, store.rounds())
+
+
+def undo(store: Store, round_key: str | None = None, *, number: int | None = None) -> list[str]:
     """Undo a correction, as `Store.undo` does.
 
     Returns
     -------
-    str
-        The round whose stop has moved, so that it has to be merged again; empty for none.
+    list of str
+        The rounds that have to be settled then: one whose stop has moved, or that is in another
+        house again, and those that follow on it.
 
     Raises
     ------
     StoreError
         If there is nothing to undo, or a later action depends on it.
     """
+    before = store.rounds()
     done = store.undo(round_key, number=number)
     line = next(entry for entry in store.log(round_key, limit=None) if entry.number == done)
-    return (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
+    if line.round_key and line.details["kind"] == MOVE_ROUND:
+        return _to_settle([line.round_key], before, store.rounds())
+    return [line.round_key] if line.round_key and line.details["kind"] in STOP_EDITS else []
+
+
+def _to_settle(
+    keys: Sequence[str], before: list[RoundSummary], after: list[RoundSummary]
+) -> list[str]:
+    """Return rounds that moved, with those that follow on them, before and after they did."""
+    following = [
+        later.key for rounds in (before, after) for key in keys for later in _later(rounds, key)[:1]
+    ]
+    return list(dict.fromkeys([*keys, *following]))
 
 
 def earlier_round(store: Store, round_key: str) -> RoundSummary | None:
@@ -369,24 +397,30 @@ def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> 
     within_s : float
         Longest time before that round, seconds.
     """
-    current, same_house = _neighbours(store, round_key)
+    current, same_house = _neighbours(store.rounds(), round_key)
     return [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < within_s]
 
 
 def later_rounds(store: Store, round_key: str) -> list[RoundSummary]:
     """Return the rounds of the same house of later days, the nearest first."""
-    current, same_house = _neighbours(store, round_key)
+    return _later(store.rounds(), round_key)
+
+
+def _later(rounds: list[RoundSummary], round_key: str) -> list[RoundSummary]:
+    current, same_house = _neighbours(rounds, round_key)
     return [
         x for x in same_house[::-1] if _SAME_DAY_S < x.walked_s - current.walked_s < _FARTHEST_S
     ]
 
 
-def _neighbours(store: Store, round_key: str) -> tuple[RoundSummary, list[RoundSummary]]:
+def _neighbours(
+    rounds: list[RoundSummary], round_key: str
+) -> tuple[RoundSummary, list[RoundSummary]]:
     """Return a round, and the others of its house that hold fruit, the one walked last first.
 
     The demonstration is in no house, so that it is never a day of one without a name.
     """
-    rounds = sorted(store.rounds(), key=lambda x: -x.walked_s)
+    rounds = sorted(rounds, key=lambda x: -x.walked_s)
     current = next((x for x in rounds if x.key == round_key), None)
     if current is None:
         raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")

@@ -10,11 +10,11 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import and_, func, insert, or_, select
+from sqlalchemy import and_, delete, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.names import checked_name, same_house
+from cucumbervision.names import checked_name, house_key, same_house
 from cucumbervision_greenhouse.store.cells import round_id_of, row_id_of
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
 from cucumbervision_greenhouse.store.hashes import change, seal_stops, with_hash
@@ -44,6 +44,8 @@ _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,53
 
 TAKE_BACK = "take-back-stop"
 """The kind of action that deletes a stop because its press was taken back."""
+MOVE_ROUND = "move-round"
+"""The kind of action that puts a round into another house."""
 STOP_EDITS = ("place-stop", "delete-stop", TAKE_BACK)
 """Kinds of action after which a round's views must be merged again."""
 
@@ -218,7 +220,8 @@ class Corrections(Database):
         """Move rounds to a house: all of one house to rename it, or to merge it with another.
 
         The house is the known one where the names differ by no more than case, spaces or the word
-        'house', unless only the spelling changes.
+        'house', unless only the spelling changes. Links of growth that were computed to rounds of
+        other houses are removed.
 
         Returns
         -------
@@ -237,7 +240,8 @@ class Corrections(Database):
             house = same_house(house, connection.execute(houses.order_by(RoundLine.id)).scalars())
             moved = [line for line in lines if line.house != house]
             for line in moved:
-                _edit(connection, RoundLine, line, "move-round", {"house": house})
+                _edit(connection, RoundLine, line, MOVE_ROUND, {"house": house})
+            _forget_other_houses(connection, [line.id for line in moved])
         return len(moved)
 
     def delete_round(self, key: str) -> int:
@@ -279,6 +283,8 @@ class Corrections(Database):
                     change(connection, table, table.ended_by_id == action.id, ended_by_id=None)
                 if "before" in action.details:
                     change_line(connection, action.details, restore=True)
+                    if action.kind == MOVE_ROUND:
+                        _forget_other_houses(connection, [action.round_id])
             except IntegrityError:  # a newer mark has replaced it
                 raise _blocked_by_later(action.id) from None
         return made
@@ -389,6 +395,31 @@ def _link(
         }
         connection.execute(insert(LinkLine).values(**with_hash(LinkLine, cells)))
     return action
+
+
+def forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+    """Remove the links that an algorithm made between two rounds, or within one."""
+    connection.execute(
+        delete(LinkLine).where(
+            LinkLine.kind == str(kind),
+            LinkLine.action_id.is_(None),
+            LinkLine.ended_by_id.is_(None),
+            LinkLine.first_round_id == rounds[0],
+            LinkLine.second_round_id == rounds[1],
+        )
+    )
+
+
+def _forget_other_houses(connection: Connection, round_ids: Sequence[int]) -> None:
+    """Remove the links of growth that an algorithm made from rounds to those of other houses."""
+    house_query = select(RoundLine.id, RoundLine.house)
+    house_of = {number: house_key(house) for number, house in connection.execute(house_query)}
+    ends = LinkLine.first_round_id, LinkLine.second_round_id
+    touching = or_(*(end.in_(round_ids) for end in ends))
+    linked = select(*ends).where(LinkLine.kind == str(LinkKind.GROWTH), touching).distinct()
+    for first, second in connection.execute(linked).all():
+        if house_of[first] != house_of[second]:
+            forget_links(connection, LinkKind.GROWTH, (first, second))
 
 
 def _group_of(connection: Connection, detection: DetectionId) -> frozenset[str]:
@@ -533,7 +564,7 @@ def original_names(connection: Connection, round_key: str) -> dict[str, str]:
     changes = (
         select(Action.details)
         .join(RoundLine, RoundLine.id == Action.round_id)
-        .where(RoundLine.key == round_key, Action.kind.in_(("rename-round", "move-round")))
+        .where(RoundLine.key == round_key, Action.kind.in_(("rename-round", MOVE_ROUND)))
         .order_by(Action.id.desc())
     )
     names: dict[str, str] = {}

@@ -24,6 +24,7 @@ from cucumbervision_greenhouse.store.cells import (
 from cucumbervision_greenhouse.store.corrections import (
     Corrections,
     find_detections,
+    forget_links,
     line_of,
     lock_rounds,
     log_action,
@@ -341,7 +342,7 @@ class Store(Queries, Corrections):
         with self.writing() as connection:
             round_id = round_id_of(connection, round_key)
             lock_rounds(connection, [round_id])
-            _forget_links(connection, LinkKind.SAME, (round_id, round_id))
+            forget_links(connection, LinkKind.SAME, (round_id, round_id))
             in_round = StopLine.round_id == round_id
             nowhere = {"fitted_m": None, "fitted_sd_m": None}
             change(connection, StopLine, in_round, **nowhere)
@@ -364,7 +365,7 @@ class Store(Queries, Corrections):
         with self.writing() as connection:
             rounds = round_id_of(connection, earlier), round_id_of(connection, later)
             lock_rounds(connection, rounds)
-            _forget_links(connection, LinkKind.GROWTH, rounds)
+            forget_links(connection, LinkKind.GROWTH, rounds)
             return _add_links(connection, LinkKind.GROWTH, links, rounds)
 
     def save_joint(
@@ -506,19 +507,6 @@ def _joint_of(row: Sequence[Any], drawing: Mapping[str, Any] | None = None) -> J
             values["record"] = {**values["record"], "methods": drawing["methods"]}
     joint: JointRecord = adapter(JointRecord).validate_python(values)
     return joint
-
-
-def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
-    """Remove the links that an algorithm made between two rounds, or within one."""
-    connection.execute(
-        delete(LinkLine).where(
-            LinkLine.kind == str(kind),
-            LinkLine.action_id.is_(None),
-            LinkLine.ended_by_id.is_(None),
-            LinkLine.first_round_id == rounds[0],
-            LinkLine.second_round_id == rounds[1],
-        )
-    )
 
 
 def _add_links(

@@ -14,6 +14,7 @@ from cucumbervision_greenhouse.rounds.merge_and_link import (
     delete_round,
     earlier_round,
     link_rounds,
+    move_rounds,
     move_stop,
     settle,
     undo,
@@ -67,8 +68,8 @@ def test_a_round_that_is_deleted_meanwhile_is_named(store: Store) -> None:
 def test_undoing_returns_the_round_whose_stop_was_moved(store: Store, stops: list[str]) -> None:
     store.place_stop(stops[0], StopPlace("3", "left", 1.0, 1))
     store.pick([store.detections(MORNING)[0].key])
-    assert undo(store, MORNING) == ""
-    assert undo(store, MORNING) == MORNING
+    assert undo(store, MORNING) == []
+    assert undo(store, MORNING) == [MORNING]
 
 
 def test_a_stop_is_not_moved_to_where_another_is(store: Store) -> None:
@@ -96,9 +97,8 @@ def linked(store: Store, first: str, second: str) -> set[tuple[str, str]]:
     return {(x.first, x.second) for x in links if x.first in ends[0] and x.second in ends[1]}
 
 
-def test_a_round_that_is_brought_back_is_linked_as_before(
-    store: Store, save_walk: SaveWalk, tmp_path: Path
-) -> None:
+def three_days(store: Store, save_walk: SaveWalk) -> list[str]:
+    """Save a row on three days, settled; return the rounds."""
     begun = next(one.record for one in store.rounds())
     days = [
         replace(begun, key=key_of("rounds", day), started_s=begun.started_s + 86400.0 * day)
@@ -109,9 +109,45 @@ def test_a_round_that_is_brought_back_is_linked_as_before(
         store.save_round(one)
         grown = replace(walk.views, length_m=walk.views.length_m + 0.03 * day)
         save_walk(replace(walk, views=grown), one)
-    first, second, third = (one.key for one in days)
     for one in days:
         assert settle(store, one.key) == ""
+    return [one.key for one in days]
+
+
+def test_a_round_in_another_house_is_linked_there_alone(store: Store, save_walk: SaveWalk) -> None:
+    first, second, third = three_days(store, save_walk)
+    before = linked(store, first, second), linked(store, second, third)
+    hand = next(iter(before[0]))
+    store.link_growth(*hand)
+    assert set(move_rounds(store, [second], "another")) == {second, third}
+    # What was linked by hand stays.
+    assert (linked(store, first, second), linked(store, second, third)) == ({hand}, set())
+    for key in (second, third):
+        assert settle(store, key) == ""
+    assert linked(store, first, third)
+    changed = undo(store, second)
+    assert set(changed) == {second, third}
+    for key in changed:
+        assert settle(store, key) == ""
+    assert (linked(store, first, second), linked(store, second, third)) == before
+    assert not linked(store, first, third)
+
+
+def test_merged_houses_are_linked_day_by_day(store: Store, save_walk: SaveWalk) -> None:
+    first, second, third = three_days(store, save_walk)
+    for key in move_rounds(store, [second], "another"):
+        settle(store, key)
+    for key in move_rounds(store, [first, third], "another"):
+        settle(store, key)
+    assert linked(store, first, second)
+    assert linked(store, second, third)
+    assert not linked(store, first, third)
+
+
+def test_a_round_that_is_brought_back_is_linked_as_before(
+    store: Store, save_walk: SaveWalk, tmp_path: Path
+) -> None:
+    first, second, third = three_days(store, save_walk)
     before = linked(store, first, second), linked(store, second, third)
     assert all(before)
     assert not linked(store, first, third)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.geometry.tube import TubeShape, guess_shape, near_depths, shape_from_curve
+from cucumbervision.geometry.tube import TubeShape, shape_from_curve
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import fit_shape, stepped
+from cucumbervision.geometry.tube_guess import guess_shape, near_depths
 
 FAR, RADIUS, LONG = 0.5, 0.02, 0.16  # a body across the view, its end centres LONG apart
 

@@ -16,7 +16,7 @@ from tests.geometry.test_tube_fit import surface, tangent_rays
 
 from cucumbervision.geometry import tube_kernel
 from cucumbervision.geometry.pixels import median_of
-from cucumbervision.geometry.tube import TubeShape, guess_shape
+from cucumbervision.geometry.tube import TubeShape
 from cucumbervision.geometry.tube_evidence import (
     BODY,
     SHAPE,
@@ -28,6 +28,7 @@ from cucumbervision.geometry.tube_evidence import (
 )
 from cucumbervision.geometry.tube_fit import fit_shape, solve_held, stepped
 from cucumbervision.geometry.tube_gaps import Gaps, depth_gaps, gaps, gaps_of
+from cucumbervision.geometry.tube_guess import guess_shape
 from cucumbervision.geometry.tube_kernel import Contacts, Fit, call
 from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.geometry.tube import TubeShape, guess_shape, shape_from_curve
+from cucumbervision.geometry.tube import TubeShape, shape_from_curve
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import fit_shape
+from cucumbervision.geometry.tube_guess import guess_shape
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
 from cucumbervision_lab.synthesis.bodies import rotation
 

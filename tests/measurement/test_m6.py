@@ -15,9 +15,10 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.geometry import tube_kernel
-from cucumbervision.geometry.tube import TubeShape, guess_shape
+from cucumbervision.geometry.tube import TubeShape
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
+from cucumbervision.geometry.tube_guess import guess_shape
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.m6 import TubeView, fits_well, measure_m6, view_tube
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit

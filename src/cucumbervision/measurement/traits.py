@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.geometry.tube import (
+from cucumbervision.geometry.tube_lengths import (
     axis_path,
     bending_direction,
     inner_arc_height,

@@ -53,8 +53,7 @@ class OneThread(ContextDecorator):
 
 @cache
 def _blas() -> Any:
-    # Only loaded libraries are limited, and SciPy has its own BLAS.
-    import scipy.linalg  # noqa: F401
+    # Only loaded libraries are limited: of SciPy's own BLAS measuring calls nothing.
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")

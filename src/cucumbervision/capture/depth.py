@@ -13,7 +13,6 @@ from cucumbervision.errors import DepthError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.intrinsics import Intrinsics
 
 _FEW, _MOST = 0.01, 0.5
 _FINEST_M, _COARSEST_M = 1e-7, 10.0
@@ -23,37 +22,6 @@ _UNIT_NAMES = {
     0.0001: "steps of 0.1 mm",
     0.0002: "steps of 0.2 mm",
 }
-
-
-def depth_along_axis(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.float32]:
-    """Return depth along the optical axis, of distances along each pixel's ray.
-
-    Simulators and laser scanners write the distance to the camera's centre; depth cameras write
-    the coordinate z. They differ by the factor sqrt(1 + x^2 + y^2) of the pixel's ray (x, y, 1).
-
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Distances from the camera's centre, metres; 0 for no reading.
-    camera : Intrinsics
-        The camera of the depth picture, of size (W, H).
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        Metres.
-
-    Examples
-    --------
-    >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> distance_m = np.full((1, 3), 1.25, np.float32)
-    >>> depth_along_axis(distance_m, Intrinsics(3, 1, 4.0, 4.0, -2.0, 0.0))[0, 1]
-    np.float32(1.0)
-    """
-    height, width = depth_m.shape
-    x, y = camera.rays(np.arange(width)[None, :], np.arange(height)[:, None])
-    axial_m: NDArray[np.float32] = (depth_m / np.sqrt(1.0 + x**2 + y**2)).astype(np.float32)
-    return axial_m
 
 
 def enlarge_depth(depth_m: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.depth_direction import is_along_ray
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
 from cucumbervision.capture.motion import moved_px, still_px
 from cucumbervision.errors import CaptureError, DepthError
@@ -31,6 +32,7 @@ class Doubt(StrEnum):
 
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
+    DEPTH_ALONG_RAY = "depth-along-ray"
 
 
 @dataclass(frozen=True)
@@ -160,8 +162,13 @@ class Capture:
                 remedy="align depth to colour, and give masks of the picture's own size",
             )
         check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
-        if is_off_centre(self.intrinsics) and Doubt.PRINCIPAL_POINT not in self.doubts:
-            object.__setattr__(self, "doubts", (*self.doubts, Doubt.PRINCIPAL_POINT))
+        told = {
+            Doubt.PRINCIPAL_POINT: is_off_centre(self.intrinsics),
+            Doubt.DEPTH_ALONG_RAY: is_along_ray(self.depth_m, self.intrinsics),
+        }
+        doubts = [doubt for doubt in self.doubts if doubt not in told]
+        doubts += [doubt for doubt, holds in told.items() if holds]
+        object.__setattr__(self, "doubts", tuple(doubts))
 
     def read_only(self) -> Self:
         """Return the same capture for somebody who must not change it: writing raises a ValueError.

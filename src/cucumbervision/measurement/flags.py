@@ -40,6 +40,7 @@ class Flag(StrEnum):
     DEPTH_HOLLOW = "depth-hollow"
     DEPTH_GAP = "depth-gap"
     DEPTH_UNALIGNED = "depth-unaligned"
+    DEPTH_ALONG_RAY = "depth-along-ray"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
     PLUGIN_FAILED = "plugin-failed"
@@ -208,6 +209,15 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         effect=Effect.NO_DEPTH,
         data_fault="outline and depth do not lie together",
         remedy="check that depth is aligned to colour, and masks are of this picture",
+    ),
+    Flag.DEPTH_ALONG_RAY: FlagMeaning(
+        "what is behind the fruit is a plane only if depth is the distance along each pixel's ray, "
+        "as simulators write it: off the middle of a wide view lengths may be wrong by a quarter",
+        remark="depth may be measured along the pixels' rays",
+        effect=Effect.NO_DEPTH,
+        data_fault="what is behind them is a plane only if depth is the distance along each "
+        "pixel's ray",
+        remedy="read such depth with --depth-along ray",
     ),
     Flag.PRINCIPAL_POINT: FlagMeaning(
         "the intrinsics' principal point lies off the middle of the picture: are they of this "

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-_PLANE_SAMPLES, _LEAST_PLANE_SAMPLES = 500, 100
+_PLANE_SAMPLES, _LEAST_PLANE_SAMPLES = 800, 100
 _PLANE_ROUNDS = 6
 _ON_PLANE = 0.01  # of the distance
 # Real boards and tables hold 0.47 to 0.94 of the readings, and 0.11 to 0.18 read the other way;

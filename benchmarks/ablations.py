@@ -34,6 +34,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CropClassifier
+from cucumbervision.perception.fruit_look import FruitLooker
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import read_captures
@@ -138,18 +139,23 @@ def ablations() -> list[Ablation]:
         return network._detect_at(color, size, confidence)
 
     straight = (YoloDetector, "_detect_mirrored", pass_straight)
-    no_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
-    no_pose = (MERGING, "with_pose_votes", lambda detections, _, __: tuple(detections))
+    no_second_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
+    no_close_look = (FruitLooker, "rescore", lambda *arguments: tuple(arguments[-1]))
     return [
         Ablation("as shipped"),
         Ablation("without the mirror image", (straight,)),
         Ablation("without the second size", single_size=True),
-        Ablation("without the second look", (no_look,)),
-        Ablation("without the pose vote", (no_pose,)),
+        Ablation("without the second look", (no_second_look,)),
+        Ablation("without the close look's vote", (no_close_look,)),
         Ablation("without the depth vote", depth_votes=False),
-        Ablation("without pose and depth votes", (no_pose,), depth_votes=False),
+        Ablation("without close look's and depth's votes", (no_close_look,), depth_votes=False),
         Ablation("without joined pieces", (NO_PIECES,)),
-        Ablation("without all of these", (no_look, no_pose, NO_PIECES), True, depth_votes=False),
+        Ablation(
+            "without all of these",
+            (no_second_look, no_close_look, NO_PIECES),
+            single_size=True,
+            depth_votes=False,
+        ),
     ]
 
 
@@ -214,15 +220,22 @@ def score_scene(
     focal_px = scene.focal_px if ablation.depth_votes else None
     with replacing(ablation.replaced):
         computed_s, used_s, start = passes.computed_s, passes.used_s, time.process_time()
-        segmented = networks.segment.detect(scene.color) if networks.segment else None
-        posed = networks.pose.detect(scene.color) if networks.pose else None
-        looks = networks.segment.looks if networks.segment else 1
+        assert networks.segment is not None
+        assert networks.fruit is not None
+        segmented = networks.segment.detect(scene.color)
+        looked = networks.fruit.rescore(scene.color, scene.depth_m, scene.focal_px, segmented)
+        by_detection = dict(zip(map(id, segmented), looked, strict=True))
         score.seconds += passes.used_s - used_s - (passes.computed_s - computed_s)
         score.seconds += time.process_time() - start
         for k, threshold in enumerate(THRESHOLDS):
             start = time.process_time()
             instances = merge_detections(
-                segmented, posed, threshold, scene.depth_m, looks=looks, focal_px=focal_px
+                segmented,
+                None,
+                threshold,
+                scene.depth_m,
+                focal_px=focal_px,
+                look=lambda detections: [by_detection[id(x)] for x in detections],
             )
             if threshold == DEFAULT_CONFIDENCE:
                 score.seconds += time.process_time() - start
@@ -305,9 +318,9 @@ def main() -> None:
     chosen = chosen_networks(None, None)
     shipped = open_networks(*chosen, None, ranked=False)
     assert shipped.segment is not None
+    assert shipped.fruit is not None
     largest_px = max(shipped.segment._sizes_px[0])
     single = open_networks(chosen[0], None, None, ranked=False, input_sizes=(largest_px,))
-    single = replace(single, pose=shipped.pose)
     scores: dict[tuple[str, str], Score] = {}
     passes = SharedPasses()
     with patch.object(YoloDetector, "_detect_at", passes):

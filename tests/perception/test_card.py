@@ -145,7 +145,7 @@ def test_tensorrt_gets_the_networks_folder_and_small_networks_run_on_cuda(
     assert ran["cucumber-seg"] == "onnxruntime (tensorrt, f16)"
     assert ran["cucumber-crops"] == "onnxruntime (cuda, f32)"
     folders = sorted((tmp_path / "cucumbervision/engines").iterdir())
-    assert [folder.name.rsplit("-", 1)[1] for folder in folders] == ["f16", "f16"]
+    assert [folder.name.rsplit("-", 1)[1] for folder in folders] == ["f16"]
 
 
 def test_engines_lie_in_a_folder_of_the_networks_content_that_nobody_else_may_write(

@@ -67,7 +67,7 @@ def test_the_packages_own_registry_is_sound() -> None:
         # A network is somebody's, whose file is named, or our own, with a card.
         assert (
             (model.source is None)
-            == (model.task in ("segment", "pose", "ends", "crops", "look"))
+            == (model.task in ("segment", "pose", "ends", "crops", "fruit", "look"))
             == bool(model.card)
         )
         if model.source is not None:

@@ -103,6 +103,21 @@ def test_a_bare_file_must_be_a_network_and_forced(folder: Path, tmp_path: Path) 
             use_network(given, anyway=True)
 
 
+def test_a_pose_network_of_ones_own_replaces_the_look_at_each_fruit(
+    folder: Path, tmp_path: Path
+) -> None:
+    assert tasks_of(NetworkLoader()) == {"segment", "crops", "fruit", "ends"}
+    path = shutil.copyfile(SHIPPED.resolve("cucumber-pose")["network"], tmp_path / "mine.onnx")
+    use_network(Path(path), anyway=True)
+    assert tasks_of(NetworkLoader()) == {"segment", "crops", "pose", "ends"}
+
+
+def tasks_of(loader: NetworkLoader) -> set[str]:
+    """Return the tasks of the networks that find fruit."""
+    loader.detectors()
+    return {model["task"] for model in loader.models}
+
+
 def test_a_broken_list_and_a_missing_file_are_named(folder: Path, tmp_path: Path) -> None:
     model = use_network(make_run(tmp_path))
     shutil.rmtree(folder / model.name)

@@ -14,6 +14,7 @@ from cucumbervision.capture.conventions import DepthAlong, Stream
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
+from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.stages import Stage, StageHashes
 
@@ -130,6 +131,15 @@ def test_a_calibration_counts_everywhere_by_its_content(tmp_path: Path) -> None:
     assert not holds(BY_MASK, USUAL, calibrated)
     site.write_text('{"scale": 1}')
     assert all(StageHashes(calibrated).of(stages) != before[stages] for stages in before)
+
+
+@pytest.mark.parametrize("task", ["segment", "crops", "fruit", "pose", "ends"])
+def test_another_network_finds_the_fruit_again(task: str) -> None:
+    registry = load_registry()
+    name = next(model.name for model in registry.models if model.task == task)
+    without = replace(registry, shipped=tuple(m for m in registry.shipped if m.name != name))
+    before = StageHashes(USUAL, registry).of([Stage.DETECTED])
+    assert StageHashes(USUAL, without).of([Stage.DETECTED]) != before
 
 
 def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Confidence thresholds; imports no NumPy, since commands show them in their help."""
 
 DEFAULT_CONFIDENCE = 0.20
-"""Default threshold for a fruit, after the pose network's vote."""
+"""Default threshold for a fruit, after all votes."""
 
 _POSE_CONFIDENCE = 0.05
 _FLOOR_SHARE = 1 / 3

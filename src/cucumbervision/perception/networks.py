@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 class Detectors:
-    """A detector and an optional pose network, with their detections merged.
+    """A detector and the network beside it that gives keypoints, with their detections merged.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Detectors:
         Returns
         -------
         tuple of Instance
-            Best first, with the detector's masks and the pose network's keypoints.
+            Best first, with masks and keypoints.
         """
         detector, pose, looker = self._detector, self._pose, self._fruit
         voting = depth_m if self._depth_votes and focal_px is not None else None
@@ -471,6 +471,7 @@ class NetworkLoader:
         pose: YoloDetector | Path | None = None,
         *,
         keypoints: bool = True,
+        looks: bool = True,
     ) -> Detectors:
         """Load a detector and the network beside it that gives keypoints.
 
@@ -483,6 +484,8 @@ class NetworkLoader:
             A pose network to use instead of these.
         keypoints : bool
             Whether to use these networks of the registry.
+        looks : bool
+            Whether the network that looks at each fruit may replace the pose network.
 
         Raises
         ------
@@ -495,10 +498,9 @@ class NetworkLoader:
                 "this version comes without a cucumber detector",
                 remedy="name a YOLO ONNX export (--instances FILE)",
             )
-        by_look = (
-            file is None and keypoints and pose is None and bool(self.registry.default("fruit"))
-        )
-        votes_by_pose = file is None and keypoints and pose_model is not None and not by_look
+        by_registry = file is None and keypoints
+        by_look = by_registry and looks and pose is None and self.registry.looks_closely
+        votes_by_pose = by_registry and pose_model is not None and not by_look
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
         if file is None:
             models = self.registry.searching[: None if keypoints and pose is None else 1]

@@ -188,12 +188,18 @@ class Registry:
 
     @property
     def searching(self) -> tuple[Model, ...]:
-        """The networks in use that see whole pictures: detector, and what gives its keypoints.
-
-        A network that looks at each fruit alone makes the pose network superfluous.
-        """
-        tasks = ("segment",) if self.default("fruit") else ("segment", "pose")
+        """The networks in use that see whole pictures: detector, and what gives its keypoints."""
+        tasks = ("segment",) if self.looks_closely else ("segment", "pose")
         return tuple(model for model in map(self.default, tasks) if model is not None)
+
+    @property
+    def looks_closely(self) -> bool:
+        """Whether a network looks at each fruit alone, instead of a pose network at the picture.
+
+        A pose network of the user's own is not replaced.
+        """
+        pose = self.default("pose")
+        return self.default("fruit") is not None and (pose is None or pose.embedded)
 
     def segmenter(self, name: str | None = None) -> Model:
         """Return a network that draws masks: the named one, or the default without a name.

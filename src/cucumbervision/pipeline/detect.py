@@ -323,7 +323,7 @@ def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:
     """Return box, score, mask and keypoints of one fruit in the format of COCO results.
 
     COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
-    `keypoints` every entry has keypoints, because a pose network ran.
+    `keypoints` every entry has keypoints, because a network looked for them.
     """
     x1, y1, x2, y2 = (float(edge) for edge in instance.box)
     box = [x1 + 0.5, y1 + 0.5, x2 - x1, y2 - y1]

@@ -61,7 +61,7 @@ class Detections:
     labels : tuple of str
         The classes that a detector knows.
     posed : bool
-        Whether a pose network looked for keypoints.
+        Whether a network looked for keypoints.
     tubes : tuple of Measurement or None
         M6 of each instance whose mask was measured to evaluate the mask; empty if none was.
     left_out : mapping of str to int
@@ -443,7 +443,9 @@ def _network_finder(
 ) -> Find:
     if options.segmenter not in (None, "none"):  # used for every detection: load it in parallel
         networks.preload_segmenter(options.segmenter)
-    detectors = networks.detectors(file, pose, keypoints=options.keypoints)
+    # The paper's M4 has the keypoints of a pose network.
+    looks = options.selector is Selector.BEST
+    detectors = networks.detectors(file, pose, keypoints=options.keypoints, looks=looks)
     labels, posed = detectors.labels, detectors.gives_keypoints
 
     def find(capture: Capture) -> Detections:

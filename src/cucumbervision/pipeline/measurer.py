@@ -403,7 +403,7 @@ class Measurer:
         network = None if self._finder is None else self._finder.networks.ends
         if network is None:
             return [None] * len(fruit)
-        # The order of the ends is not changed if the pose network has determined it.
+        # The order of the ends is not changed if it was determined with the keypoints.
         asked = [instance.end_confidence is not None for instance, _ in fruit]
         lines = [
             tube_line_px(instance, tube, capture) if asks else None

@@ -53,10 +53,10 @@ class MeasureOptions:
         'cucumber,gherkin'. All if empty.
     pose : Path, optional
         A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
-        package's own gives them to fruit of the package's own detector only.
+        package's own networks give them to fruit of the package's own detector only.
     keypoints : bool
-        Whether the package's own pose network looks for the keypoints of M4 where the package's own
-        detector finds the fruit.
+        Whether the package's own networks draw outlines and keypoints of the fruit that the
+        package's own detector finds.
     end_look : bool
         Whether a network evaluates both ends of each fruit whose mask a network drew; intervals
         then depend on its result.

@@ -161,7 +161,8 @@ class StageHashes:
         has_own_file = options.instances not in ("auto", "models")
         named = [self._named("segment"), self._named("crops")]
         detector = _path_sha256(Path(options.instances)) if has_own_file else named
-        posing = None if has_own_file or not options.keypoints else self._named("pose")
+        has_keypoints = options.keypoints and not has_own_file
+        posing: Any = [self._named("pose"), self._named("fruit")] if has_keypoints else None
         posing = _path_sha256(options.pose) if options.pose else posing
         return [detector, posing, self._named("ends")]
 

@@ -1,8 +1,8 @@
 """Measure the fruit of a stream: detect, track, and combine lengths over frames.
 
-`FruitStream` measures one frame at a time with `Measurer`. Its fast form uses the detector's masks
-without SAM and pose network, and measures only the fruit of a frame whose lengths gain most: frames
-from one place add little information on a fruit (`tracks.FIXED`).
+`FruitStream` measures one frame at a time with `Measurer`. Its fast form uses the detector's masks,
+without SAM and without the network that looks at each fruit, and measures only the fruit of a frame
+whose lengths gain most: frames from one place add little information on a fruit (`tracks.FIXED`).
 """
 
 from __future__ import annotations

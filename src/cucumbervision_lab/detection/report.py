@@ -242,7 +242,7 @@ def end_table(rows: Sequence[EndRow], title: str = "Ends") -> ReportTable:
     value = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
     comment = (
         "Distance between the true and the found end, in percent of the line through the fruit's "
-        "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
+        "five true keypoints in the picture; found fruit with keypoints. Ends swapped on "
         f"{value} of {swapped.count} fruit (95 % by scene: {_span(swapped, 2, 100)}); swapped ends "
         "are not corrected first."
     )

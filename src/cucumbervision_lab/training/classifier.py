@@ -336,22 +336,29 @@ def write_classifier_card(
     init : Path
         The checkpoint it began with.
     epochs, seed : int
-        Training options to record.
+        Training options to record. Without epochs the checkpoint it began with was judged, and
+        nothing was learnt.
     credits : sequence of str
         Publishers of training pictures.
     """
-    network, sha256, began = trained.network, file_sha256(trained.network), Path(init).name
+    network, began = trained.network, Path(init).name
+    beside = network.with_suffix(".pt")
+    checkpoint = beside if beside.exists() else network
+    metrics = dict(trained.metrics)
+    if not epochs:
+        checkpoint = Path(init)
+        metrics.pop("crops learnt from", None)
     options = f"--init {began} --out DIR --epochs {epochs} --seed {seed}"
     card = ModelCard(
         name=name,
         task=trained.task,
         file=network.name,
-        sha256=sha256,
+        sha256=file_sha256(network),
         size_bytes=network.stat().st_size,
-        checkpoint_sha256=sha256,
+        checkpoint_sha256=file_sha256(checkpoint),
         began_with=began,
         command=f"cucumbervision train classifier {trained.task} SETS {options}",
-        metrics=dict(trained.metrics),
+        metrics=metrics,
         credits=(*MAKERS, *credits),
         limits=tuple(trained.limits),
         versions={"torch": version("torch")},

@@ -174,3 +174,18 @@ def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
         assert words in page
     saved = json.loads((tmp_path / "my-ends.json").read_text())
     assert (saved["task"], saved["metrics"]) == ("ends", {"accuracy": 0.75})
+
+
+def test_the_card_of_a_checkpoint_that_is_only_judged_names_it(tmp_path: Path) -> None:
+    network, checkpoint = tmp_path / "ends.onnx", tmp_path / "begun.pt"
+    network.write_bytes(b"a network")
+    checkpoint.write_bytes(b"a checkpoint")
+
+    class Judged(Told):
+        @property
+        def metrics(self) -> dict[str, float]:
+            return {"crops learnt from": 12.0, "accuracy": 0.75}
+
+    card = write_classifier_card(Judged(network), "ends", checkpoint, epochs=0, seed=0)
+    assert card.checkpoint_sha256 == file_sha256(checkpoint)
+    assert card.metrics == {"accuracy": 0.75}

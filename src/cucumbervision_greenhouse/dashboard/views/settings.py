@@ -213,6 +213,7 @@ def _models() -> None:
         "prompted-mask": _("outlines fruit"),
         "ends": _("finds the stem end"),
         "crops": _("looks at each detection"),
+        "fruit": _("draws each fruit's outline"),
         "look": _("looks at each end"),
     }
     lines = [

@@ -248,10 +248,12 @@ def wrap_os_errors(
         raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
     except ValueError as error:
         # An invalid file name: Python raises this without a system call.
-        if "\0" not in str(source):
+        name = str(source).encode(errors="replace").decode()
+        if "\0" not in name and name == str(source):
             raise
-        name = str(source).replace("\0", "�")
-        raise kind(f"{fault} (its name holds a null)", source=name, remedy=remedy) from error
+        letter = "a null" if "\0" in name else "half of a letter"  # of a surrogate pair
+        name = name.replace("\0", "�")
+        raise kind(f"{fault} (its name holds {letter})", source=name, remedy=remedy) from error
 
 
 @contextmanager

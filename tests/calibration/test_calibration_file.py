@@ -15,7 +15,7 @@ from cucumbervision.calibration.calibration_file import (
     write_site_calibration,
 )
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CalibrationError
+from cucumbervision.errors import CalibrationError, NameRefusedError
 from cucumbervision.geometry.camera import Distortion
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0)
@@ -94,3 +94,10 @@ def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
         read_site_calibration(tmp_path / "a.json")
     with pytest.raises(CalibrationError, match="cannot be written"):
         write_site_calibration(tmp_path / "a.json" / "b.json", SITE)
+
+
+def test_a_name_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    write_site_calibration(path, SITE.model_copy(update={"name": "a\u202eb"}))
+    with pytest.raises(NameRefusedError, match=r"U\+202E"):
+        read_site_calibration(path)

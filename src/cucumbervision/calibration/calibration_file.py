@@ -13,6 +13,7 @@ from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.errors import CalibrationError, wrap_os_errors
 from cucumbervision.files import parse_model, read_json
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.names import checked_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,8 +109,8 @@ class CorrectionEntry(_Frozen):
     method: str
     truth_kind: LengthDefinition
     form: Form
-    scale: float = Field(gt=0)
-    offset_m: float
+    scale: float = Field(gt=0, lt=1000)
+    offset_m: float = Field(gt=-1000, lt=1000)
     reason: str
     fruit: int
     captures: int
@@ -201,6 +202,8 @@ def read_site_calibration(path: Path) -> SiteCalibration:
     ------
     CalibrationError
         If the file is missing, is not a calibration file, or has another version.
+    NameRefusedError
+        If its name cannot be read.
     """
     remedy = "make it with `cucumbervision calibrate`"
     data = read_json(path, CalibrationError, remedy)
@@ -212,7 +215,9 @@ def read_site_calibration(path: Path) -> SiteCalibration:
             source=path,
             remedy="calibrate again with this software",
         )
-    return parse_model(SiteCalibration, data, source=path, error=CalibrationError)
+    site = parse_model(SiteCalibration, data, source=path, error=CalibrationError)
+    checked_name(site.name, "calibration's name")
+    return site
 
 
 def write_site_calibration(path: Path, site: SiteCalibration) -> None:

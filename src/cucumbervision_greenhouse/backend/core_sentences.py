@@ -48,9 +48,21 @@ def said(error: object) -> str:
     'is one step of depth really 1 mm? depth_unit_m: 0.0001 in the camera file would explain it'
     """
     text = str(error)
+    if len(text) > _LONGEST:
+        return text
     for option, remedy in _ON_PAGES:
         text = re.sub(option, remedy, text)
     return text if language() == "en" else _translated(text, language())
+
+
+_LONGEST = 2000  # characters: no sentence of the core, and reading it would take long
+_JOINTS_AT_AN_END = 4  # a sentence has fewer; a name may have any number, in hundreds of ways
+
+
+def _joints(text: str, joint: str) -> list[tuple[int, int]]:
+    """Return where a text may be parted: the first and the last places of a joint."""
+    spans = [match.span() for match in re.finditer(re.escape(joint), text)]
+    return list(dict.fromkeys([*spans[:_JOINTS_AT_AN_END], *spans[-_JOINTS_AT_AN_END:]]))
 
 
 @lru_cache(maxsize=2000)
@@ -58,12 +70,12 @@ def _translated(text: str, code: str) -> str:
     if (line := _line(text, code)) is not None:
         return line
     # A fault and its remedy; each may have a semicolon of its own.
-    joints = [match.span() for match in re.finditer("; ", text)]
+    joints = _joints(text, "; ")
     for start, end in joints:
         if (line := _line(text[:start], code)) is not None:
             return f"{line}; {_translated(text[end:], code)}"
-    for aside in re.finditer(r" \(", text):
-        rule, source = text[: aside.start()], text[aside.end() : -1]
+    for start, end in _joints(text, " ("):
+        rule, source = text[:start], text[end:-1]
         if text.endswith(")") and (words := _line(rule, code)) is not None:
             return f"{words} ({_translated(source, code)})"
     for start, end in joints:
@@ -76,9 +88,9 @@ def _line(text: str, code: str) -> str | None:
     """Return a sentence that may follow the name of a file; None if it is not known."""
     if (words := _sentence(text, code)) is not None:
         return words
-    for joint in re.finditer(": ", text):
-        if (words := _sentence(text[joint.end() :], code)) is not None:
-            source = text[: joint.start()]
+    for start, end in _joints(text, ": "):
+        if (words := _sentence(text[end:], code)) is not None:
+            source = text[:start]
             return f"{_sentence(source, code) or source}: {words}"
     return None
 
@@ -402,6 +414,9 @@ SENTENCES = (
     marked("give each class a longer limit"),
     marked("no class is ready to be picked"),
     marked("choose at least one"),
+    marked("the crop '{name}' is saved by that name"),
+    marked("give it a name with other letters or digits"),
+    marked("look at its limits as they are now"),
     marked("the crop has no name"),
     marked("give it one with letters or digits"),
     marked("no crop profile is called {name}"),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.grades import grade
-from cucumbervision.agronomy.profiles import CropProfile, profiles_folder
+from cucumbervision.agronomy.profiles import CropProfile, profiles, profiles_folder
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import ProfileError
 from cucumbervision.files import parse_model
@@ -116,27 +117,53 @@ def class_counts(views: Iterable[DetectionSummary], profile: CropProfile) -> Cou
     return Counter(grade(view.record, profile).label for view in views)
 
 
-def save_own_profile(profile: CropProfile) -> Path:
+def save_own_profile(profile: CropProfile, before: CropProfile | None = None) -> Path:
     """Write a profile into the user's folder of profiles, named after its title.
+
+    Parameters
+    ----------
+    profile : CropProfile
+        The profile.
+    before : CropProfile, optional
+        The one that was changed.
 
     Returns
     -------
     Path
-        The file; one of this name is replaced.
+        The file; the crop of this title is replaced.
 
     Raises
     ------
     ProfileError
-        If the title has no letter or digit.
+        If the title has no letter or digit or is too like another crop's, if somebody else has
+        changed the crop since, or if the file cannot be written.
     NameRefusedError
         If it is no name.
     """
     import tomli_w
 
-    title = checked_name(profile.title, "crop").casefold()
+    title = _compared(checked_name(profile.title, "crop"))
     if not any(letter.isalnum() for letter in title):
         raise ProfileError("the crop has no name", remedy="give it one with letters or digits")
     path = profiles_folder() / f"{safe_name(title)}.toml"
+    taken = next((entry for entry in profiles() if entry.name == path.stem), None)
+    if taken is not None:
+        saved = taken.profile
+        if taken.shipped or saved is None or _compared(saved.title) != title:
+            named = taken.name if saved is None else saved.title
+            raise ProfileError(
+                f"the crop '{named}' is saved by that name",
+                remedy="give it a name with other letters or digits",
+            )
+        if before is not None and before.title == saved.title and before != saved:
+            raise ProfileError(
+                "it was changed again since", remedy="look at its limits as they are now"
+            )
     content = profile.model_dump(mode="json", exclude_none=True)
     replace_text(path, tomli_w.dumps(content))
     return path
+
+
+def _compared(title: str) -> str:
+    """Return a title as two are compared: in one case, and in one form of Unicode."""
+    return unicodedata.normalize("NFC", title.casefold())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import streamlit as st
@@ -13,10 +14,11 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision_greenhouse.backend.access import VIEWER, device_of
+from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.jobs import JobQueue
-from cucumbervision_greenhouse.backend.language import asked_language, best_of, decide_by
+from cucumbervision_greenhouse.backend.language import asked_language, best_of, decide_by, gettext
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
-from cucumbervision_greenhouse.backend.plain_text import told_apart
+from cucumbervision_greenhouse.backend.plain_text import sentence, told_apart
 from cucumbervision_greenhouse.backend.settings import (
     STORE_VARIABLE,
     Settings,
@@ -35,8 +37,10 @@ KEPT = 8  # largest number of cached rounds, forecasts or fruit
 
 
 def where() -> str:
-    """Return the path or URL of the store."""
-    return os.environ.get(STORE_VARIABLE) or default_store()
+    """Return the whole path, or the URL, of the store."""
+    place = os.environ.get(STORE_VARIABLE) or default_store()
+    # Settings keep the paths of files beside it, for a dashboard that is started elsewhere.
+    return place if "://" in place else str(Path(place).absolute())
 
 
 def store() -> Store:
@@ -99,12 +103,23 @@ def settings() -> Settings:
     return _settings()[0]
 
 
+_CHANGING = threading.Lock()
+
+
 def change_settings(**changes: object) -> None:
-    """Change some settings, and write them if they differ."""
-    chosen = Settings.model_validate({**settings().model_dump(), **changes})
-    if chosen != settings():
+    """Change some settings, and write them if they differ.
+
+    Those that cannot be written count until the dashboard ends, and the page says so.
+    """
+    with _CHANGING:  # two viewers change two settings
+        chosen = Settings.model_validate({**settings().model_dump(), **changes})
+        if chosen == settings():
+            return
         _settings()[0] = chosen
-        write_settings(chosen, settings_file(where()))
+        try:
+            write_settings(chosen, settings_file(where()))
+        except CucumberVisionError as error:
+            st.toast(sentence(said(error)), icon=":material/error:", duration="long")
 
 
 def _language() -> str:
@@ -129,18 +144,20 @@ def _profile(name: str) -> tuple[str, CropProfile]:
 
 
 @st.cache_resource(show_spinner=False, ttl=60)
-def crop_titles() -> dict[str, str]:
-    """Return the titles of all readable crop profiles by their names, told apart."""
+def _crop_titles() -> dict[str, str]:
     readable = {entry.name: entry.profile for entry in profiles()}
-    return told_apart(
-        {name: profile.title for name, profile in readable.items() if profile is not None}
-    )
+    return {name: profile.title for name, profile in readable.items() if profile is not None}
+
+
+def crop_titles() -> dict[str, str]:
+    """Return the titles of all readable crop profiles by their names, told apart as shown."""
+    return told_apart({name: gettext(title) for name, title in _crop_titles().items()})
 
 
 def forget_profiles() -> None:
     """Read crop profiles again, since a file was changed."""
     _profile.clear()
-    crop_titles.clear()
+    _crop_titles.clear()
 
 
 def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:

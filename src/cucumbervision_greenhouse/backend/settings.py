@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -12,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.pipeline.options import MeasureOptions
@@ -21,6 +23,7 @@ from cucumbervision_greenhouse.backend.language import number_words
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 
+_READABLE = 0o644
 _UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 _UNITS_ALONG = {"cm": ("m", 1.0), "in": ("ft", 1 / 0.3048)}  # of positions along a row
 
@@ -236,11 +239,25 @@ def write_settings(settings: Settings, path: Path) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a text file in place of an older one, in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    """Write a text file in place of an older one, in one step; two writers do not disturb it.
+
+    Raises
+    ------
+    CucumberVisionError
+        If it cannot be written.
+    """
+    remedy = "check the folder and its permissions"
+    with wrap_os_errors("cannot be written", path, remedy, CucumberVisionError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(name).chmod(_READABLE)
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink()
+            raise
 
 
 def default_store() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -67,9 +66,11 @@ class SavedCalibration:
 
 def _created_s(site: SiteCalibration) -> float:
     try:
-        return datetime.fromisoformat(site.created).timestamp()
-    except ValueError:
+        created_s = datetime.fromisoformat(site.created).timestamp()
+        datetime.fromtimestamp(created_s)  # may be a day of no calendar here
+    except (ValueError, OverflowError, OSError):
         return 0.0
+    return created_s
 
 
 def save_calibration(folder: Path, site: SiteCalibration) -> Path:
@@ -82,21 +83,27 @@ def save_calibration(folder: Path, site: SiteCalibration) -> Path:
     NameRefusedError
         If its name cannot be read.
     """
-    moment = time.strftime("%Y-%m-%d-%H%M%S")
+    moment = f"{datetime.now():%Y-%m-%d-%H%M%S-%f}"  # two viewers may make one at once
     name = safe_name(checked_name(site.name, "calibration's name"))
     path = folder / f"{moment}-{name}{_SUFFIX}"
-    folder.mkdir(parents=True, exist_ok=True)
     write_site_calibration(path, site)
     return path
 
 
 def saved_calibrations(folder: Path, chosen: str = "") -> list[SavedCalibration]:
     """Return the calibrations of a folder, the newest first, and the chosen one wherever it is."""
-    paths = {path.resolve(): path for path in folder.glob(f"*{_SUFFIX}")}
+    paths = {_resolved(path): path for path in folder.glob(f"*{_SUFFIX}")}
     if chosen:
-        paths.setdefault(Path(chosen).resolve(), Path(chosen))
+        paths[_resolved(Path(chosen))] = Path(chosen)
     saved = [_saved(path) for path in paths.values()]
     return sorted(saved, key=lambda x: -_created_s(x.site) if x.site is not None else 0.0)
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, ValueError, RuntimeError):  # typed: a loop of links, or no name of a file
+        return path
 
 
 def _saved(path: Path) -> SavedCalibration:

@@ -32,7 +32,8 @@ def _given(name: str) -> str:
         raise ValueError(str(error)) from None
 
 
-Name = Annotated[str, Field(max_length=500)]
+LONGEST_NAME = 500
+Name = Annotated[str, Field(max_length=LONGEST_NAME)]
 GivenName = Annotated[Name, AfterValidator(_given)]
 Length = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)]
 

@@ -77,6 +77,19 @@ def draw_undo(round_key: str) -> None:
         st.warning(sentence(fault), icon=":material/error:")
 
 
+def spanning(low: float, high: float, value: float) -> tuple[float, float, float]:
+    """Return limits and value of a field for numbers: a file may hold a value beyond the limits.
+
+    Streamlit would not draw such a field.
+
+    Examples
+    --------
+    >>> spanning(0.5, 100.0, 150.0)
+    (0.5, 150.0, 150.0)
+    """
+    return min(low, value), max(high, value), value
+
+
 def table(lines: list[dict[str, Any]]) -> None:
     """Draw a table; its words wrap on a phone, and columns without values are left out."""
     columns = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]

@@ -92,7 +92,7 @@ def _begin() -> None:
         _("Crop"),
         list(titles),
         index=list(titles).index(usual) if usual in titles else 0,
-        format_func=lambda name: _(titles[name]),
+        format_func=titles.__getitem__,
     )
 
     def begin() -> None:

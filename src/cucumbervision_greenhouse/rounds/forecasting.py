@@ -295,7 +295,8 @@ class Today:
 
 def midnight_s(now_s: float) -> float:
     """Return the local midnight before a time, seconds since 1970."""
-    local_time = datetime.datetime.fromtimestamp(now_s).astimezone()
+    # Without a zone: midnight may have had another offset, on the day that summer time begins.
+    local_time = datetime.datetime.fromtimestamp(now_s)
     return local_time.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
 
 

@@ -16,7 +16,7 @@ from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.measurement.flags import FLAGS, data_doubts
 from cucumbervision.measurement.result import Length
 from cucumbervision.pipeline.summary import Summary
-from cucumbervision_greenhouse.backend import language
+from cucumbervision_greenhouse.backend import core_sentences, language
 from cucumbervision_greenhouse.backend.core_sentences import SENTENCES, said
 
 SOURCE = Path(__file__).parents[3] / "src"
@@ -198,3 +198,21 @@ def test_every_sentence_is_one_of_the_code() -> None:
         if any(part.strip() not in together for part in re.split(r"\{\w+\}", sentence))
     ]
     assert not gone, "\n".join(gone)
+
+
+def test_a_name_of_many_signs_is_read_in_a_few_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "_deciding", [lambda: "nl"])
+    tried = []
+    read = core_sentences._sentence
+
+    def counted_read(text: str, code: str) -> str | None:
+        tried.append(text)
+        return read(text, code)
+
+    monkeypatch.setattr(core_sentences, "_sentence", counted_read)
+    name = "; : (" * 90
+    assert said(f"{name}: is not a readable file; copy it again") == (
+        f"{name}: is geen leesbaar bestand; kopieer het opnieuw"
+    )
+    # It was some thousands, of which each took longer the longer the name is.
+    assert len(tried) < 500

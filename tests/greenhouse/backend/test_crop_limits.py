@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.agronomy.profiles import load_profile, profiles
-from cucumbervision.errors import NameRefusedError, ProfileError
+from cucumbervision.errors import CucumberVisionError, NameRefusedError, ProfileError
 from cucumbervision_greenhouse.backend.crop_limits import (
     CropLimits,
     class_counts,
@@ -86,3 +86,42 @@ def test_an_own_crop_is_written_read_again_and_replaced(
         save_own_profile(LIMITS.applied_to(CUCUMBER, "///"))
     with pytest.raises(NameRefusedError):
         save_own_profile(LIMITS.applied_to(CUCUMBER, "a\u202eb"))
+
+
+def test_another_crop_is_not_replaced_by_one_of_a_name_like_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path / "own"))
+    path = save_own_profile(LIMITS.applied_to(CUCUMBER, "Ours!"))
+    for title in ("Ours?", "Long-Cucumber"):
+        with pytest.raises(ProfileError, match="is saved by that name"):
+            save_own_profile(LIMITS.applied_to(CUCUMBER, title))
+    assert load_profile(path.stem).title == "Ours!"
+    # A title is the same in any case and in both forms of Unicode.
+    accented = [LIMITS.applied_to(CUCUMBER, title) for title in ("Caf\u00e9", "CAFE\u0301")]
+    assert len({save_own_profile(profile) for profile in accented}) == 1
+    path.write_text("damaged")
+    with pytest.raises(ProfileError, match="'ours_' is saved by that name"):
+        save_own_profile(LIMITS.applied_to(CUCUMBER, "Ours!"))
+
+
+def test_limits_that_another_viewer_changed_are_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path / "own"))
+    drawn = LIMITS.applied_to(CUCUMBER, "ours")
+    save_own_profile(drawn, CUCUMBER)
+    first, second = (replace(LIMITS, pick=(name,)).applied_to(drawn) for name in ("II", "I"))
+    save_own_profile(first, drawn)
+    with pytest.raises(ProfileError, match="changed again since"):
+        save_own_profile(second, drawn)
+    save_own_profile(second, first)
+
+
+def test_a_crop_that_cannot_be_written_is_a_fault_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path / "file"))
+    with pytest.raises(CucumberVisionError, match="cannot be written"):
+        save_own_profile(LIMITS.applied_to(CUCUMBER, "ours"))

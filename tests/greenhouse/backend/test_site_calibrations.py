@@ -9,7 +9,7 @@ from tests.calibration.test_grid import grid_capture
 
 from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.calibration.calibration_file import read_site_calibration
+from cucumbervision.calibration.calibration_file import SiteCalibration, read_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_camera, calibrate_lengths
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
@@ -118,3 +118,48 @@ def test_a_printed_grid_in_a_round_gives_the_scale_of_depth(store: Store, tmp_pa
         calibrate_by_grid(store, again.key, 0.01, "twice")
     with pytest.raises(CalibrationError, match="no grid"):
         calibrate_by_grid(store, WALK, 0.01, "fruit")
+
+
+@pytest.fixture(scope="module")
+def grid_site() -> SiteCalibration:
+    return calibrate_camera([grid_capture(20.0)], 0.01, "grid")
+
+
+def test_two_calibrations_of_one_name_and_second_are_two(
+    tmp_path: Path, grid_site: SiteCalibration
+) -> None:
+    software = [grid_site.model_copy(update={"software": str(number)}) for number in range(20)]
+    for site in software:
+        save_calibration(tmp_path / "truth", site)
+    assert len(saved_calibrations(tmp_path / "truth")) == 20
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        save_calibration(next((tmp_path / "truth").iterdir()), grid_site)
+
+
+def test_the_day_of_a_calibration_may_be_of_no_calendar(
+    tmp_path: Path, grid_site: SiteCalibration
+) -> None:
+    for created in ("0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", "yesterday"):
+        save_calibration(tmp_path, grid_site.model_copy(update={"created": created}))
+    titles = [calibration.title for calibration in saved_calibrations(tmp_path)]
+    assert titles == ["grid, 01 Jan 1970 00:00"] * 3
+
+
+@pytest.mark.parametrize("chosen", ["a\0b", "\ud800", "loop", "x" * 5000])
+def test_a_calibration_that_is_no_file_is_listed_with_its_fault(
+    chosen: str, tmp_path: Path
+) -> None:
+    if chosen == "loop":
+        (tmp_path / chosen).symlink_to(tmp_path / chosen)
+        chosen = str(tmp_path / chosen)
+    [calibration] = saved_calibrations(tmp_path / "truth", chosen)
+    assert calibration.site is None
+    assert calibration.fault
+
+
+def test_the_chosen_calibration_is_listed_once_as_it_was_named(
+    tmp_path: Path, grid_site: SiteCalibration
+) -> None:
+    path = save_calibration(tmp_path / "truth", grid_site)
+    chosen = f"{tmp_path}/truth/../truth/{path.name}"
+    assert [x.path for x in saved_calibrations(tmp_path / "truth", chosen)] == [Path(chosen)]

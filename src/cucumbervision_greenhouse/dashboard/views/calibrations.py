@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import streamlit as st
@@ -79,7 +80,7 @@ def draw_choice() -> None:
     """Draw all calibrations with what each does; one tap uses one, one more goes back."""
     settings = resources.settings()
     saved = saved_calibrations(truth_folder(resources.where()), settings.calibration)
-    in_use = next((x for x in saved if str(x.path) == settings.calibration), None)
+    in_use = next((x for x in saved if _is_used(x)), None)
     if not saved:
         st.caption(_("No calibration yet: lengths are as the camera gives them."))
         return
@@ -107,9 +108,14 @@ def _draw(calibration: SavedCalibration, key: str) -> None:
             return
         says.caption(plain(effect_words(calibration.site, settings.length, settings.units)))
         path = str(calibration.path)
-        is_used = path == settings.calibration
+        is_used = _is_used(calibration)
         label = _("In use") if is_used else _("Use it now")
         page_elements.button(use, label, "check", _use, path, disabled=is_used, key=f"use {key}")
+
+
+def _is_used(calibration: SavedCalibration) -> bool:
+    chosen = resources.settings().calibration
+    return bool(chosen) and calibration.path == Path(chosen)
 
 
 def _use(path: str) -> None:

@@ -76,7 +76,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     title = st.text_input(
         _("Name of your crop"),
         profile.title if own else _("{crop}, own limits").format(crop=_(profile.title)),
-        key=f"limits_title_{name}",
+        key=f"{_key(name, profile)}_title",
     )
     try:
         changed = limits.applied_to(profile, title.strip())
@@ -87,7 +87,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
 
     def save() -> None:
         try:
-            path = save_own_profile(changed)
+            path = save_own_profile(changed, profile)
         except CucumberVisionError as error:
             st.session_state["limits_fault"] = said(error)
             return
@@ -114,45 +114,44 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     )
 
 
+def _key(name: str, profile: CropProfile) -> str:
+    """Return what the keys of a crop's fields begin with: others where its limits were changed."""
+    return f"limits_{name}_{hash(CropLimits.of(profile))}"
+
+
 def _fields(name: str, profile: CropProfile) -> CropLimits:
     """Draw the limits of a profile as fields, and return what they hold."""
-    limits = CropLimits.of(profile)
-    edges_m = _edge_fields(name, profile, limits)
+    limits, key = CropLimits.of(profile), _key(name, profile)
+    edges_m = _edge_fields(key, profile, limits)
     arcs = [
         st.number_input(
             sentence(
                 _("{shape} up to [mm of arc for 10 cm]").format(shape=_(profile.shape[number].name))
             ),
-            0.5,
-            100.0,
-            arc,
+            *page_elements.spanning(0.5, 100.0, arc),
             0.5,
             format="%.1f",
-            key=f"limits_{name}_arc_{number}",
+            key=f"{key}_arc_{number}",
         )
         for number, arc in enumerate(limits.arc_mm_per_10cm)
     ]
     thin, light = st.columns(2)
     diameter_mm = thin.number_input(
         _("Thinnest [mm]; 0: no limit"),
-        0.0,
-        200.0,
-        limits.minimum_diameter_mm or 0.0,
+        *page_elements.spanning(0.0, 200.0, limits.minimum_diameter_mm or 0.0),
         1.0,
         format="%.0f",
-        key=f"limits_{name}_thin",
+        key=f"{key}_thin",
     )
     weight_g = light.number_input(
         _("Lightest [g]; 0: no limit"),
-        0.0,
-        5000.0,
-        limits.minimum_g or 0.0,
+        *page_elements.spanning(0.0, 5000.0, limits.minimum_g or 0.0),
         10.0,
         format="%.0f",
-        key=f"limits_{name}_light",
+        key=f"{key}_light",
     )
     decide = st.toggle(
-        _("Thickness and weight decide on the class"), limits.decide, key=f"limits_{name}_decide"
+        _("Thickness and weight decide on the class"), limits.decide, key=f"{key}_decide"
     )
     names = [c.name for c in profile.classes]
     pick = st.pills(
@@ -161,7 +160,7 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
         format_func=lambda name: plain(class_words(name)),
         selection_mode="multi",
         default=limits.pick,
-        key=f"limits_{name}_pick",
+        key=f"{key}_pick",
     )
     return CropLimits(
         edges_m=edges_m,
@@ -173,24 +172,26 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
     )
 
 
-def _edge_fields(name: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
+def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
     """Draw the lengths between the classes side by side, and return them in metres."""
     units = resources.settings().units
     names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
     labels = [_("{name} from").format(name=name) for name in names]
     labels.append(_("{name} below").format(name=names[-1]))
     edges_m = []
-    for number, place in enumerate(st.columns(len(labels))):
+    for number, (place, edge_m) in enumerate(
+        zip(st.columns(len(labels)), limits.edges_m, strict=True)
+    ):
+        shown = units.value(edge_m) or 0.0
         value = place.number_input(
             sentence(f"{labels[number]} [{units.name}]"),
-            0.1,
-            200.0,
-            units.value(limits.edges_m[number]),
+            *page_elements.spanning(0.1, 200.0, shown),
             0.5 if units.name == "cm" else 0.25,
             format=f"%.{units.digits}f",
-            key=f"limits_{name}_{number}_{units.name}",
+            key=f"{key}_{number}_{units.name}",
         )
-        edges_m.append(units.metres(float(value or 0.0)))
+        # A limit that was not changed is not rounded as it is shown in inches.
+        edges_m.append(edge_m if value == shown else units.metres(float(value or 0.0)))
     return tuple(edges_m)
 
 

@@ -112,13 +112,17 @@ def _work(prediction: Forecast) -> None:
     per_hour, per_row, per_crate = st.columns(3)
     resources.change_settings(
         fruit_per_hour=per_hour.number_input(
-            _("Fruit picked in an hour"), 1.0, 5000.0, saved.fruit_per_hour, 10.0
+            _("Fruit picked in an hour"),
+            *page_elements.spanning(1.0, 5000.0, saved.fruit_per_hour),
+            10.0,
         ),
         minutes_per_row=per_row.number_input(
-            _("Minutes for each row"), 0.0, 120.0, saved.minutes_per_row, 0.5
+            _("Minutes for each row"),
+            *page_elements.spanning(0.0, 120.0, saved.minutes_per_row),
+            0.5,
         ),
         fruit_per_crate=per_crate.number_input(
-            _("Fruit in a crate"), 1, 500, saved.fruit_per_crate
+            _("Fruit in a crate"), 1, max(500, saved.fruit_per_crate), saved.fruit_per_crate
         ),
     )
     lines = [

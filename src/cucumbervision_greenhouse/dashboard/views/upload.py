@@ -17,7 +17,7 @@ from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.progress import progress_of
 from cucumbervision_greenhouse.backend.round_words import round_day, side_words
 from cucumbervision_greenhouse.backend.uploading import CAMERAS
-from cucumbervision_greenhouse.backend.uploads import MOST_FILES, SentPlace
+from cucumbervision_greenhouse.backend.uploads import LONGEST_NAME, MOST_FILES, SentPlace
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
@@ -111,7 +111,7 @@ def _place(round_summary: RoundSummary) -> SentPlace:
     if keys["row"] not in st.session_state or (before != basis and not is_typed):
         suggest(next_place(stops))
         if is_typed:
-            st.session_state[keys["row"]] = st.query_params["row"]
+            st.session_state[keys["row"]] = st.query_params["row"][:LONGEST_NAME]
             change_row()
     st.session_state[f"up_given_{round_summary.key}"] = basis
     return _draw_place(keys, sides, change_row, keep)
@@ -128,7 +128,7 @@ def _draw_place(
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
-    named = row.text_input(_("Row"), key=keys["row"], on_change=change_row)
+    named = row.text_input(_("Row"), max_chars=LONGEST_NAME, key=keys["row"], on_change=change_row)
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:

@@ -1,15 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tomli_w
 
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.dashboard.app_pages import app, tap
+from tests.greenhouse.dashboard.app_pages import app, said, tap
 
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.crop_limits import CropLimits, save_own_profile
+from cucumbervision_greenhouse.backend.language import gettext
 from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.store.repository import open_store
 
@@ -54,3 +59,56 @@ def test_own_limits_are_previewed_saved_and_graded_by(
         store.save_round(record)
         saved = next(x for x in store.rounds() if x.key == record.key)
     assert resources.profile_of(saved)[1].classes[-1].min_cm == 11.0
+
+
+@pytest.mark.parametrize("unit", ["cm", "in"])
+def test_a_crop_with_limits_beyond_those_of_the_fields_is_shown_and_kept(
+    unit: str, house: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path))
+    content = load_profile("long-cucumber").model_dump(mode="json", exclude_none=True)
+    content["title"] = "Giant"
+    content["classes"][0]["max_cm"] = content["acceptance"]["max_cm"] = 850.0
+    content["classes"][-1]["min_cm"] = content["acceptance"]["min_cm"] = 0.05
+    content["growth"].pop("full_cm", None)
+    content["shape"][0]["max_mm_per_10cm"] = 0.2
+    content |= {"minimum_g": 6000.0, "minimum_diameter_mm": 300.0}
+    (tmp_path / "giant.toml").write_text(tomli_w.dumps(content))
+    before = load_profile("giant")
+    resources.change_settings(profile="giant", unit=unit)
+    test = app("settings")
+    assert not test.exception
+    tap(test, "Save and use for new rounds")
+    # Not even rounded as they are shown in inches.
+    after = load_profile("giant")
+    assert after.model_copy(update={"rules": before.rules}) == before
+
+
+def test_limits_that_another_viewer_changed_are_shown(
+    house: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path))
+    crop = load_profile("long-cucumber")
+    drawn = CropLimits.of(crop).applied_to(crop, "ours")
+    save_own_profile(drawn)
+    resources.change_settings(profile="ours")
+    test = app("settings")
+    other = replace(CropLimits.of(drawn), edges_m=(0.21, 0.26, 0.36)).applied_to(drawn)
+    save_own_profile(other)
+    tap(test, "Save and use for new rounds")
+    assert load_profile("ours") == other
+    assert "It was changed again since" in said(test)
+    assert next(x for x in test.number_input if "II from" in x.label).value == 21.0
+
+
+def test_crops_of_one_title_in_the_language_shown_are_told_apart(
+    house: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path))
+    resources.change_settings(language="nl")
+    title = gettext(load_profile("long-cucumber").title)
+    courgette = load_profile("courgette")
+    save_own_profile(CropLimits.of(courgette).applied_to(courgette, title))
+    choices = next(box.options for box in app("today").selectbox if box.label == "Gewas")
+    assert choices.count(title) == 1
+    assert f"{title} (2)" in choices

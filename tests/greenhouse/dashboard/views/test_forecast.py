@@ -33,3 +33,10 @@ def test_growth_is_told_in_the_unit_of_the_lengths(house: Path) -> None:
     assert re.search(
         r"Expected growth: 1\.18 in a day \(0\.[78]\d to 1\.5\d\)", said(app("forecast"))
     )
+
+
+def test_rates_beyond_the_limits_of_their_fields_are_shown(house: Path) -> None:
+    rates = {"fruit_per_hour": 9000.0, "minutes_per_row": 500.0, "fruit_per_crate": 2000}
+    resources.change_settings(**rates)
+    assert not app("forecast").exception
+    assert {name: getattr(resources.settings(), name) for name in rates} == rates

@@ -7,10 +7,11 @@ import pytest
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.dashboard.app_pages import app
+from tests.greenhouse.dashboard.app_pages import app, said
 
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend.hand_lengths import truth_folder
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -54,3 +55,31 @@ def test_the_language_is_chosen_and_kept(house: Path) -> None:
     assert [subheader.value for subheader in test.header][:2] == ["Gewas en eenheden", "Camera"]
     next(box for box in test.selectbox if box.label == "Taal").select("").run()
     assert test.header[0].value == "Crop and units"
+
+
+def test_a_calibration_that_is_no_file_leaves_the_page_whole(house: Path) -> None:
+    resources.change_settings(calibration="a\0b")
+    test = app("settings")
+    assert not test.exception
+    assert "In use: a?b" in said(test)
+
+
+def test_settings_that_cannot_be_kept_count_meanwhile(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    test = app("settings")
+    (house.parent / "file").write_text("")
+    lost = house.parent / "file" / "a.json"
+    monkeypatch.setattr(resources, "settings_file", lambda _: lost)
+    next(box for box in test.number_input if box.label == "Frames per photo").set_value(7).run()
+    assert not test.exception
+    assert ["cannot be written" in toast.value for toast in test.toast] == [True]
+    assert resources.settings().burst == 7
+
+
+def test_files_beside_the_store_are_named_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CUCUMBERVISION_STORE", "house.db")
+    assert truth_folder(resources.where()) == tmp_path / "house.truth"

@@ -79,3 +79,9 @@ def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house:
         assert line.startswith(words)
         assert "8 of 8" not in said(app("upload", round=WALK))
         assert walk(store, WALK, "camera")["doubts"] == []
+
+
+def test_a_row_of_the_address_may_be_too_long(house: Path) -> None:
+    test = app("upload", row="x" * 10_000)
+    assert not test.exception
+    assert field(test, "text_input", "Row").value == "x" * 500

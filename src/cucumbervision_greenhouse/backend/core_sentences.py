@@ -27,6 +27,10 @@ _ON_PAGES = (
     ),
     (r"--depth-unit ([\d.e-]+) is", r"depth_unit_m: \1 in the camera file is"),
     (r"--depth-unit ([\d.e-]+(?: or [\d.e-]+)*)", r"depth_unit_m: \1 in the camera file"),
+    (
+        r"read such depth with --depth-along ray",
+        "say depth_along: ray in the camera file sent with it",
+    ),
     (r"leave out --depth-along and --aligned-to", "leave both out of the camera file"),
     (r"give --intrinsics", "send one camera file alone"),
     (r"leave --input-size out|choose another --input-size", "choose the input size in 'Settings'"),
@@ -347,6 +351,8 @@ SENTENCES = (
     marked("has no frame with both colour and depth"),
     marked("record both streams at one rate"),
     # Doubts about the data of a round.
+    marked("what is behind them is a plane only if depth is the distance along each pixel's ray"),
+    marked("say depth_along: ray in the camera file sent with it"),
     marked("{count} of {fruit} fruit: {fault}"),
     marked("nearer than 12 cm, where no camera reads"),
     marked("check the unit of depth (depth_unit_m: 0.001 in the camera file is 1 mm a step)"),

@@ -15,6 +15,7 @@ from cucumbervision.cli import app
 from cucumbervision.cli.choices import loop_options, measure_options, takes
 from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
 from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.runtime import runtime_for_batches
 from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -153,10 +154,10 @@ def test_networks_are_begun_where_they_are_sure_to_search(
     for name in ("BARE", "HOUSE/a", "OLD"):
         (tmp_path / name).mkdir(parents=True)
     places |= {"MASKED": example_captures() / "simulated-row-a", "MASKS": example_captures()}
-    asked: list[object] = []
+    asked: list[tuple[str, bool, int]] = []
 
     def begin(paths: list[Path], runtime: str, *, full_precision: bool) -> None:
-        asked.extend([runtime, full_precision, len(paths)])
+        asked.append((runtime, full_precision, len(paths)))
 
     def measuring(*_: object, **__: object) -> None:
         raise typer.Exit
@@ -165,5 +166,11 @@ def test_networks_are_begun_where_they_are_sure_to_search(
     monkeypatch.setattr("cucumbervision.pipeline.options.MeasureOptions.__post_init__", measuring)
     done = CliRunner().invoke(app.app, [str(places.get(word, word)) for word in words])
     assert done.exit_code == 0, done.output
-    count = len(load_registry().searching)
-    assert asked == ([] if begun is None else [*begun[:2], min(count, begun[2])])
+    if begun is None:
+        assert asked == []
+        return
+    runtime, is_precise, most = begun
+    assert asked[0] == (runtime, is_precise, min(most, len(load_registry().searching)))
+    small = ("crops", "look") if "--fast" in words else ("crops", "fruit", "ends", "look")
+    count = sum(load_registry().default(task) is not None for task in small)
+    assert asked[1:] == count * [(runtime_for_batches(runtime), True, 1)]

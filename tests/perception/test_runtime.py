@@ -15,6 +15,7 @@ from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.runtime import (
     Network,
     TensorInfo,
+    _begun,
     _openvino_core,
     begin_networks,
     open_network,
@@ -295,6 +296,15 @@ def test_networks_that_were_begun_are_taken_up_once(
         (network,) = open_networks([file], full_precision=precise)
         assert network.source == str(file)
     assert [thread is threading.main_thread() for thread in threads] == [False, True, True]
+
+
+def test_a_network_that_was_begun_is_that_of_whoever_opens_it_alone(tmp_path: Path) -> None:
+    file = tmp_path / "a.onnx"
+    file.write_bytes(scaled_sum())
+    begin_networks([file], "onnxruntime", full_precision=True)
+    begun = _begun[((file,), "onnxruntime", True)]
+    assert open_network(file, "onnxruntime", full_precision=True) is begun.result()[0]
+    assert open_network(file, "onnxruntime", full_precision=True) is not begun.result()[0]
 
 
 def test_what_could_not_be_begun_is_said_where_it_is_asked_for(tmp_path: Path) -> None:

@@ -313,16 +313,21 @@ def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
         Whether a stream is fast: without keypoints, in half precision.
     """
     from cucumbervision.perception.registry import load_registry
-    from cucumbervision.perception.runtime import begin_networks
+    from cucumbervision.perception.runtime import begin_networks, runtime_for_batches
 
+    chosen = _FAST.get(runtime, runtime)
     with suppress(CucumberVisionError):  # whoever asks for the networks raises it
         registry = load_registry()
         models = registry.searching[: 1 if is_fast else None]
         begin_networks(
             [registry.resolve(model.name)["network"] for model in models],
-            _FAST.get(runtime, runtime),
+            chosen,
             full_precision=runtime not in _FAST and not is_fast,
         )
+        small = ("crops", "look") if is_fast else ("crops", "fruit", "ends", "look")
+        for model in filter(None, map(registry.default, small)):
+            path = registry.resolve(model.name)["network"]
+            begin_networks([path], runtime_for_batches(chosen), full_precision=True)
 
 
 def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:

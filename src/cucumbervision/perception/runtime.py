@@ -227,6 +227,22 @@ def open_network(
     MissingExtraError
         If 'openvino' is asked for and not installed.
     """
+    begun = None
+    if not isinstance(path, bytes):
+        begun = _begun.pop(((Path(path),), runtime, full_precision), None)
+    if begun is not None:
+        return begun.result()[0]
+    return _open_alone(path, runtime, full_precision, name=name, verified=verified)
+
+
+def _open_alone(
+    path: Path | str | bytes,
+    runtime: str,
+    full_precision: bool,
+    *,
+    name: str = "",
+    verified: bool = False,
+) -> Network:
     source = (name or "network in memory") if isinstance(path, bytes) else str(path)
     if runtime not in RUNTIMES:
         raise ModelError(
@@ -265,26 +281,26 @@ def open_network(
     return network
 
 
+# Two: while a large network compiles, small ones are loaded in turn.
+_loading = ThreadPoolExecutor(2, thread_name_prefix="load networks")
 _begun: dict[tuple[tuple[Path, ...], str, bool], Future[list[Network]]] = {}
 
 
 def begin_networks(
     paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
 ) -> None:
-    """Begin in a thread what `open_networks` does, which then waits for it.
+    """Begin in a thread what `open_networks` does, which then waits for it; so does `open_network`.
 
     A runtime compiles without Python's lock, so that a program can import and read meanwhile.
 
     Parameters
     ----------
     paths, runtime, full_precision
-        As in `open_networks`, which takes up only what was begun with the same values.
+        As in `open_networks`. What was begun is taken up once, and with the same values only.
     """
-    loading = ThreadPoolExecutor(1, thread_name_prefix="load networks")
-    _begun[(tuple(paths), runtime, full_precision)] = loading.submit(
+    _begun[(tuple(paths), runtime, full_precision)] = _loading.submit(
         _open_together, paths, runtime, full_precision
     )
-    loading.shutdown(wait=False)
 
 
 def open_networks(
@@ -316,9 +332,7 @@ def _open_together(paths: Sequence[Path], runtime: str, full_precision: bool) ->
         # `open_network` takes another runtime, or says which file it is.
         with suppress(ModelError):
             return _open_openvino({str(path): path for path in paths}, full_precision)
-    return [
-        open_network(path, runtime, full_precision=full_precision, verified=True) for path in paths
-    ]
+    return [_open_alone(path, runtime, full_precision, verified=True) for path in paths]
 
 
 def _inspected(network: bytes, source: str) -> bool:

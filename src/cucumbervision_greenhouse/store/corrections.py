@@ -31,6 +31,7 @@ from cucumbervision_greenhouse.store.schema import (
     RoundLine,
     StopLine,
 )
+from cucumbervision_greenhouse.store.stop_content import check_place
 from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -184,8 +185,7 @@ class Corrections(Database):
         NameRefusedError
             If its row, side or name is none.
         """
-        for what, name in (("row", place.row), ("side", place.side), ("stop's name", place.note)):
-            checked_name(name or "", what)
+        check_place(place)
         with self.writing() as connection:
             after = asdict(place)
             row, stop = after.pop("row"), line_of(connection, StopLine, key)
@@ -235,6 +235,8 @@ class Corrections(Database):
         """
         house = checked_name(house, "house")
         with self.writing() as connection:
+            # In one order: two that move the same rounds would wait for each other.
+            lock_rounds(connection, [round_id_of(connection, key) for key in keys])
             lines = [line_of(connection, RoundLine, key) for key in keys]
             houses = select(RoundLine.house).where(~RoundLine.deleted, RoundLine.key.not_in(keys))
             house = same_house(house, connection.execute(houses.order_by(RoundLine.id)).scalars())

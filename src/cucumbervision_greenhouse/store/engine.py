@@ -41,6 +41,7 @@ _WRITES = "cucumbervision_writes"
 _MAKE_ROOM = "make room on the disk"
 _COMES_BACK = "the server starts again after a fault; try again in a minute"
 _HINTS = (
+    ("deadlock detected", "another viewer changed the same just then; try again"),
     ("is locked", "another program is writing to it for a long time; try again"),
     ("not a database", "name another file; this one is left as it is"),
     ("malformed", "copy the file away and run 'sqlite3 FILE .recover'"),
@@ -224,6 +225,10 @@ def _store_errors(url: URL) -> Iterator[None]:
             "the file is damaged",
             source=named(url),
             remedy="copy the file away and run 'sqlite3 FILE .recover'",
+        ) from error
+    except OverflowError as error:
+        raise StoreError(
+            "a number is too large for the database", source=named(url), remedy="give a smaller one"
         ) from error
     except SQLAlchemyError as error:
         cause = error.orig if isinstance(error, DBAPIError) and error.orig else error

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sqlalchemy import insert, select
 
@@ -58,23 +59,79 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection
 
+    from cucumbervision_greenhouse.store.corrections import StopPlace
 
-def checked_stop(stop: StopRecord) -> StopRecord:
-    """Return a stop with its keys in canonical form, after checking its names."""
-    named = {"row": stop.row, "side": stop.side, "stop's name": stop.note}
+
+LARGEST_STEP = 2**31 - 1  # of a column of whole numbers in PostgreSQL
+
+
+def check_place(place: StopRecord | StopPlace) -> None:
+    """Check the row, side, name and number of a stop: every database takes them alike.
+
+    Raises
+    ------
+    NameRefusedError
+        If a name cannot be read.
+    StoreError
+        If the number is too large.
+    """
+    named = {"row": place.row, "side": place.side, "stop's name": place.note}
     for what, name in named.items():
         checked_name(name or "", what)
+    if abs(place.step or 0) > LARGEST_STEP:
+        raise StoreError(
+            f"a stop has no number {place.step}", remedy=f"at most {LARGEST_STEP} are taken"
+        )
+
+
+def checked_stop(stop: StopRecord) -> StopRecord:
+    """Return a stop with its keys in canonical form, after checking its names.
+
+    Texts that are no names, such as the files that captures are from, are made readable.
+    """
+    check_place(stop)
     for capture in stop.captures:
         checked_name(capture.name, "capture's name")
     stop = replace(
         stop,
         key=checked_key(stop.key, "stop"),
         round_key=checked_key(stop.round_key, "round"),
+        captures=tuple(
+            replace(
+                capture,
+                source=_storable(capture.source),
+                provenance=_storable(capture.provenance),
+            )
+            for capture in stop.captures
+        ),
+        artifacts=tuple(
+            replace(artifact, name=_storable(artifact.name), details=_storable(artifact.details))
+            for artifact in stop.artifacts
+        ),
+        failures=_storable(stop.failures),
     )
     _check_once([capture.name for capture in stop.captures], stop.key, "captures are called")
     for capture in stop.captures:
         _check_once([fruit.number for fruit in capture.fruit], capture.name, "fruit have number")
     return stop
+
+
+ValueT = TypeVar("ValueT")
+
+
+def _storable(value: ValueT) -> ValueT:
+    """Return JSON values with a question mark for what no database takes.
+
+    That is a null, and half of a surrogate pair, as which Python reads the bytes of a file's name
+    that are no text.
+    """
+    if isinstance(value, str):
+        return type(value)(value.encode(errors="replace").decode().replace("\0", "?"))
+    if isinstance(value, Mapping):
+        return {_storable(name): _storable(part) for name, part in value.items()}  # type: ignore[return-value]
+    if isinstance(value, list | tuple):
+        return type(value)(_storable(part) for part in value)
+    return value
 
 
 def _check_once(names: Sequence[object], source: str, what: str) -> None:

@@ -12,8 +12,10 @@ import pytest
 from sqlalchemy import func, select
 
 from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
+from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.engine import begin
 from cucumbervision_greenhouse.store.records import (
+    ArtifactRecord,
     CaptureRecord,
     DetectionRecord,
     MethodRecord,
@@ -208,3 +210,42 @@ def test_what_a_server_acknowledged_outlives_its_crash(cluster: Any, make_stop: 
         assert store.save_stop(make_stop(4)) is Saved.ALREADY_THERE
         assert store.save_stop(make_stop(5)) is Saved.NEW
         assert len(store.detections(WALK)) == 12
+
+
+def test_texts_of_a_stop_that_no_database_takes_are_made_readable(
+    store: Store, make_stop: MakeStop
+) -> None:
+    stop = make_stop(3)
+    # So Python reads a file's name that is no UTF-8.
+    source = b"caf\xe9".decode(errors="surrogateescape")
+    damaged = replace(
+        stop,
+        captures=(replace(stop.captures[0], source=source, provenance={"file": [source, 1]}),),
+        artifacts=(ArtifactRecord("model", source, "ab", {source: "a\0"}),),
+        failures=({"capture": source},),
+    )
+    assert store.save_stop(damaged) is Saved.NEW
+    assert store.save_stop(damaged) is Saved.ALREADY_THERE
+    saved = store.stop(stop.key)
+    assert (saved.captures[0].source, saved.captures[0].provenance) == (
+        "caf?",
+        {"file": ["caf?", 1]},
+    )
+    assert saved.artifacts == (ArtifactRecord("model", "caf?", "ab", {"caf?": "a?"}),)
+    assert saved.failures == ({"capture": "caf?"},)
+
+
+def test_a_number_of_a_stop_is_taken_by_every_database_alike(
+    store: Store, make_stop: MakeStop
+) -> None:
+    stop = make_stop(3)
+    store.save_stop(stop)
+    place = StopPlace("3", "left", 1.0, 2**31 - 1)
+    store.place_stop(stop.key, place)
+    for step in (2**31, -(2**63), 2**64):
+        with pytest.raises(StoreError, match="has no number"):
+            store.place_stop(stop.key, replace(place, step=step))
+        with pytest.raises(StoreError, match="has no number"):
+            store.save_stop(replace(stop, key=new_key(), step=step))
+    with pytest.raises(StoreError):
+        store.undo(number=2**64)

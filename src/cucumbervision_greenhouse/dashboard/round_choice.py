@@ -123,6 +123,7 @@ def _change(round_summary: RoundSummary | None) -> None:
     if round_summary is not None:
         title = _(resources.profile_of(round_summary)[1].title)
         st.caption(plain(_("Crop: {title}").format(title=title)))
+        _forget_old(f"name_{round_summary.key}", round_summary.record.name)
         name = st.text_input(
             _("Name of this round"), round_summary.record.name, key=f"name_{round_summary.key}"
         )
@@ -152,9 +153,17 @@ def _change(round_summary: RoundSummary | None) -> None:
         )
 
 
+def _forget_old(field: str, saved: str) -> None:
+    """Forget what a field holds once another name was saved: it would offer the old one."""
+    if st.session_state.get(f"{field}_saved", saved) != saved:
+        st.session_state.pop(field, None)
+    st.session_state[f"{field}_saved"] = saved
+
+
 def _house(round_summary: RoundSummary) -> None:
     """Draw the house of a round: the round moves, or the house gets another name or is merged."""
     key, house = round_summary.key, round_summary.record.house
+    _forget_old(f"house_{key}", house)
     typed = " ".join(st.text_input(_("House"), house, key=f"house_{key}").split())
     if typed == house:
         return

@@ -57,6 +57,19 @@ def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
     assert test.session_state["round"] == WALK
 
 
+def test_the_names_that_another_viewer_gives_are_shown(house: Path) -> None:
+    test = app("results", round=WALK)
+    with open_store(house) as store:
+        store.rename_round(WALK, "Evening")
+        store.move_rounds([WALK], "North")
+    test.run()
+    fields = {field: test.text_input(key=f"{field}_{WALK}") for field in ("name", "house")}
+    assert [field.value for field in fields.values()] == ["Evening", "North"]
+    assert not [button for button in test.button if "house" in button.label]
+    fields["house"].set_value("South").run()
+    assert test.text_input(key=f"house_{WALK}").value == "South"
+
+
 def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
     capture = next(iter(open_source(example_captures()))).load()
     one = resources.waiting().put(capture, new_key(), WALK, time.time())

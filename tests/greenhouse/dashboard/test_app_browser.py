@@ -149,6 +149,31 @@ def test_a_link_that_is_tapped_as_news_come_is_followed(dashboard: Dashboard) ->
         dashboard.quiet()
 
 
+def test_news_wait_while_a_page_is_being_drawn(dashboard: Dashboard) -> None:
+    page, lines, sent = dashboard.page, list[Any](), list[Any]()
+    page.route_web_socket("**/api/news?*", lambda line: lines.append(line))
+    page.on("websocket", lambda line: line.on("framesent", lambda frame: sent.append(line.url)))
+    page.goto(f"{dashboard.address}/results")
+    page.get_by_text("tap one to open it").wait_for()
+    dashboard.quiet()
+    mark = "state => document.querySelector('.stApp').setAttribute('data-test-script-state', state)"
+
+    def asked() -> int:
+        return sum("_stcore/stream" in url for url in sent)
+
+    page.evaluate(mark, "running")
+    before = asked()
+    lines[-1].send(json.dumps({"version": "another", "work": None}))
+    page.wait_for_timeout(2000)
+    assert asked() == before
+    page.evaluate(mark, "notRunning")
+    for _ in range(300):
+        if asked() > before:
+            return
+        page.wait_for_timeout(200)
+    raise AssertionError("the news were forgotten")
+
+
 def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:
     page, news = dashboard.page, list[Any]()
     walk: dict[str, Any] = {}

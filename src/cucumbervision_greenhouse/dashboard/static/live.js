@@ -27,17 +27,21 @@ function draw() {
   else bar.removeAttribute("value");
 }
 
+// Between a tap and what it draws, Streamlit takes any message as of the page before: a link would not be followed, a closed field opened.
+const isDrawing = () => performance.now() - own.leftAt < LEAVING_MS || document.querySelector("[data-test-script-state=running]");
+
+function ask(version) {
+  if (own.news.version !== version || version === own.version || version === own.asked) return;
+  if (isDrawing()) { setTimeout(() => ask(version), SETTLE_MS); return; }
+  own.asked = version;
+  own.trigger("changed", { version, at: location.search });
+}
+
 function heard() {
   draw();
   const { version } = own.news;
   if (version === own.version || version === own.asked) return;
-  // The page's own change is drawn by then.
-  setTimeout(() => {
-    // Between a click on a link and the new page, Streamlit takes any message as a request for the old page.
-    if (own.news.version !== version || version === own.version || performance.now() - own.leftAt < LEAVING_MS) return;
-    own.asked = version;
-    own.trigger("changed", { version, at: location.search });
-  }, SETTLE_MS);
+  setTimeout(() => ask(version), SETTLE_MS);
 }
 
 function listen() {

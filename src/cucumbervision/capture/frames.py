@@ -162,12 +162,12 @@ class Capture:
                 remedy="align depth to colour, and give masks of the picture's own size",
             )
         check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
-        told = {
+        signs = {
             Doubt.PRINCIPAL_POINT: is_off_centre(self.intrinsics),
             Doubt.DEPTH_ALONG_RAY: is_along_ray(self.depth_m, self.intrinsics),
         }
-        doubts = [doubt for doubt in self.doubts if doubt not in told]
-        doubts += [doubt for doubt, holds in told.items() if holds]
+        doubts = [doubt for doubt in self.doubts if doubt not in signs]
+        doubts += [doubt for doubt, is_shown in signs.items() if is_shown]
         object.__setattr__(self, "doubts", tuple(doubts))
 
     def read_only(self) -> Self:

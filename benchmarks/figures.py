@@ -38,7 +38,9 @@ def machine() -> str:
     return f"{len(os.sched_getaffinity(0))} cores, {names[0]}; load {load:.1f}"
 
 
-def as_table(rows: list[Figure]) -> str:
-    """Return figures as a Markdown table."""
-    body = [f"| {r.what} | {r.value:.3g} {r.unit} | {r.verdict} |" for r in rows]
-    return "\n".join(["| what | figure | aim |", "|---|--:|---|", *body])
+HEAD = "| what | figure | aim |\n|---|--:|---|"
+
+
+def as_row(figure: Figure) -> str:
+    """Return a figure as a line of a Markdown table."""
+    return f"| {figure.what} | {figure.value:.3g} {figure.unit} | {figure.verdict} |"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -186,7 +187,9 @@ class Capture:
         views: list[NDArray[Any]] = [color, depth_m, *masks]
         for view in views:
             view.setflags(write=False)
-        return replace(self, color=color, depth_m=depth_m, masks=masks)
+        shielded = copy(self)  # the same values need no second check
+        vars(shielded).update(color=color, depth_m=depth_m, masks=masks)
+        return shielded
 
     @classmethod
     def from_arrays(

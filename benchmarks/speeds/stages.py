@@ -15,7 +15,7 @@ READING, WRITING = "reading", "rows and journal"
 
 
 STAGES = {
-    "networks": ("perception.runtime:Network.run",),
+    "networks": ("perception.network:Network.run",),
     READING: ("pipeline.run:FolderWorker.read",),
     "pictures decoded": ("capture.readers.native:_read_frame", "capture.readers.native:read_masks"),
     "a burst's motion": ("capture.motion:moved_px",),

@@ -12,7 +12,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.instance import Instance
-from cucumbervision.perception import runtime
+from cucumbervision.perception import onnx_runtime
 from cucumbervision.perception.card import (
     Card,
     CardArray,
@@ -32,9 +32,11 @@ def card(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Put the processor in the card's place; gives what is copied back from it."""
     processor = ("CPUExecutionProvider",)
     monkeypatch.setattr(
-        runtime, "_PROVIDERS", {**runtime._PROVIDERS, "cuda": processor, "tensorrt": processor}
+        onnx_runtime,
+        "_PROVIDERS",
+        {**onnx_runtime._PROVIDERS, "cuda": processor, "tensorrt": processor},
     )
-    monkeypatch.setattr(runtime, "_CARD_MEMORY", "cpu")
+    monkeypatch.setattr(onnx_runtime, "_CARD_MEMORY", "cpu")
     copied: list[str] = []
     bound = Card._bound
 

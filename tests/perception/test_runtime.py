@@ -5,18 +5,16 @@ import logging
 import subprocess
 import sys
 import threading
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import MissingExtraError, ModelError
+from cucumbervision.perception.network import Network
+from cucumbervision.perception.openvino_runtime import _openvino_core
 from cucumbervision.perception.runtime import (
-    Network,
-    TensorInfo,
     _begun,
-    _openvino_core,
     begin_networks,
     open_network,
     open_networks,
@@ -320,56 +318,3 @@ def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatc
     assert open_network(scaled_sum(), "auto").runtime == "onnxruntime (cpu)"
     with pytest.raises(MissingExtraError, match=r"cucumbervision\[openvino\]"):
         open_network(scaled_sum(), "openvino")
-
-
-@pytest.mark.parametrize("runtime", ["auto", "onnxruntime"])
-def test_a_loop_that_never_ends_is_ended(runtime: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cucumbervision.perception.runtime._LONGEST_RUN_S", 1.0)
-    helper, kind = onnx.helper, onnx.TensorProto
-    numbers = [
-        helper.make_tensor_value_info("i", kind.INT64, []),
-        helper.make_tensor_value_info("go", kind.BOOL, []),
-    ]
-    step = helper.make_graph(
-        [
-            helper.make_node("Identity", ["go"], ["on"]),
-            helper.make_node("Sin", ["v"], ["w"]),
-        ],
-        "step",
-        [*numbers, helper.make_tensor_value_info("v", kind.FLOAT, [1, 64])],
-        [
-            helper.make_tensor_value_info("on", kind.BOOL, []),
-            helper.make_tensor_value_info("w", kind.FLOAT, [1, 64]),
-        ],
-    )
-    often = onnx.numpy_helper.from_array(np.array(2**62, np.int64), "often")
-    true = onnx.numpy_helper.from_array(np.array(True), "true")
-    graph = helper.make_graph(
-        [helper.make_node("Loop", ["often", "true", "a"], ["y"], body=step)],
-        "g",
-        [helper.make_tensor_value_info("a", kind.FLOAT, [1, 64])],
-        [helper.make_tensor_value_info("y", kind.FLOAT, [1, 64])],
-        [often, true],
-    )
-    opset = [helper.make_opsetid("", 17)]
-    endless = helper.make_model(graph, opset_imports=opset, ir_version=9).SerializeToString()
-    with pytest.raises(ModelError, match="choose the runtime onnxruntime"):
-        open_network(endless, "openvino")
-    network = open_network(endless, runtime)
-    with pytest.raises(ModelError, match="the network fails on a"):
-        network.run({"a": np.ones((1, 64), np.float32)})
-
-
-def test_checking_a_large_output_takes_no_memory() -> None:
-    output = np.ones((1, 4, 1000, 500), np.float32)
-    info = TensorInfo("y", output.shape, output.dtype)
-    network = Network((), (info,), {}, "onnxruntime", "a.onnx", lambda _: [output])
-    tracemalloc.start()
-    try:
-        assert network.run({})["y"] is output
-        assert tracemalloc.get_traced_memory()[1] < output.size / 10  # bytes
-    finally:
-        tracemalloc.stop()
-    output[0, 3, 999, 499] = np.nan
-    with pytest.raises(ModelError, match="numbers that are not finite"):
-        network.run({})

@@ -16,9 +16,9 @@ from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.card import Levels
+from cucumbervision.perception.network import Network
 from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import load_registry
-from cucumbervision.perception.runtime import Network
 from cucumbervision.perception.sam import PROMPTS, Sam, _mask_fault
 
 Mask = NDArray[np.bool_]

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.instances.end_crops import EndCrop, EndLook
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.runtime import Network
+    from cucumbervision.perception.network import Network
 
 
 class Detectors:

@@ -18,8 +18,9 @@ from cucumbervision.perception.input_sizes import (
     merge_sizes,
     parse_input_sizes,
 )
+from cucumbervision.perception.network import Network
 from cucumbervision.perception.resize import Letterbox, fit
-from cucumbervision.perception.runtime import Network, open_network
+from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo_rows import (
     RowKind,
     choose_raw,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.crops import CropClassifier
     from cucumbervision.perception.ends import EndClassifier
-    from cucumbervision.perception.runtime import TensorInfo
+    from cucumbervision.perception.network import TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""

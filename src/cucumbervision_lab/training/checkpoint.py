@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, TrainingError
-from cucumbervision.perception.runtime import import_onnxruntime
+from cucumbervision.perception.onnx_runtime import import_onnxruntime
 
 _LAYERS = ("torch.nn.modules.", "ultralytics.nn.")
 _OPTIONS = "ultralytics.utils.IterableSimpleNamespace"  # holds the training options of a last.pt

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.end_crops import END_PX, PLANES, EndCrop
+from cucumbervision.instances.end_crops import END_PX, EndCrop
 from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.ends import STRIP_PX
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once

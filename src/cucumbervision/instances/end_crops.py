@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.geometry.pixels import sample_color
+from cucumbervision.instances.turned_crops import crop_places, crop_planes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,14 +19,10 @@ if TYPE_CHECKING:
 END_PX = 64
 """Height and width of a crop."""
 
-PLANES = 6
-"""Red, green, blue, depth relative to the fruit, whether depth was read, the fruit's mask."""
-
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Levels of `EndLook.missing`."""
 
 _RADII = 8.0  # side of a crop
-_DEPTH_RADII = 4.0  # depth relative to the surface is clipped to this range
 _INNER_RADII = 1.5  # the direction of an end is that of the axis this far inside
 _LEAST_RADIUS_PX = 1.0
 
@@ -121,22 +116,9 @@ def end_crop(
     radius_px = max(radius_m * intrinsics.fx_px / float(axis_m[0, 2]), _LEAST_RADIUS_PX)
     ahead = _direction(tip_px - inner_px, tip_px - far_px)
     step_px = _RADII * radius_px / END_PX
-    offsets = (np.arange(END_PX) - (END_PX - 1) / 2) * step_px
-    aside = np.array([-ahead[1], ahead[0]])
-    sample_px = tip_px + offsets[None, :, None] * ahead + offsets[:, None, None] * aside
-    planes = np.zeros((END_PX, END_PX, PLANES), np.uint8)
-    planes[..., :3] = sample_color(color_rgb, sample_px, step_px)
-    columns, rows = np.moveaxis(np.rint(sample_px).astype(np.intp), -1, 0)
-    height, width = mask.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    z = np.zeros(inside.shape, np.float32)
-    z[inside] = depth_m[rows[inside], columns[inside]]
-    read = valid_depth(z)
+    places_px = crop_places(tip_px, ahead, step_px, (END_PX, END_PX))
     surface_m = float(inner[2]) - radius_m
-    off = np.clip((z - surface_m) / radius_m, -_DEPTH_RADII, _DEPTH_RADII)
-    planes[..., 3] = np.where(read, np.rint(127.5 + 127.5 * off / _DEPTH_RADII), 128)
-    planes[..., 4] = np.where(read, 255, 0)
-    planes[inside, 5] = np.where(mask[rows[inside], columns[inside]], 255, 0)
+    planes = crop_planes(color_rgb, depth_m, mask, places_px, step_px, surface_m, radius_m)
     length_m = max(float(run[-1]), 1e-3)
     return EndCrop(planes, (float(np.log(length_m / radius_m)), float(np.log(radius_px))))
 

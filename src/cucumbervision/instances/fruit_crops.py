@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.geometry.pixels import sample_color
 from cucumbervision.instances.masks import distances_inside, mask_pixels, mask_window
+from cucumbervision.instances.turned_crops import crop_places, crop_planes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 HEIGHT_PX, WIDTH_PX = 112, 256
 """Size of a crop."""
 
-PLANES = 6
-"""Red, green, blue, depth relative to the fruit, whether depth was read, the fruit's mask."""
-
 _ALONG, _ACROSS = 1.45, 1.6  # the crop's sides, in extents of the mask
-_DEPTH_RADII = 4.0  # depth relative to the surface is clipped to this range
 _LEAST_STEP_PX = 0.25  # of the picture: a smaller fruit fills less of the crop
 
 
@@ -32,7 +28,7 @@ class FruitCrop:
     Parameters
     ----------
     planes : ndarray of uint8, shape (HEIGHT_PX, WIDTH_PX, 6)
-        See `PLANES`. The mask's longer axis is horizontal.
+        As `crop_planes` returns them. The mask's longer axis is horizontal.
     middle_px : ndarray of float64, shape (2,)
         u, v of the crop's middle in the picture.
     along : ndarray of float64, shape (2,)
@@ -56,7 +52,7 @@ class FruitCrop:
 
         Examples
         --------
-        >>> planes = np.zeros((HEIGHT_PX, WIDTH_PX, PLANES), np.uint8)
+        >>> planes = np.zeros((HEIGHT_PX, WIDTH_PX, 6), np.uint8)
         >>> crop = FruitCrop(planes, np.array([50.0, 40.0]), np.array([0.0, 1.0]), 2.0)
         >>> crop.to_picture(np.array([[(WIDTH_PX - 1) / 2 + 3, (HEIGHT_PX - 1) / 2]])).tolist()
         [[50.0, 46.0]]
@@ -135,43 +131,35 @@ def fruit_crop(
     >>> crop.middle_px.round(1).tolist(), round(crop.step_px, 2)
     ([311.5, 249.5], 0.57)
     """
-    frame = _frame_of(mask)
-    if frame is None:
-        return None
-    middle_px, along, step_px, radius_px = frame
-    height, width = size_px
-    aside = np.array([-along[1], along[0]])
-    columns = (np.arange(width) - (width - 1) / 2) * step_px
-    rows = (np.arange(height) - (height - 1) / 2) * step_px
-    sample_px = middle_px + columns[None, :, None] * along + rows[:, None, None] * aside
-    planes = np.zeros((height, width, PLANES), np.uint8)
-    planes[..., :3] = sample_color(color_rgb, sample_px, step_px)
-    planes[..., 3] = 128
-    u, v = np.moveaxis(np.rint(sample_px).astype(np.intp), -1, 0)
-    inside = (v >= 0) & (v < mask.shape[0]) & (u >= 0) & (u < mask.shape[1])
-    planes[inside, 5] = np.where(mask[v[inside], u[inside]], 255, 0)
-    on_fruit = np.zeros(0, np.float32) if depth_m is None else depth_m[mask]
-    on_fruit = on_fruit[valid_depth(on_fruit)]
-    if depth_m is not None and focal_px is not None and on_fruit.size:
-        surface_m = float(np.median(on_fruit))
-        radius_m = max(radius_px * surface_m / focal_px, 1e-3)
-        z = np.zeros(inside.shape, np.float32)
-        z[inside] = depth_m[v[inside], u[inside]]
-        read = valid_depth(z)
-        off = np.clip((z - surface_m) / radius_m, -_DEPTH_RADII, _DEPTH_RADII)
-        planes[..., 3] = np.where(read, np.rint(127.5 + 127.5 * off / _DEPTH_RADII), 128)
-        planes[..., 4] = np.where(read, 255, 0)
-    return FruitCrop(planes, middle_px, along, step_px)
-
-
-def _frame_of(
-    mask: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float] | None:
-    """Return the middle of a mask, its longer axis, the crop's step and the mask's radius."""
     window = mask_window(mask, 1)
     if window is None:
         return None
-    pixels = mask_pixels(mask)
+    middle_px, along, step_px, radius_px = _frame_of(mask, window)
+    places_px = crop_places(middle_px, along, step_px, size_px)
+    surface_m = (
+        None if depth_m is None or focal_px is None else _surface_m(depth_m[window], mask[window])
+    )
+    if surface_m is None or focal_px is None:
+        planes = crop_planes(color_rgb, None, mask, places_px, step_px)
+    else:
+        radius_m = max(radius_px * surface_m / focal_px, 1e-3)
+        planes = crop_planes(color_rgb, depth_m, mask, places_px, step_px, surface_m, radius_m)
+    return FruitCrop(planes, middle_px, along, step_px)
+
+
+def _surface_m(depth_m: NDArray[np.float32], mask: NDArray[np.bool_]) -> float | None:
+    """Return the median depth on a mask, None without a reading."""
+    on_fruit_m = depth_m[mask]
+    on_fruit_m = on_fruit_m[valid_depth(on_fruit_m)]
+    return float(np.median(on_fruit_m)) if on_fruit_m.size else None
+
+
+def _frame_of(
+    mask: NDArray[np.bool_], window: tuple[slice, slice]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Return the middle of a mask, its longer axis, the crop's step and the mask's radius."""
+    rows, columns = window  # of the mask and a pixel around it
+    pixels = mask_pixels(mask[window]) + np.array([columns.start, rows.start])
     spread = np.cov((pixels - pixels.mean(axis=0)).T) if len(pixels) > 2 else np.eye(2)
     along = np.linalg.eigh(spread)[1][:, 1]
     axes = np.array([along, [-along[1], along[0]]])

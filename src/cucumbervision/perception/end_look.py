@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.instances.end_crops import END_PX, PLANES, EndCrop, EndLook
+from cucumbervision.instances.end_crops import END_PX, EndCrop, EndLook
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.classifier import SmallNetwork
 
 if TYPE_CHECKING:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import expit, logit
 
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.instance import with_disjoint_masks
 from cucumbervision.instances.masks import mask_iou, without_spurs
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.classifier import SmallNetwork
 
 if TYPE_CHECKING:

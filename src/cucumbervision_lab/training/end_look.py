@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.instances.end_crops import END_PX, PLANES, QUANTILES, EndLook
+from cucumbervision.instances.end_crops import END_PX, QUANTILES, EndLook
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
 from cucumbervision_lab.training.classifier import (
     CHANNELS,

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.files import write_bytes
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.masks import mask_iou
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.pictures import capture_of

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, PLANES, WIDTH_PX
+from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX
+from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,

@@ -62,6 +62,21 @@ class ThreadRecorder:
         return None if self._thread.is_alive() else 0
 
 
+@pytest.fixture
+def in_zone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Set the time zone of this process until the test ends."""
+    if not hasattr(time, "tzset"):
+        pytest.skip("the time zone cannot be set here")
+
+    def set_zone(name: str) -> None:
+        patch.setenv("TZ", name)
+        time.tzset()
+
+    with monkeypatch.context() as patch:
+        yield set_zone
+    time.tzset()
+
+
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with one round: the bundled captures, measured on their own masks."""

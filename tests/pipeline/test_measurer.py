@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -62,6 +63,23 @@ def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert (result.rows, len(result.failures)) == ([], 3)
     assert {f.error for f in result.failures} == {"CalibrationError"}
     assert "848x480 fx 640.000 px, here 848x480 fx 616.400 px" in result.failures[0].message
+
+
+def test_a_run_has_one_calibration_though_its_file_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "site.json"
+    write_site_calibration(path, site(scale=1.04))
+    options = MeasureOptions(instances="dataset", methods=(MethodName.M3,), calibration=path)
+    calibrated, after = Measurer(options), tmp_path / "after.json"
+    assert calibrated.site == site(scale=1.04)
+    write_site_calibration(path, site(scale=0.96))
+    write_site_calibration(after, site(scale=1.04))
+    elsewhere = pickle.loads(pickle.dumps(calibrated))  # what a process of a batch gets
+    assert elsewhere.site == calibrated.site
+    # Its rows are those of the file that it read: with the new one they are measured again.
+    stages = (Stage.DATASET, Stage.KEPT)
+    same = Measurer(replace(options, calibration=after)).hashes.of(stages)
+    assert elsewhere.hashes.of(stages) == calibrated.hashes.of(stages) == same
+    assert not Measurer(options).hashes.still_hold(stages, same)
 
 
 def test_the_ends_of_a_pictures_tubes_are_judged_in_one_batch() -> None:

@@ -1,13 +1,14 @@
 """Whether a stream stays as it began: an hour of `cucumbervision stream`, looked at every minute.
 
-    python -m tests.robustness.hour [--minutes 60] [--every 4] [--instances dataset]
+    python -m tests.robustness.hour [--minutes 60] [--every 4] [--instances dataset] [--counts FILE]
 
 A program writes a capture every few seconds into a folder that the stream follows, in which fruit
 pass by; it removes old ones, and every fortieth has a depth picture cut in half. Each minute the
-process's memory, open files, threads, processor time, and the delay of its lines are printed. The
-exit code is 1 if its memory grows by more than 2 % from the third quarter of the looks to the last,
-or by 20 % after ten minutes; if files or threads grow at all; or if a capture has neither line nor
-failure. Memory that the allocator keeps after the first captures is no leak: a leak goes on.
+process's memory, open files, threads, processor time, and the delay of its lines are printed, with
+the minutes left. Ctrl-C or signal 15 ends it early, and it judges what it saw. The exit code is 1
+if its memory grows by more than 2 % from the third quarter of the looks to the last, or by 20 %
+after ten minutes; if files or threads grow at all; or if a capture has neither line nor failure.
+Memory that the allocator keeps after the first captures is no leak: a leak goes on.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -28,13 +30,16 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tests.robustness.trial import begin
+from tests.robustness.counted import write_counts
+from tests.robustness.trial import ALONE, begin
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cucumbervision.capture.frames import Capture
 
 STREAM = ("--follow", "--every", "--fast", "--quiet", "--instances")
@@ -44,6 +49,7 @@ _WARM = 10  # looks, until every network, cache and thread is there
 _HELD = 200  # captures in the folder
 _DAMAGED = 40
 _MOVED_PX = 24  # from one capture to the next
+_MINUTE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,7 @@ class Look:
         return f"{self.memory_mb:9.1f} {counts} {self.tracks:6} {late}"
 
 
-HEAD = "minute memory_mb files threads processor_s lines tracks latency_s (median, most)"
+HEAD = "minute left memory_mb files threads processor_s lines tracks latency_s (median, most)"
 
 
 def look_at(pid: int) -> dict[str, Any]:
@@ -110,13 +116,12 @@ def faults_of(looks: list[Look], warm: int = _WARM) -> list[str]:
 class Walk(threading.Thread):
     """Writes a capture every few seconds until it is stopped; fruit pass through its pictures."""
 
-    def __init__(self, folder: Path, every_s: float) -> None:
+    def __init__(self, folder: Path, every_s: float, is_said: Callable[[str], bool]) -> None:
         super().__init__(name="walk", daemon=True)
-        self._folder, self._every_s = folder, every_s
+        self._folder, self._every_s, self._is_said = folder, every_s, is_said
         self._one = next(iter(open_source(example_captures() / "simulated-row-a"))).load()
         self.ended = threading.Event()
-        self.whole: list[str] = []
-        self.damaged: list[str] = []
+        self.written: list[str] = []
 
     def run(self) -> None:
         """Write, each at its time."""
@@ -129,11 +134,11 @@ class Walk(threading.Thread):
             if number % _DAMAGED == _DAMAGED - 1:
                 picture = next(aside.glob("depth*.png"))
                 picture.write_bytes(picture.read_bytes()[: picture.stat().st_size // 2])
-                self.damaged.append(aside.name)
-            else:
-                self.whole.append(aside.name)
             aside.rename(self._folder / aside.name)
-            shutil.rmtree(self._folder / f"walk-{number - _HELD:06d}", ignore_errors=True)
+            self.written.append(aside.name)
+            old = self._folder / f"walk-{number - _HELD:06d}"
+            if self._is_said(old.name):  # a slow machine may not have come to it
+                shutil.rmtree(old, ignore_errors=True)
 
     def _turned(self, number: int) -> Capture:
         one, by_px = self._one, -_MOVED_PX * number
@@ -146,72 +151,143 @@ class Walk(threading.Thread):
         return replace(one, frame=number, name=f"walk-{number:06d}", **turned)
 
 
-def stream_for(
-    folder: Path, minutes: float, every_s: float, instances: str = "models", minute_s: float = 60.0
-) -> list[str]:
-    """Run a stream, print a look at every minute, and return what is wrong."""
-    house = folder / "house"
-    house.mkdir()
-    lines: list[dict[str, Any]] = []
-    failures: list[str] = []
-    process = begin("stream", house, *STREAM, instances)
-    output: Any = process.stdout
+@dataclass
+class Stream:
+    """A stream that follows a folder, and what it said so far."""
 
-    def hear() -> None:
+    process: subprocess.Popen[str]
+    lines: list[dict[str, Any]] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+    looks: list[Look] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._taken = 0
+        self._hearing = threading.Thread(target=self._hear, name="lines")
+        self._hearing.start()
+
+    def _hear(self) -> None:
+        output: Any = self.process.stdout
         for line in output:
             if line.startswith("{"):
-                lines.append(json.loads(line))
+                self.lines.append(json.loads(line))
             else:
-                failures.append(line)
+                self.failures.append(line)
 
-    hearing = threading.Thread(target=hear, name="lines")
-    hearing.start()
-    walk = Walk(house, every_s)
+    def look(self) -> Look:
+        """Look at the process, and at its lines since the last look."""
+        fresh, self._taken = self.lines[self._taken :], len(self.lines)
+        earlier = self.looks[-1].tracks if self.looks else 0
+        tracks = max([earlier, *(one["track"] for line in fresh for one in line["fruit"])])
+        late = [line["latency_s"] for line in fresh]
+        self.looks.append(Look(**look_at(self.process.pid), latency_s=late, tracks=tracks))
+        return self.looks[-1]
+
+    def end(self) -> None:
+        """Ask the process to end, make it end, and hear what it said last."""
+        self._catch_up()
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(60)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+        self._hearing.join()
+
+    def _catch_up(self) -> None:
+        """Wait while lines come: what was written last is measured, too."""
+        said = -1
+        while self.process.poll() is None and said < (said := len(self.lines)):
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(_MINUTE_S)
+
+    def says(self, name: str) -> bool:
+        """Return whether a capture has a line or a failure."""
+        measured = any(line["capture"] == name for line in reversed(self.lines))
+        return measured or any(name in line for line in self.failures)
+
+    def unsaid(self, walk: Walk) -> list[str]:
+        """Return the captures that have neither a line nor a failure."""
+        # Captures before the first line were there before the stream was open.
+        first = self.lines[0]["capture"] if self.lines else ""
+        return [name for name in walk.written if name > first and not self.says(name)]
+
+
+def stream_for(
+    folder: Path,
+    minutes: int,
+    every_s: float,
+    instances: str = "models",
+    ended: threading.Event | None = None,
+) -> tuple[list[str], dict[str, Any]]:
+    """Run a stream and print a look at every minute, until its time is over or `ended` is set.
+
+    Returns
+    -------
+    list of str
+        What is wrong.
+    dict
+        Its counts.
+    """
+    house = folder / "house"
+    house.mkdir()
+    ended = ended or threading.Event()
+    stream = Stream(begin("stream", house, *STREAM, instances, before=ALONE))
+    walk = Walk(house, every_s, stream.says)
     walk.start()
-    looks: list[Look] = []
-    taken = tracks = 0
+    died = []
     try:
-        while not lines and process.poll() is None:
-            time.sleep(every_s)
+        while not stream.lines and stream.process.poll() is None and not ended.wait(every_s):
+            pass
         sys.stdout.write(f"{HEAD}\n")
-        for minute in range(1, round(minutes) + 1):
-            time.sleep(minute_s)
-            if process.poll() is not None:
-                return [f"the stream ended with {process.returncode}: {failures[-3:]}"]
-            fresh, taken = lines[taken:], len(lines)
-            tracks = max([tracks, *(one["track"] for line in fresh for one in line["fruit"])])
-            late = [line["latency_s"] for line in fresh]
-            looks.append(Look(**look_at(process.pid), latency_s=late, tracks=tracks))
-            sys.stdout.write(f"{minute:6} {looks[-1]}\n")
+        for minute in range(1, minutes + 1):
+            if ended.wait(_MINUTE_S):
+                break
+            if stream.process.poll() is not None:
+                died = [f"the stream ended with {stream.process.returncode}"]
+                break
+            sys.stdout.write(f"{minute:6} {minutes - minute:4} {stream.look()}\n")
             sys.stdout.flush()
     finally:
         walk.ended.set()
         walk.join()
-        time.sleep(min(10 * every_s, 60))  # what was written last is measured, too
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(60)
-        except subprocess.TimeoutExpired:
-            process.kill()
-        hearing.join()
-    first = lines[0]["capture"]  # those before it were there before the stream was open
-    whole = sorted(set(walk.whole) - {line["capture"] for line in lines})
-    damaged = [name for name in walk.damaged if not any(name in line for line in failures)]
-    sys.stdout.write(f"{len(lines)} lines, {len(failures)} failures\n")
-    unsaid = [name for name in (*whole, *damaged) if name > first]
-    return faults_of(looks) + [f"nothing is said of {name}" for name in unsaid]
+        stream.end()
+    if died:
+        return [*died, *stream.failures[-3:]], counts_of(stream)
+    unsaid = [f"nothing is said of {name}" for name in stream.unsaid(walk)]
+    return faults_of(stream.looks) + unsaid, counts_of(stream)
+
+
+def counts_of(stream: Stream) -> dict[str, Any]:
+    """Return how much a stream was given, and how its process was after the warm-up and at last."""
+    came = f"{len(stream.lines):,} measured, {len(stream.failures):,} refused by name"
+    if len(stream.looks) > _WARM:
+        first, last = stream.looks[_WARM], stream.looks[-1]
+        changes = [
+            f"{getattr(first, name):.0f} and {getattr(last, name):.0f} {unit}"
+            for name, unit in (("memory_mb", "MB"), ("files", "files"), ("threads", "threads"))
+        ]
+        came += f"; {', '.join(changes)} after {_WARM + 1} and {len(stream.looks)} minutes"
+    return {"inputs": len(stream.lines) + len(stream.failures), "came": came}
 
 
 def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--minutes", type=int, default=60)
     parser.add_argument("--every", type=float, default=4, help="seconds from capture to capture")
     parser.add_argument("--instances", default="models", help="as of `stream`")
+    parser.add_argument("--counts", type=Path, help="file to which the counts are written")
     given = parser.parse_args()
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
     with tempfile.TemporaryDirectory(prefix="stream-") as tmp:
-        faults = stream_for(Path(tmp), given.minutes, given.every, given.instances)
-    sys.stdout.write("".join(f"{fault}\n" for fault in faults) or "as it began\n")
+        faults, counts = stream_for(Path(tmp), given.minutes, given.every, given.instances, ended)
+    verdict = f"{len(faults)} faults" if faults else "as it began"
+    counts["came"] += f": {verdict}"
+    if given.counts is not None:
+        write_counts(given.counts, "hour", counts)
+    sys.stdout.write("".join(f"{fault}\n" for fault in faults))
+    sys.stdout.write(f"{counts['inputs']:,} captures: {counts['came']}\n")
     return int(bool(faults))
 
 

@@ -173,9 +173,14 @@ class SiteCalibration(_Frozen):
         return self.depth_scale.value if self.depth_scale else 1.0
 
     @property
+    def sha256(self) -> str:
+        """SHA-256 of the content, hexadecimal."""
+        return hashlib.sha256(self.as_text().encode()).hexdigest()
+
+    @property
     def tag(self) -> str:
-        """Name and the first eight digits of the content's SHA-256, for result rows."""
-        return f"{self.name}@{hashlib.sha256(self.as_text().encode()).hexdigest()[:8]}"
+        """Name and the first eight digits of `sha256`, for result rows."""
+        return f"{self.name}@{self.sha256[:8]}"
 
     def entry(self, method: str, kind: LengthDefinition) -> CorrectionEntry | None:
         """Return the correction of a method for a definition of length, or None.

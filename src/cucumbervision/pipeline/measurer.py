@@ -37,6 +37,7 @@ from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
@@ -279,7 +280,22 @@ class Measurer:
     @cached_property
     def hashes(self) -> StageHashes:
         """Hashes of everything that rows depend on, by stage."""
-        return StageHashes(self.options, self._registry, self.plugged)
+        return StageHashes(self.options, self._registry, self.plugged, self.site)
+
+    def calibrated_by(self, site: SiteCalibration | None, path: Path | None = None) -> Measurer:
+        """Return a measurer with another calibration, or none, that shares the loaded networks.
+
+        Parameters
+        ----------
+        site : SiteCalibration, optional
+            The calibration.
+        path : Path, optional
+            Its file, for the options.
+        """
+        options = replace(self.options, calibration=path)
+        other = Measurer(options, self._registry, self.plug_ins)
+        other._finder, other.site = self._finder, site
+        return other
 
     def load(self) -> Finder:
         """Load networks and calibration, if not loaded; SAM is loaded on first use.
@@ -472,8 +488,20 @@ class Measurer:
             return CaptureResult.failed(capture, error)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle only the options, so that another process loads its own networks."""
-        return Measurer, (self.options, self._registry, self.plug_ins)
+        """Pickle options and calibration, so that another process loads its own networks.
+
+        The calibration is the one that was read here: its file may be replaced before that.
+        """
+        return _as_pickled, (self.options, self._registry, self.plug_ins, self.site)
+
+
+def _as_pickled(
+    options: MeasureOptions,
+    registry: Registry | None,
+    plug_ins: PlugIns,
+    site: SiteCalibration | None,
+) -> Measurer:
+    return Measurer(options, registry, plug_ins).calibrated_by(site, options.calibration)
 
 
 def _known_odds(odds: float | None) -> EndJudge:

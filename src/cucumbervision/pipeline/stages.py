@@ -24,6 +24,7 @@ from cucumbervision.plugins import plugins
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.options import MeasureOptions
 
@@ -56,6 +57,9 @@ class StageHashes:
         Registry of named networks; by default that of the package.
     plugged : RunPlugins, optional
         Methods and traits of the run; by default those of the options.
+    site : SiteCalibration, optional
+        The calibration that the run has read; by default its file is hashed, which another program
+        may have replaced since.
 
     Examples
     --------
@@ -73,7 +77,9 @@ class StageHashes:
         options: MeasureOptions,
         registry: Registry | None = None,
         plugged: RunPlugins | None = None,
+        site: SiteCalibration | None = None,
     ) -> None:
+        self._site = site
         self._options, self._registry = options, registry or load_registry()
         self._plugged = plugged or RunPlugins(options, PlugIns())
         self._digests: dict[str, Any] = {}
@@ -116,7 +122,8 @@ class StageHashes:
     @cached_property
     def _always(self) -> Any:
         options = self._options
-        site = options.calibration and _path_sha256(options.calibration)
+        read, path = self._site, options.calibration
+        site = read.sha256 if read is not None else path and _path_sha256(path)
         how = [list(options.methods), str(options.selector), str(options.length)]
         sizes = options.accepted_m, options.accepted_diameter_m
         crop = *sizes, options.cut_beyond_m, options.camera_up, list(options.classes)

@@ -23,7 +23,11 @@ from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision_greenhouse.rounds.adding import RoundCapture, add_all, capture_sha256
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
-from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_capture
+from cucumbervision_greenhouse.rounds.stop_records import (
+    fruit_record,
+    stored_calibration,
+    stored_capture,
+)
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -64,11 +68,39 @@ class SharedMeasurer:
         self._prompted: tuple[object, NDArray[np.bool_] | None] = (None, None)
 
     def with_options(self, options: MeasureOptions) -> Measurer:
-        """Return a measurer with these options."""
+        """Return a measurer with these options, and the calibration as its file is now.
+
+        Raises
+        ------
+        CalibrationError
+            If it cannot be read.
+        """
+        fresh = Measurer(options, self._registry)
+        site = fresh.site
         with self._lock:
-            if self._loaded is None or self._loaded.options != options:
-                self._loaded = Measurer(options, self._registry)
-            return self._loaded
+            loaded = self._with_networks_of(options) or fresh
+            if (loaded.options, loaded.site) != (options, site):
+                loaded = loaded.calibrated_by(site, options.calibration)
+            self._loaded = loaded
+        return loaded
+
+    def _with_networks_of(self, options: MeasureOptions) -> Measurer | None:
+        """Return the loaded measurer if it differs from these options by its calibration only."""
+        loaded = self._loaded
+        if loaded and replace(loaded.options, calibration=options.calibration) == options:
+            return loaded
+        return None
+
+    def _measure_stored(
+        self, capture: Capture, stop: StopRecord, instance: Instance, options: MeasureOptions
+    ) -> FruitMeasurement:
+        """Measure a fruit of a stored capture with the calibration that its depth has already.
+
+        The one in the options may be another camera's, or newer.
+        """
+        plain = replace(options, calibration=None)
+        measurer = self._with_networks_of(options) or self.with_options(plain)
+        return measurer.calibrated_by(stored_calibration(stop)).measure_instance(capture, instance)
 
     def warm_up(self, options: MeasureOptions) -> None:
         """Load the networks, and run each once, since the first run takes much longer."""
@@ -170,7 +202,7 @@ class SharedMeasurer:
             detector_mask=None,
             keypoints=keypoints,
         )
-        measurement = self.with_options(options).measure_instance(capture, instance)
+        measurement = self._measure_stored(capture, detail.stop, instance, options)
         return store.correct(
             detail.view.key, _placed(capture, detail.stop, measurement, record.number)
         )
@@ -215,7 +247,7 @@ class SharedMeasurer:
         taken = next(candidate for candidate in stop.captures if candidate.name == capture.name)
         _refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
-        measurement = self.with_options(options).measure_instance(capture, instance)
+        measurement = self._measure_stored(capture, stop, instance, options)
         fruit = _placed(capture, stop, measurement, 1)
         if is_doubtful(measurement, capture):
             flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
@@ -243,13 +275,14 @@ def measure_waiting(
     waiting: WaitingCaptures,
     measurer: SharedMeasurer,
     store: Store,
-    options: MeasureOptions,
+    options: Callable[[], MeasureOptions],
     settle: Callable[[str], str],
     job: Job,
 ) -> int:
     """Measure queued captures until the queue is empty; return how many became stops.
 
-    A capture leaves the queue after its stop is in the store, so that it is never lost.
+    A capture leaves the queue after its stop is in the store, so that it is never lost. Options or
+    a calibration that change meanwhile count from the next capture on.
 
     Parameters
     ----------
@@ -265,8 +298,22 @@ def measure_waiting(
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
+    while waiting.captures():
+        _measure_alike(waiting, measurer, store, options, settle, job)
+    return len(job.measured)
+
+
+def _measure_alike(
+    waiting: WaitingCaptures,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: Callable[[], MeasureOptions],
+    settle: Callable[[str], str],
+    job: Job,
+) -> None:
+    """Measure queued captures until the queue is empty or the options change."""
     queue: list[Waiting] = []
-    measures = measurer.with_options(options)
+    measures = measurer.with_options(options())
     measures.load()  # if this fails, no capture is tried
 
     def items() -> Iterator[RoundCapture | Failure]:
@@ -285,6 +332,8 @@ def measure_waiting(
                 )
             except CucumberVisionError as error:
                 yield Failure.of(error, queued_capture.key)
+            if measurer.with_options(options()) is not measures:
+                return
 
     # In turn: each capture leaves the queue, or is dropped, before the next is read.
     for _, added in add_all(store, items(), measures, in_turn):
@@ -298,7 +347,6 @@ def measure_waiting(
         last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
         if last_of_round and (fault := settle(queued_capture.round_key)):
             job.notes.append(fault)
-    return len(job.measured)
 
 
 _SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object

@@ -171,7 +171,8 @@ def length_days(views: Iterable[DetectionSummary], units: Units) -> list[dict[st
     for view in views:
         length = view.record.length
         if length is not None:
-            moment = datetime.fromtimestamp(view.taken_s).astimezone()
+            # Without a zone: a browser elsewhere would draw another day than the pages say.
+            moment = datetime.fromtimestamp(view.taken_s)
             lines.append(
                 {
                     "at": moment.isoformat(timespec="minutes"),

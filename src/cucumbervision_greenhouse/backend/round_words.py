@@ -59,17 +59,15 @@ def day_words(at_s: float) -> str:
     return day_month_words(date.fromtimestamp(at_s))
 
 
-def date_words(at_s: float, now_s: float) -> str:
-    """Return the day of a moment: 'today', 'tomorrow', or the weekday and date.
+def date_words(day: date, today: date) -> str:
+    """Return a day in words: 'today', 'tomorrow', or the weekday and date.
 
     Examples
     --------
-    >>> noon_s = 1_700_000_000.0
-    >>> [date_words(noon_s + 86400 * day, noon_s) for day in (-1, 0, 1, 2)]
+    >>> [date_words(date(2023, 11, day), date(2023, 11, 14)) for day in (13, 14, 15, 16)]
     ['Mon 13 Nov', 'today', 'tomorrow', 'Thu 16 Nov']
     """
-    day, today = (date.fromtimestamp(moment_s) for moment_s in (at_s, now_s))
-    return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_words(at_s))
+    return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_month_words(day))
 
 
 def _name_of(round_summary: RoundSummary) -> str:

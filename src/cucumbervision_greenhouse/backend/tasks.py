@@ -10,6 +10,7 @@ import streamlit as st
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
+from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.backend.jobs import Job
 from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.measuring import measure_waiting
@@ -45,10 +46,14 @@ def wake() -> Job | None:
         return jobs[0]
     if not waiting().captures():
         return jobs[0] if jobs else None
-    parts = waiting(), measurer(), store(), settings().options, _settle
+    parts = waiting(), measurer(), store(), _options, _settle
     # A partial function is not bound to a page, so that it may run with no page open.
     jobs[:] = [worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)]
     return jobs[0]
+
+
+def _options() -> MeasureOptions:
+    return settings().options
 
 
 def measuring_fault() -> str:

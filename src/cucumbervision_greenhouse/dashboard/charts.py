@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections import Counter
 from datetime import date, datetime
 from typing import TYPE_CHECKING, Any
@@ -22,6 +21,7 @@ from cucumbervision_greenhouse.backend.language import date_names, day_month_wor
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.round_words import date_words
 from cucumbervision_greenhouse.backend.theme import ink
+from cucumbervision_greenhouse.rounds.forecasting import date_after
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
@@ -265,6 +265,7 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
     lines = [{**line, "class": label_words(line["class"])} for line in lines]
     for line in lines:
         line["when"] = day_month_words(date.fromisoformat(line["day"]))
+        line["day"] += "T00:00"  # browsers read a date alone as one in UTC
     axis = _day_axis(weekday=len(days) <= _WEEKDAYS)
     chart: alt.Chart = (
         alt.Chart(_data(lines))
@@ -324,7 +325,7 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
 
 def forecast_day(prediction: Forecast, day: int) -> str:
     """Return the name of a day of a forecast, counted from its day 0."""
-    return date_words((prediction.today + day) * DAY_S, time.time())
+    return date_words(date_after(prediction.today * DAY_S, day), date.today())
 
 
 def first_days(prediction: Forecast) -> dict[str, int]:

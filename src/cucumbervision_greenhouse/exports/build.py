@@ -22,7 +22,7 @@ from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
 from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
-from cucumbervision_greenhouse.rounds.forecasting import day_0_s, forecast_today
+from cucumbervision_greenhouse.rounds.forecasting import date_after, day_0_s, forecast_today
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
@@ -291,7 +291,7 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
                     "scope": scope,
                     "row": row_name,
                     "day": day,
-                    "date_utc": _date(today_s, day),
+                    **_dates(today_s, day),
                     "class": name,
                     "picked_class": name in forecast.pick,
                     "expected": standing.expected[index],
@@ -317,11 +317,12 @@ def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Lin
 def _work_lines(forecast: Forecast, today_s: float, rates: Rates | None) -> Iterator[Line]:
     for work in plan_work(forecast, rates):
         crates = sum(crates.expected for crates in work.crates.values())
-        yield {"work": work, "date_utc": _date(today_s, work.day), "crates": crates}
+        yield {"work": work, **_dates(today_s, work.day), "crates": crates}
 
 
-def _date(today_s: float, day: int) -> str:
-    return utc(today_s + day * DAY_S)[:10]
+def _dates(today_s: float, day: int) -> Line:
+    date = date_after(today_s, day).isoformat()
+    return {"date": date, "date_utc": utc(today_s + day * DAY_S)[:10]}
 
 
 def _remarks(fruit: RoundFruit) -> str:

@@ -405,7 +405,15 @@ def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Co
 def day_0_s(round_summary: RoundSummary, now_s: float) -> float:
     """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
     days, age = age_of(round_summary.walked_s, now_s)
-    return round_summary.walked_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+    # Without a zone: the same time of day, also beyond the day on which the clocks change.
+    walked = datetime.datetime.fromtimestamp(round_summary.walked_s)
+    later = datetime.timedelta(0 if age is Age.USELESS else max(days, 0))
+    return (walked + later).timestamp()
+
+
+def date_after(at_s: float, days: int) -> datetime.date:
+    """Return the local date some days after a moment; a day may have 23 or 25 hours."""
+    return datetime.date.fromtimestamp(at_s) + datetime.timedelta(days)
 
 
 def read_today(

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from cucumbervision.calibration.calibrated import calibrated_fruit
-from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.matching import ALONG
@@ -25,7 +24,12 @@ from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure
 from cucumbervision_greenhouse.rounds.from_store import joint_groups, read_round
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, stored_pose
-from cucumbervision_greenhouse.rounds.stop_records import fruit_record, instance_of, stored_capture
+from cucumbervision_greenhouse.rounds.stop_records import (
+    fruit_record,
+    instance_of,
+    stored_calibration,
+    stored_capture,
+)
 from cucumbervision_greenhouse.store.records import JointRecord
 
 if TYPE_CHECKING:
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.views import JointFruit
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
@@ -137,10 +142,7 @@ class _StoredView:
     @property
     def site(self) -> SiteCalibration | None:
         """The site's calibration that it was measured with."""
-        details = [
-            artifact.details for artifact in self.stop.artifacts if artifact.kind == "calibration"
-        ]
-        return SiteCalibration.model_validate(dict(details[0])) if details else None
+        return stored_calibration(self.stop)
 
     @property
     def definition(self) -> LengthDefinition:

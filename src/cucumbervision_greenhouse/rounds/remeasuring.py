@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.boxes import box_ious
@@ -29,6 +28,7 @@ from cucumbervision_greenhouse.rounds.stop_records import (
     fruit_record,
     instance_of,
     stop_record,
+    stored_calibration,
     stored_capture,
 )
 from cucumbervision_greenhouse.store.views import DetectionFilter
@@ -113,13 +113,10 @@ def _uncalibrated(
     capture = stored_capture(store.images, record, stop)
     if options.camera_up is not None and capture.gravity in GRAVITY_BY_EDGE.values():
         capture = replace(capture, gravity=None)  # an option's, which is named anew
-    for artifact in stop.artifacts:
-        if artifact.kind == "calibration":
-            site = SiteCalibration.model_validate(dict(artifact.details))
-            depth_m = capture.depth_m * np.float32(site.depth_divisor)
-            capture = replace(capture, depth_m=depth_m)
-            if site.lens is not None:
-                capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
+    if (site := stored_calibration(stop)) is not None:
+        capture = replace(capture, depth_m=capture.depth_m * np.float32(site.depth_divisor))
+        if site.lens is not None:
+            capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
     masks = [
         decode_rle(fruit.mask, capture.height, capture.width)
         for fruit in record.fruit

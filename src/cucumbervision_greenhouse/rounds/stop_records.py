@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision._version import __version__
+from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
@@ -240,7 +241,13 @@ def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
     )
 
 
-_MEASURED_FROM = "measured-from"
+_MEASURED_FROM, _CALIBRATION = "measured-from", "calibration"
+
+
+def stored_calibration(stop: StopRecord) -> SiteCalibration | None:
+    """Return the site's calibration that a stop was measured with; None without one."""
+    details = [artifact.details for artifact in stop.artifacts if artifact.kind == _CALIBRATION]
+    return SiteCalibration.model_validate(dict(details[0])) if details else None
 
 
 def measured_from(
@@ -292,9 +299,8 @@ def _artifact_records(
         sha256 = str(model.get("sha256") or "")
         records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(details)))
     if site is not None:
-        sha256 = hashlib.sha256(site.as_text().encode()).hexdigest()
         details = site.model_dump(mode="json")
-        records.append(ArtifactRecord("calibration", site.name, sha256, details))
+        records.append(ArtifactRecord(_CALIBRATION, site.name, site.sha256, details))
     kinds = [measured_from(r.capture, r.stages, measurer.hashes) for r in results if r.stages]
     return (*records, *kinds[:1])
 

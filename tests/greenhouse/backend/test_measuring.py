@@ -8,27 +8,35 @@ import cv2
 import numpy as np
 import pytest
 from demo_captures import SCENES, place
+from tests.calibration.test_calibrated import entry, site
 from tests.greenhouse.conftest import add_one
 
 from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import InstancesError
+from cucumbervision.errors import CalibrationError, InstancesError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.backend.measuring import SharedMeasurer, is_doubtful
+from cucumbervision_greenhouse.backend.jobs import Job
+from cucumbervision_greenhouse.backend.measuring import (
+    SharedMeasurer,
+    is_doubtful,
+    measure_waiting,
+)
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
 from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, hanging_lengths_m
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -148,6 +156,66 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
     assert detail.view.along_m is not None
     store.undo(one.key)
     assert store.detections(one.key) == []
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_corrected_outline_has_the_calibration_that_its_depth_has(
+    store: Store, measurer: SharedMeasurer, tmp_path: Path, *, calibrated: bool
+) -> None:
+    capture = next(iter(open_source(example_captures()))).load()
+    every_mask = [str(MaskSource.DATASET), str(MaskSource.SAM)]
+    house = site(entry(method="M6", mask_sources=every_mask), scale=1.04)
+    write_site_calibration(tmp_path / "site.json", house)
+    now = replace(OPTIONS, calibration=tmp_path / "site.json")
+    before, after = (now, OPTIONS) if calibrated else (OPTIONS, now)
+    one = Round(key_of("calibrated"))
+    store.save_round(one)
+    stop = store.stop(add_one(store, one.key, capture, before).stop_key)
+    detail = store.detection(store.detections(one.key)[0].key)
+    record = detail.view.record
+    mask = decode_rle(record.mask or "", capture.height, capture.width)
+    measurer.correct(store, detail, mask, after)
+    corrected = store.detection(detail.view.key).view.record
+    assert calibrated == (record.raw_length is not None) == (corrected.raw_length is not None)
+    assert corrected.length_m == pytest.approx(record.length_m, rel=0.01)
+    store.set_verdict([detail.view.key], Verdict.REJECTED)
+    again = stored_capture(store.images, stop.captures[0], stop)
+    added = store.detection(measurer.add(store, stop, again, mask, after)).view.record
+    assert added.length_m == pytest.approx(record.length_m, rel=0.01)
+
+
+def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
+    store: Store, measurer: SharedMeasurer, tmp_path: Path
+) -> None:
+    capture = next(iter(open_source(example_captures()))).load()
+    path = tmp_path / "site.json"
+    choices = [replace(OPTIONS, calibration=path)]
+
+    class Queue(WaitingCaptures):
+        def done(self, queued_capture: Waiting) -> None:
+            super().done(queued_capture)
+            if len(self.captures()) == 2:  # another program writes over the file
+                write_site_calibration(path, site(scale=1.01))
+            elif len(self.captures()) == 1:
+                choices[:] = [OPTIONS]
+
+    queue = Queue(tmp_path / "waiting")
+    store.save_round(Round(key_of("queue")))
+    for number in range(3):
+        at = replace(capture, stop=Stop("1", "left", 0.4 * number, number))
+        queue.put(at, key_of("press", number), key_of("queue"), float(number + 1))
+    write_site_calibration(path, site(scale=1.04))
+    job = Job(1, "Measuring")
+    assert measure_waiting(queue, measurer, store, lambda: choices[0], lambda _: "", job) == 3
+    stops = sorted(store.stops(key_of("queue")), key=lambda stop: stop.step or 0)
+    used = [stored_calibration(store.stop(stop.key)) for stop in stops]
+    assert used == [site(scale=1.04), site(scale=1.01), None]
+    queue.put(capture, key_of("last"), key_of("queue"), 9.0)
+    path.unlink()
+    lost = replace(OPTIONS, calibration=path)
+    with pytest.raises(CalibrationError, match=r"site\.json: the file is missing"):
+        measure_waiting(queue, measurer, store, lambda: lost, lambda _: "", job)
+    assert [one.tries for one in queue.captures()] == [0]  # it waits
 
 
 def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted(

@@ -76,7 +76,7 @@ def test_a_queue_is_counted_on_while_captures_come(store: Store, tmp_path: Path)
     for number, key in ((1, OWN), (2, OTHER), (3, OWN), (4, OTHER)):
         queue.press(number, key)
     options, measurer = MeasureOptions(instances="auto"), SharedMeasurer(load_registry())
-    assert measure_waiting(queue, measurer, store, options, lambda _: "", job) == 5
+    assert measure_waiting(queue, measurer, store, lambda: options, lambda _: "", job) == 5
     assert said == [
         "Measuring: 1 of 2 captures; 2 of other rounds wait too",
         "Measuring: 1 of 3 captures; 1 of other rounds waits too",

@@ -234,7 +234,9 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
         settled.append(round_key)
         return ""
 
-    assert measure_waiting(waiting, measurer, store, options, settle, Job(1, "measuring")) == 1
+    assert (
+        measure_waiting(waiting, measurer, store, lambda: options, settle, Job(1, "measuring")) == 1
+    )
     assert waiting.captures() == []
     assert settled == [DEMONSTRATION]
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [one.key]
@@ -253,7 +255,7 @@ def test_a_damaged_capture_does_not_hold_the_others_up(
     (first.folder / "color_000000.png").write_bytes(b"no picture")
     measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
     job = Job(1, "measuring")
-    measure_waiting(waiting, measurer, store, options, lambda _: "", job)
+    measure_waiting(waiting, measurer, store, lambda: options, lambda _: "", job)
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
     assert [one.key for one in waiting.set_aside()] == [first.key]
     assert "color_000000.png" in job.notes[0]
@@ -268,7 +270,7 @@ def test_what_waits_is_not_tried_while_nothing_can_be_measured(
     lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
     measurer = SharedMeasurer(load_registry())
     with pytest.raises(InstancesError):
-        measure_waiting(waiting, measurer, store, lost, lambda _: "", Job(1, "measuring"))
+        measure_waiting(waiting, measurer, store, lambda: lost, lambda _: "", Job(1, "measuring"))
     assert [one.tries for one in waiting.captures()] == [0]
 
 

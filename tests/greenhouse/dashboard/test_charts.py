@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime
+
 import pytest
 
 pytest.importorskip("streamlit")
 
+from cucumbervision_greenhouse.backend.round_tables import length_days
 from cucumbervision_greenhouse.backend.settings import Units
 from cucumbervision_greenhouse.dashboard import charts
+from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.repository import Store
 
 COLORS = {
     "domain": ["class I", "class II", "no class", "undecided"],
@@ -21,6 +27,23 @@ def test_every_class_of_the_lines_has_its_colour() -> None:
     ]
     bars = charts.histogram(lines, Units("cm")).to_dict()["layer"][1]
     assert bars["encoding"]["color"]["scale"] == COLORS
+
+
+def test_days_are_the_same_in_every_browser_wherever_it_is(
+    in_zone: Callable[[str], None], store: Store
+) -> None:
+    in_zone("Pacific/Auckland")
+    cm = Units("cm")
+    views = store.detections(key_of("walk"))[:1]
+    taken = datetime.fromtimestamp(views[0].taken_s)
+    lines = [{"day": taken.date().isoformat(), "class": "class I", "fruit": 3}]
+    grown = length_days(views, cm)
+    for chart, name in ((charts.trend_chart(lines), "day"), (charts.growth_chart(grown, cm), "at")):
+        (shown,) = (row[name] for rows in chart.to_dict()["datasets"].values() for row in rows)
+        # JavaScript takes a date alone as midnight in UTC, and what has a zone to its own.
+        assert "T" in shown
+        assert datetime.fromisoformat(shown).tzinfo is None
+        assert datetime.fromisoformat(shown).date() == taken.date()
 
 
 def test_a_map_has_a_layer_a_class_and_its_marks_where_the_fruit_hang() -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.greenhouse.exports.conftest import CONFIG, MODEL, SITE
+from tests.greenhouse.exports.conftest import CONFIG, MODEL, SITE, WALK
 
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
@@ -116,3 +118,14 @@ def test_days_are_counted_from_the_day_of_the_round(tables: RoundTables) -> None
     house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
     assert [line["date_utc"] for line in house[:5:4]] == ["2024-10-04", "2024-10-05"]
     assert tables["work"].rows[0]["date_utc"] == "2024-10-04"
+
+
+@pytest.mark.parametrize(
+    ("zone", "date"), [("Pacific/Auckland", "2024-10-04"), ("America/Bogota", "2024-10-03")]
+)
+def test_days_have_the_date_of_the_house(
+    store: Store, in_zone: Callable[[str], None], zone: str, date: str
+) -> None:
+    in_zone(zone)
+    tables = round_tables(store, WALK.key, load_profile("long-cucumber"), pictures=False)
+    assert [tables[name].rows[0]["date"] for name in ("forecast", "work")] == [date, date]

@@ -1,23 +1,23 @@
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from datetime import datetime
+from collections.abc import Callable
+from datetime import datetime, timedelta
 
 import pytest
 
-from cucumbervision_greenhouse.rounds.forecasting import age_of, midnight_s
+from cucumbervision_greenhouse.rounds.forecasting import (
+    age_of,
+    date_after,
+    day_0_s,
+    midnight_s,
+)
+from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 @pytest.fixture
-def in_amsterdam(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    if not hasattr(time, "tzset"):
-        pytest.skip("the time zone cannot be set here")
-    with monkeypatch.context() as patch:
-        patch.setenv("TZ", "Europe/Amsterdam")
-        time.tzset()
-        yield
-    time.tzset()
+def in_amsterdam(in_zone: Callable[[str], None]) -> None:
+    in_zone("Europe/Amsterdam")
 
 
 @pytest.mark.usefixtures("in_amsterdam")
@@ -27,3 +27,18 @@ def test_the_day_on_which_the_clocks_change_begins_at_its_midnight(day: datetime
         now_s = day.replace(hour=hour).timestamp()
         assert midnight_s(now_s) == day.timestamp()
         assert age_of(day.replace(day=day.day - 1, hour=23).timestamp(), now_s)[0] == 1
+
+
+@pytest.mark.usefixtures("in_amsterdam")
+@pytest.mark.parametrize("hour", [0, 2, 12, 23])
+@pytest.mark.parametrize("changes", [datetime(2026, 3, 29), datetime(2026, 10, 25)])
+def test_each_day_of_a_forecast_has_its_date_when_the_clocks_change(
+    changes: datetime, hour: int
+) -> None:
+    walked = (changes - timedelta(1)).replace(hour=hour, minute=20)
+    walk = RoundSummary(Round("a", started_s=walked.timestamp()), 1, 1, None)
+    for later in range(3):
+        now_s = (walked + timedelta(later)).timestamp()
+        day_0 = day_0_s(walk, now_s)
+        dates = [date_after(day_0, day) for day in range(3)]
+        assert dates == [walked.date() + timedelta(later + day) for day in range(3)]

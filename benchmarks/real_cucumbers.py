@@ -104,21 +104,39 @@ class Comparison:
             return None
         return 100 * measurement.length_m
 
-    def end_errors_mm(self) -> tuple[float, float] | None:
-        """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
+    def level_axis_cm(self) -> NDArray[np.float64] | None:
+        """Return M6's axis as seen, put where the truth's is: one radius above the plane."""
         fit = None if self.fruit is None else self.fruit.measurements[MethodName.M6].fit
         if fit is None:
             return None
-        axis, camera = self.truth.passes[0].axis_cm, self.truth.camera
-        ends = np.array([fit.traits.axis_m[0], fit.traits.axis_m[-1]])
-        pixels = self.intrinsics.project(ends)
-        hits = level_hits(camera, camera.rays(pixels), float(axis[0, 2]))
+        camera, level_cm = self.truth.camera, float(self.truth.passes[0].axis_cm[0, 2])
+        return level_hits(camera, camera.rays(self.intrinsics.project(fit.traits.axis_m)), level_cm)
+
+    def picture_percent(self) -> float | None:
+        """Return the error of M6's axis as seen, whatever its depth."""
+        axis_cm = self.level_axis_cm()
+        if axis_cm is None:
+            return None
+        seen, true = (polyline_cm(axis) for axis in (axis_cm, self.truth.passes[0].axis_cm))
+        return 100 * (seen / true - 1)
+
+    def end_errors_mm(self) -> tuple[float, float] | None:
+        """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
+        axis_cm = self.level_axis_cm()
+        if axis_cm is None:
+            return None
+        axis, hits = self.truth.passes[0].axis_cm, axis_cm[[0, -1]]
         tips, inner = axis[[0, -1]], axis[[40, -41]]
         if np.linalg.norm(hits[0] - tips[0]) > np.linalg.norm(hits[1] - tips[0]):
             hits = hits[::-1]
         outwards = (tips - inner) / np.linalg.norm(tips - inner, axis=1, keepdims=True)
         first, second = 10 * ((hits - tips) * outwards).sum(1)
         return float(first), float(second)
+
+    def pixel_mm(self) -> float:
+        """Return what a pixel spans at the fruit."""
+        far_cm = np.linalg.norm(self.truth.camera.centre - self.truth.passes[0].axis_cm.mean(0))
+        return float(10 * far_cm / self.intrinsics.fx_px)
 
     def camera_percent(self) -> float:
         """Return the error of depth's scale and of the lens, that the intrinsics leave out."""
@@ -128,8 +146,12 @@ class Comparison:
         pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
         ray = self.intrinsics.rays(*np.asarray(pixels).reshape(-1, 2).T)
         read_cm = np.column_stack([*ray, np.ones(len(points))]) * points[:, 2:] * self.scale
-        lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (read_cm, points)]
-        return float(100 * (lengths[0] / lengths[1] - 1))
+        return 100 * (polyline_cm(read_cm) / polyline_cm(points) - 1)
+
+
+def polyline_cm(points_cm: NDArray[np.float64]) -> float:
+    """Return the length of a line through points, shape (N, 3)."""
+    return float(np.linalg.norm(np.diff(points_cm, axis=0), axis=1).sum())
 
 
 def read_truth(matrix: NDArray[np.float64], file: Path = MARKED) -> list[Truth]:
@@ -297,6 +319,20 @@ def narrowest(comparisons: list[Comparison]) -> str:
     )
 
 
+def ends_and_depth(comparisons: list[Comparison]) -> str:
+    """Return how far M6's ends are off as seen, and what its axis errs in the picture alone."""
+    ends_mm = [(c, c.end_errors_mm()) for c in comparisons]
+    off_mm = np.array([np.abs(ends) for _, ends in ends_mm if ends])
+    off_px = np.array([np.abs(ends) / c.pixel_mm() for c, ends in ends_mm if ends])
+    seen = np.array([percent for c in comparisons if (percent := c.picture_percent()) is not None])
+    worst = seen[np.abs(seen).argmax()]
+    return (
+        f"M6's ends are {np.median(off_mm):.1f} mm, {np.median(off_px):.1f} px off the marked ones "
+        f"(median); its axis as seen, put at its true height, errs by "
+        f"{np.median(np.abs(seen)):.1f} % (median), bias {seen.mean():+.1f}, worst {worst:+.1f} %"
+    )
+
+
 def summary(comparisons: list[Comparison], further_fruit: int) -> list[str]:
     """Return what the tables do not say."""
     lines = []
@@ -335,6 +371,7 @@ def summary(comparisons: list[Comparison], further_fruit: int) -> list[str]:
         f"reported errs by {np.median(np.abs(net_errors)):.2f} % (median), bias "
         f"{np.mean(net_errors):+.2f} (median {np.median(net_errors):+.2f}) %"
     )
+    lines.append(ends_and_depth(comparisons))
     sources = Counter(str(c.fruit.mask_source) for c in comparisons if c.fruit is not None)
     lines.append("masks by " + ", ".join(f"{name}: {n}" for name, n in sources.most_common()))
     lines.append(f"{further_fruit} other fruit found")

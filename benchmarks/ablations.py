@@ -34,7 +34,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CropClassifier
-from cucumbervision.perception.fruit_look import FruitLooker
+from cucumbervision.perception.fruit_look import PictureLooks
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import read_captures
@@ -85,7 +85,6 @@ class Ablation:
     name: str
     replaced: tuple[tuple[Any, str, Any], ...] = ()
     single_size: bool = False
-    depth_votes: bool = True
 
 
 @dataclass
@@ -140,21 +139,18 @@ def ablations() -> list[Ablation]:
 
     straight = (YoloDetector, "_detect_mirrored", pass_straight)
     no_second_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
-    no_close_look = (FruitLooker, "rescore", lambda *arguments: tuple(arguments[-1]))
+    no_close_look = (PictureLooks, "rescore", lambda _, instances: tuple(instances))
     return [
         Ablation("as shipped"),
         Ablation("without the mirror image", (straight,)),
         Ablation("without the second size", single_size=True),
         Ablation("without the second look", (no_second_look,)),
         Ablation("without the close look's vote", (no_close_look,)),
-        Ablation("without the depth vote", depth_votes=False),
-        Ablation("without close look's and depth's votes", (no_close_look,), depth_votes=False),
         Ablation("without joined pieces", (NO_PIECES,)),
         Ablation(
             "without all of these",
             (no_second_look, no_close_look, NO_PIECES),
             single_size=True,
-            depth_votes=False,
         ),
     ]
 
@@ -217,13 +213,13 @@ def score_scene(
 ) -> None:
     """Add one picture to a score."""
     score.fruit += sum(fruit.required for fruit in scene.truth.true)
-    focal_px = scene.focal_px if ablation.depth_votes else None
     with replacing(ablation.replaced):
         computed_s, used_s, start = passes.computed_s, passes.used_s, time.process_time()
         assert networks.segment is not None
         assert networks.fruit is not None
         segmented = networks.segment.detect(scene.color)
-        looked = networks.fruit.rescore(scene.color, scene.depth_m, scene.focal_px, segmented)
+        looks = networks.fruit.on(scene.color, scene.depth_m, scene.focal_px)
+        looked = looks.rescore(segmented)
         by_detection = dict(zip(map(id, segmented), looked, strict=True))
         score.seconds += passes.used_s - used_s - (passes.computed_s - computed_s)
         score.seconds += time.process_time() - start
@@ -234,7 +230,6 @@ def score_scene(
                 None,
                 threshold,
                 scene.depth_m,
-                focal_px=focal_px,
                 look=lambda detections: [by_detection[id(x)] for x in detections],
             )
             if threshold == DEFAULT_CONFIDENCE:

@@ -24,7 +24,6 @@ STAGES = {
     "detector's masks": ("perception.resize:Letterbox.mask_back",),
     "second look's crops": ("perception.crops:CropClassifier.rescore",),
     "stem ends' strips": ("perception.ends:EndClassifier.log_odds",),
-    "depth vote": ("perception.depth_vote:with_depth_votes",),
     "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
     "each fruit once": ("perception.networks:each_fruit_once",),
     "SAM's prompts and masks": ("perception.sam:Sam.segment",),

@@ -135,7 +135,7 @@ def test_nothing_to_look_at_gives_nothing_and_fruit_without_mask_stay(tmp_path: 
     color = np.full((120, 320, 3), 90, np.uint8)
     bare = replace(_instance(), detector_mask=None)
     assert looker.look([]) == []
-    assert looker.refine(color, None, None, [bare]) == (bare,)
+    assert looker.on(color).refine([bare]) == (bare,)
 
 
 def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_pa
         replace(_instance(), detector_mask=mask, box=box_of_mask(mask))
         for mask in (coarse, neighbour)
     ]
-    first, second = looker.refine(color, None, None, pair)
+    first, second = looker.on(color).refine(pair)
     assert first.detector_mask is not None
     visible = MASK & ~neighbour
     assert mask_iou(first.detector_mask, visible) > 0.95
@@ -161,10 +161,33 @@ def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
     looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
     color = np.full((120, 320, 3), 200, np.uint8)
     bare = replace(_instance(), detector_mask=None)
-    shown, unseen = looker.rescore(color, None, None, [_instance(), bare])
+    shown, unseen = looker.on(color).rescore([_instance(), bare])
     # The network's log-odds are 2, those that change nothing 1: 0.4 more for the detector's.
     assert np.log(shown.confidence / (1 - shown.confidence)) == pytest.approx(np.log(4) + 0.4)
     assert unseen is bare
+
+
+def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    shown, look = [], looker.look
+
+    def counted(crops: list[FruitCrop]) -> list[FruitLook]:
+        shown.append(len(crops))
+        return look(crops)
+
+    monkeypatch.setattr(looker, "look", counted)
+    color = np.full((120, 320, 3), 200, np.uint8)
+    color[MASK] = 40, 120, 45
+    looks = looker.on(color)
+    (rescored,) = looks.rescore([_instance()])
+    joined = replace(rescored, detector_mask=MASK | np.roll(MASK, 3, axis=1))
+    first, second = looks.refine([rescored, joined])
+    assert shown == [1, 1]
+    assert first.detector_mask is not None
+    assert second.detector_mask is not None
+    # Another picture is another look.
+    looker.on(color).refine([rescored])
+    assert shown == [1, 1, 1]
 
 
 def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:

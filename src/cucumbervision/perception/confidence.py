@@ -3,6 +3,9 @@
 DEFAULT_CONFIDENCE = 0.20
 """Default threshold for a fruit, after all votes."""
 
+CANDIDATE_CONFIDENCE = 0.02
+"""Threshold for candidates that the network that looks at each fruit may raise."""
+
 _POSE_CONFIDENCE = 0.05
 _FLOOR_SHARE = 1 / 3
 

@@ -84,51 +84,13 @@ class FruitLooker(SmallNetwork):
             for outline, place, verdict in zip(outlines, points, verdicts, strict=True)
         ]
 
-    def rescore(
+    def on(
         self,
         color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None,
-        focal_px: float | None,
-        instances: Sequence[Instance],
-    ) -> tuple[Instance, ...]:
-        """Return detections with confidences that say what the crop shows, too.
-
-        Parameters as those of `refine`.
-        """
-        looks = self._looks(color_rgb, depth_m, focal_px, instances)
-        return tuple(
-            replace(instance, confidence=rescored(instance.confidence, looks[number][1].fruit))
-            if number in looks
-            else instance
-            for number, instance in enumerate(instances)
-        )
-
-    def _looks(
-        self,
-        color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None,
-        focal_px: float | None,
-        instances: Sequence[Instance],
-    ) -> dict[int, tuple[FruitCrop, FruitLook]]:
-        """Return crops and what the network says of them, by number, of instances with a mask."""
-        crops = {}
-        for number, instance in enumerate(instances):
-            mask = instance.detector_mask
-            crop = None if mask is None else fruit_crop(color_rgb, depth_m, mask, focal_px)
-            if crop is not None:
-                crops[number] = crop
-        looks = self.look(list(crops.values()))
-        return {k: (crop, look) for (k, crop), look in zip(crops.items(), looks, strict=True)}
-
-    def refine(
-        self,
-        color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None,
-        focal_px: float | None,
-        instances: Sequence[Instance],
-        ends: EndClassifier | None = None,
-    ) -> tuple[Instance, ...]:
-        """Return detections with the network's outlines and keypoints.
+        depth_m: NDArray[np.float32] | None = None,
+        focal_px: float | None = None,
+    ) -> PictureLooks:
+        """Return what looks at the fruit of one picture.
 
         Parameters
         ----------
@@ -137,7 +99,49 @@ class FruitLooker(SmallNetwork):
         depth_m : ndarray of float32, shape (H, W), optional
             Metres, aligned to colour.
         focal_px : float, optional
-            Focal length of the colour camera, pixels.
+            Focal length of the colour camera, pixels; without it depth is not shown.
+        """
+        return PictureLooks(self, color_rgb, depth_m, focal_px)
+
+
+class PictureLooks:
+    """Looks at the fruit of one picture, each mask once; `FruitLooker.on` makes it."""
+
+    def __init__(
+        self,
+        looker: FruitLooker,
+        color_rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.float32] | None,
+        focal_px: float | None,
+    ) -> None:
+        self._looker, self._color_rgb = looker, color_rgb
+        self._depth_m, self._focal_px = depth_m, focal_px
+        # With each mask, so that no other gets its number.
+        self._done: dict[int, tuple[NDArray[np.bool_], FruitCrop, FruitLook]] = {}
+
+    def rescore(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
+        """Return detections with confidences that say what their crops show, too.
+
+        Parameters
+        ----------
+        instances : sequence of Instance
+            Those without `detector_mask` stay as they are.
+        """
+        looks = self._looks(instances)
+        return tuple(
+            replace(instance, confidence=rescored(instance.confidence, looks[number][1].fruit))
+            if number in looks
+            else instance
+            for number, instance in enumerate(instances)
+        )
+
+    def refine(
+        self, instances: Sequence[Instance], ends: EndClassifier | None = None
+    ) -> tuple[Instance, ...]:
+        """Return detections with the network's outlines and keypoints.
+
+        Parameters
+        ----------
         instances : sequence of Instance
             Those without `detector_mask` stay as they are.
         ends : EndClassifier, optional
@@ -149,15 +153,29 @@ class FruitLooker(SmallNetwork):
             In the same order, without common pixels. An outline that differs much from the
             detector's mask is not taken.
         """
-        looks = self._looks(color_rgb, depth_m, focal_px, instances)
+        looks = self._looks(instances)
         masks = [instance.detector_mask for instance in instances]
         refined_instances = list(instances)
         for number, (crop, look) in looks.items():
             neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
         if ends is not None:
-            refined_instances = list(ends.order_ends(color_rgb, refined_instances))
-        return with_disjoint_masks(refined_instances, depth_m)
+            refined_instances = list(ends.order_ends(self._color_rgb, refined_instances))
+        return with_disjoint_masks(refined_instances, self._depth_m)
+
+    def _looks(self, instances: Sequence[Instance]) -> dict[int, tuple[FruitCrop, FruitLook]]:
+        """Return crops and what the network says of them, by number, of instances with a mask."""
+        masks = {k: x.detector_mask for k, x in enumerate(instances) if x.detector_mask is not None}
+        new = {id(mask): mask for mask in masks.values() if id(mask) not in self._done}
+        crops = {
+            key: crop
+            for key, mask in new.items()
+            if (crop := fruit_crop(self._color_rgb, self._depth_m, mask, self._focal_px))
+        }
+        looks = self._looker.look(list(crops.values()))
+        for (key, crop), look in zip(crops.items(), looks, strict=True):
+            self._done[key] = new[key], crop, look
+        return {k: self._done[id(mask)][1:] for k, mask in masks.items() if id(mask) in self._done}
 
 
 def rescored(confidence: float, log_odds: float) -> float:

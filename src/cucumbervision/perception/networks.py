@@ -13,9 +13,13 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import merge_instances, with_disjoint_masks, with_keypoints
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
+from cucumbervision.perception.confidence import (
+    CANDIDATE_CONFIDENCE,
+    DEFAULT_CONFIDENCE,
+    detector_floor,
+    pose_floor,
+)
 from cucumbervision.perception.crops import CropClassifier
-from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.fruit_look import FruitLooker
@@ -49,9 +53,6 @@ class Detectors:
         Gives the keypoints, and votes on the confidence (`with_pose_votes`).
     confidence : float
         Threshold for a fruit.
-    depth_votes : bool
-        Whether depth may raise or lower the confidence (`with_depth_votes`): it knows the shipped
-        detector's confidences and the sizes of cucumbers.
     fruit : FruitLooker, optional
         Gives the outlines and the keypoints of what is found.
     ends : EndClassifier, optional
@@ -64,12 +65,11 @@ class Detectors:
         pose: YoloDetector | None = None,
         confidence: float = DEFAULT_CONFIDENCE,
         *,
-        depth_votes: bool = False,
         fruit: FruitLooker | None = None,
         ends: EndClassifier | None = None,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._depth_votes, self._fruit, self._ends = depth_votes, fruit, ends
+        self._fruit, self._ends = fruit, ends
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -95,19 +95,19 @@ class Detectors:
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
         depth_m : ndarray of float32, shape (H, W), optional
-            Metres, aligned to colour; separates overlapping fruit, and rescores detections.
+            Metres, aligned to colour; separates overlapping fruit, and is shown to the network that
+            looks at each.
         focal_px : float, optional
-            Focal length of the colour camera, pixels; without it depth does not rescore.
+            Focal length of the colour camera, pixels; without it depth is not shown.
 
         Returns
         -------
         tuple of Instance
             Best first, with masks and keypoints.
         """
-        detector, pose, looker = self._detector, self._pose, self._fruit
-        voting = depth_m if self._depth_votes and focal_px is not None else None
-        may_raise = voting is not None or looker is not None
-        least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence) if may_raise else None
+        detector, pose = self._detector, self._pose
+        looks = None if self._fruit is None else self._fruit.on(color_rgb, depth_m, focal_px)
+        least_confidence = None if looks is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
         detections = detector.detect(color_rgb, least_confidence)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
         fruit = each_fruit_once(
@@ -116,12 +116,9 @@ class Detectors:
             depth_m,
             confidence=self._confidence,
             looks=detector.looks,
-            focal_px=None if voting is None else focal_px,
-            look=None if looker is None else partial(looker.rescore, color_rgb, depth_m, focal_px),
+            look=None if looks is None else looks.rescore,
         )
-        if looker is None:
-            return fruit
-        return looker.refine(color_rgb, depth_m, focal_px, fruit, self._ends)
+        return fruit if looks is None else looks.refine(fruit, self._ends)
 
 
 def each_fruit_once(
@@ -131,7 +128,6 @@ def each_fruit_once(
     *,
     confidence: float = DEFAULT_CONFIDENCE,
     looks: int = 1,
-    focal_px: float | None = None,
     look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
 ) -> tuple[Instance, ...]:
     """Merge a detector's and a pose network's detections of one picture.
@@ -148,26 +144,17 @@ def each_fruit_once(
         Threshold for a fruit after the vote; poses above it are matched first.
     looks : int
         As for `with_pose_votes`.
-    focal_px : float, optional
-        Focal length of the colour camera, pixels. If given, depth rescores each detection with
-        enough readings, instead of the pose network.
     look : callable, optional
-        Rescores the other detections, before the pose network.
+        Rescores the detections, before the pose network.
 
     Returns
     -------
     tuple of Instance
         One instance per fruit, best first; masks do not overlap.
     """
-    by_depth: Sequence[Instance | None] = [None] * len(detected)
-    if depth_m is not None and focal_px is not None:
-        by_depth = with_depth_votes(detected, depth_m, focal_px)
-    unvoted = [
-        detection for detection, voted in zip(detected, by_depth, strict=True) if voted is None
-    ]
-    unvoted = unvoted if look is None else list(look(unvoted))
-    unvoted = unvoted if posed is None else list(with_pose_votes(unvoted, posed, looks))
-    voted = sorted([*filter(None, by_depth), *unvoted], key=lambda detection: -detection.confidence)
+    voted = detected if look is None else look(detected)
+    voted = voted if posed is None else with_pose_votes(voted, posed, looks)
+    voted = sorted(voted, key=lambda detection: -detection.confidence)
     fruit = merge_instances([detection for detection in voted if detection.confidence > confidence])
     if depth_m is not None:
         weak = [detection for detection in voted if detection.confidence <= confidence]
@@ -518,7 +505,6 @@ class NetworkLoader:
             detector,
             pose,
             self._confidence,
-            depth_votes=file is None,
             fruit=fruit,
             ends=None if fruit is None else self.ends,
         )

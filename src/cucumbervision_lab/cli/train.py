@@ -478,24 +478,6 @@ def publish(
     show(*publishing.publish(exported, name))
 
 
-@app.command("depth-vote", hidden=True)
-def depth_vote(
-    data: Annotated[Path, typer.Argument(help="Set from `synth` with depth.", metavar="SET")],
-    out: Annotated[Path, typer.Option("--out", help="JSON file to write.", metavar="FILE")],
-) -> None:
-    """Fit the depth vote on detections (for maintainers)."""
-    from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.detection.learn import learn_depth_vote
-
-    with ticking("detecting", len(open_dataset(data).pictures)) as tick:
-        fit = learn_depth_vote(data, out, tick)
-    show(
-        f"{fit.fruit} true and {fit.others} false positives; log loss on held-out scenes "
-        f"{fit.log_loss:.3f}, with confidence only {fit.log_loss_without:.3f}"
-    )
-
-
 def pull(
     name: Annotated[str, typer.Argument(help="Name shown by `models list`.")],
     given: Annotated[

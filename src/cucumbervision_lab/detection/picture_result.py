@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
-from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
+from cucumbervision.perception.confidence import (
+    CANDIDATE_CONFIDENCE,
+    DEFAULT_CONFIDENCE,
+    detector_floor,
+    pose_floor,
+)
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
 from cucumbervision_lab.detection.outcomes import match_detections
@@ -163,7 +166,7 @@ def detect_picture(
     depth_m : ndarray of float32, shape (H, W), optional
         Depth in metres, for the distance of detections and for occlusion.
     focal_px : float, optional
-        Focal length; enables the depth vote (`each_fruit_once`).
+        Focal length, for the network that looks at each fruit.
     """
     seconds: dict[str, float] = {}
 
@@ -175,7 +178,7 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
-    scene = color, depth_m, focal_px
+    looks = None if networks.fruit is None else networks.fruit.on(color, depth_m, focal_px)
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     instances = merge_detections(
         segmented if networks.segment else None,
@@ -183,11 +186,10 @@ def detect_picture(
         networks.confidence,
         depth_m,
         looks=networks.segment.looks if networks.segment else 1,
-        focal_px=focal_px,
-        look=None if networks.fruit is None else partial(networks.fruit.rescore, *scene),
+        look=None if looks is None else looks.rescore,
     )
-    if networks.fruit is not None:
-        instances = networks.fruit.refine(*scene, instances, networks.ends)
+    if looks is not None:
+        instances = looks.refine(instances, networks.ends)
     elif networks.segmenter is not None and any(
         fruit.keypoints is not None for fruit in frame.true
     ):
@@ -234,7 +236,6 @@ def merge_detections(
     depth_m: NDArray[np.float32] | None = None,
     *,
     looks: int = 1,
-    focal_px: float | None = None,
     look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
 ) -> tuple[Instance, ...]:
     """Merge the detections of both networks as the product does, each fruit once with keypoints.
@@ -251,14 +252,14 @@ def merge_detections(
         Metres, aligned to colour.
     looks : int
         Number of input sizes at which the detector was run.
-    focal_px, look : optional
+    look : callable, optional
         See `each_fruit_once`; with a look the pose network has no vote.
     """
     if segmented is None or (posed is None and look is None):
         candidates = posed if segmented is None else segmented
         return each_fruit_once(candidates or (), None, depth_m, confidence=confidence)
     floor = detector_floor(confidence, votes=True)
-    if focal_px is not None or look is not None:
+    if look is not None:
         floor = min(floor, CANDIDATE_CONFIDENCE)
     detected = [instance for instance in segmented if instance.confidence > floor]
     poses = None
@@ -271,7 +272,6 @@ def merge_detections(
         depth_m,
         confidence=confidence,
         looks=looks,
-        focal_px=focal_px,
         look=look,
     )
 

@@ -14,9 +14,8 @@ from scipy.special import logit
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.instances.boxes import box_ious
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
 from cucumbervision.perception.crops import CROP_MARGIN, CROP_PX, crop_square, lowered
-from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture, ticked
 from cucumbervision_lab.datasets.splits import is_held_out

@@ -103,7 +103,7 @@ def open_networks(
     confidence: float = DEFAULT_CONFIDENCE,
     ranked: bool = True,
     input_sizes: tuple[int, ...] = (),
-    second_look: bool | None = None,
+    as_in_use: bool | None = None,
 ) -> Networks:
     """Load the networks to evaluate.
 
@@ -121,9 +121,9 @@ def open_networks(
         Also return detections below the threshold, which average precision needs; slower.
     input_sizes : tuple of int
         Long sides of the detector input, see `NetworkLoader`.
-    second_look : bool, optional
-        As in `NetworkLoader.yolo`: by default a detector of the registry takes the second look that
-        it has in `detect` and `measure`, and a file is evaluated by itself.
+    as_in_use : bool, optional
+        Whether the networks beside the detector in use look at its detections, as in `detect` and
+        `measure`. By default those of a detector of the registry do; a file is evaluated by itself.
 
     Raises
     ------
@@ -138,11 +138,12 @@ def open_networks(
         most_fruit=MOST,
         input_sizes=input_sizes,
     )
-    detector = None if segment is None else loader.yolo(segment, second_look=second_look)
+    beside = isinstance(segment, str) if as_in_use is None else as_in_use
+    detector = None if segment is None else loader.yolo(segment, second_look=beside)
     points = None if pose is None else loader.yolo(pose)
     sam = None if segmenter is None else loader.segmenter(segmenter)
-    shipped = isinstance(segment, str) and not isinstance(pose, Path)
-    fruit = loader.fruit_looker() if shipped else None
+    looks = beside and loader.registry.looks_closely and not isinstance(pose, Path)
+    fruit = loader.fruit_looker() if looks else None
     return Networks(detector, points, sam, confidence, loader.models, fruit, loader.ends)
 
 

@@ -330,9 +330,7 @@ def _drawn_test(out: Path, frames: int, workers: int) -> Path:
 def evaluate_detector(
     network: Path, house: Path, drawn: Path, photos: Path | None = None, most: int = 256
 ) -> tuple[DetectorScore, ...]:
-    """Evaluate the boxes that a detector would report as the one in use.
-
-    The pose network in use votes on them, and the second look may lower their confidence.
+    """Evaluate the boxes that a detector would report as the one in use, beside the same networks.
 
     Parameters
     ----------
@@ -348,7 +346,7 @@ def evaluate_detector(
         Maximum number of photos, evenly spaced.
     """
     chosen = chosen_networks(network, None)
-    networks = open_networks(*chosen, None, ranked=False, second_look=True)
+    networks = open_networks(*chosen, None, ranked=False, as_in_use=True)
     threshold = networks.confidence
     scores = []
     for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):

@@ -11,6 +11,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors, NetworkLoader
+from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.picture_result import (
     Networks,
@@ -86,6 +87,20 @@ def test_what_is_judged_is_what_ships() -> None:
         for one, other in zip(kept, found, strict=True):
             assert one.box == pytest.approx(other.box, abs=0.1)
             assert one.confidence == pytest.approx(other.confidence, abs=0.01)
+
+
+def test_a_file_is_judged_by_itself_or_beside_the_networks_in_use() -> None:
+    file = load_registry().resolve("cucumber-seg")["network"]
+    pose = load_registry().resolve("cucumber-pose")["network"]
+    alone = open_networks(file, "cucumber-pose", None)
+    in_use = open_networks(file, "cucumber-pose", None, as_in_use=True)
+    assert alone.segment is not None
+    assert in_use.segment is not None
+    assert (alone.fruit, alone.segment.crops) == (None, None)
+    assert in_use.fruit is not None
+    assert in_use.segment.crops is not None
+    # Somebody's own pose network gives the keypoints.
+    assert open_networks(file, pose, None, as_in_use=True).fruit is None
 
 
 def test_of_low_confidence_is_ranked_and_not_reported() -> None:

@@ -117,8 +117,7 @@ class Comparison:
         axis_cm = self.level_axis_cm()
         if axis_cm is None:
             return None
-        seen, true = (polyline_cm(axis) for axis in (axis_cm, self.truth.passes[0].axis_cm))
-        return 100 * (seen / true - 1)
+        return 100 * (polyline_cm(axis_cm) / polyline_cm(self.truth.passes[0].axis_cm) - 1)
 
     def end_errors_mm(self) -> tuple[float, float] | None:
         """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
@@ -324,12 +323,13 @@ def ends_and_depth(comparisons: list[Comparison]) -> str:
     ends_mm = [(c, c.end_errors_mm()) for c in comparisons]
     off_mm = np.array([np.abs(ends) for _, ends in ends_mm if ends])
     off_px = np.array([np.abs(ends) / c.pixel_mm() for c, ends in ends_mm if ends])
-    seen = np.array([percent for c in comparisons if (percent := c.picture_percent()) is not None])
-    worst = seen[np.abs(seen).argmax()]
+    percents = np.array([p for c in comparisons if (p := c.picture_percent()) is not None])
+    worst = percents[np.abs(percents).argmax()]
     return (
         f"M6's ends are {np.median(off_mm):.1f} mm, {np.median(off_px):.1f} px off the marked ones "
         f"(median); its axis as seen, put at its true height, errs by "
-        f"{np.median(np.abs(seen)):.1f} % (median), bias {seen.mean():+.1f}, worst {worst:+.1f} %"
+        f"{np.median(np.abs(percents)):.1f} % (median), bias {percents.mean():+.1f}, "
+        f"worst {worst:+.1f} %"
     )
 
 

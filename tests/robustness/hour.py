@@ -172,6 +172,7 @@ class Stream:
                 self.lines.append(json.loads(line))
             else:
                 self.failures.append(line)
+        output.close()
 
     def look(self) -> Look:
         """Look at the process, and at its lines since the last look."""

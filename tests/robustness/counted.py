@@ -23,6 +23,10 @@ _OTHERS = {
     "faults": ("faults in real commands", "lost"),
 }
 """Title of each other kind of trial, and its worst outcome."""
+_LONG = {
+    "hour": "captures of a stream that is looked at every minute",
+    "week": "captures of a week with kills, compared with one without",
+}
 
 
 def read_counts(path: Path) -> dict[str, Any]:
@@ -54,6 +58,9 @@ def counts_table(counts: Mapping[str, Any]) -> str:
             words = [f"{n:,} {word}" for word, n in sorted(found.items(), key=lambda one: -one[1])]
             words += [] if bad in found else [f"none {bad}"]
             rows.append(f"| {title} | {sum(found.values()):,} | {', '.join(words)} |")
+    for name, title in _LONG.items():
+        if run := counts.get(name):
+            rows.append(f"| {title} | {run['inputs']:,} | {run['came']} |")
     return "\n".join(rows) + "\n"
 
 

@@ -489,7 +489,7 @@ $("undo").onclick = async () => {
 // ---- The page itself.
 navigator.serviceWorker?.register("/capture/capture-offline.js", { scope: "/capture" }).catch(() => {});
 const stayAwake = () => { if (document.visibilityState === "visible") navigator.wakeLock?.request("screen").catch(() => {}); };
-document.addEventListener("visibilitychange", () => { stayAwake(); if (document.visibilityState === "visible") readWalk(); });
+document.addEventListener("visibilitychange", () => { stayAwake(); if (document.visibilityState === "visible") { readWalk(); presses.resend(); } });
 stayAwake();
 presses.open();
 readWalk();

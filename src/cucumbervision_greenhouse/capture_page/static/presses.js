@@ -39,17 +39,19 @@ export class Presses {
   }
 
   async open() {
-    try {
-      this.shelf = await opened();
-      const kept = await new Promise((resolve, reject) => {
-        const asked = this.shelf.transaction(PRESSES).objectStore(PRESSES).getAll();
-        asked.onsuccess = () => resolve(asked.result);
-        asked.onerror = () => reject(asked.error);
-      });
-      this.list = [...kept.sort((a, b) => a.at_s - b.at_s), ...this.list];
-    } catch { /* A browser that keeps nothing still takes pictures. */ }
-    this.changed();
-    this.send();
+    try { this.shelf = await opened(); } catch { /* A browser that keeps nothing still takes pictures. */ }
+    await this.resend();
+  }
+
+  // What another page of this browser left, which was closed before it was sent, is this one's; sent twice it is one stop.
+  async adopt() {
+    const kept = await new Promise((resolve, reject) => {
+      const asked = this.shelf.transaction(PRESSES).objectStore(PRESSES).getAll();
+      asked.onsuccess = () => resolve(asked.result);
+      asked.onerror = () => reject(asked.error);
+    });
+    const known = new Set(this.list.map((one) => one.number));
+    this.list = [...kept.filter((one) => !known.has(one.number)), ...this.list].sort((a, b) => a.at_s - b.at_s);
   }
 
   keep(one) {
@@ -77,8 +79,10 @@ export class Presses {
   }
 
   // What was sent before a connection came back hangs until its patience ends: it is sent anew at once.
-  resend() {
+  async resend() {
     this.turn?.abort();
+    try { await this.adopt(); } catch { /* Nothing is kept. */ }
+    this.changed();
     this.send();
   }
 

@@ -197,6 +197,8 @@ class Stream:
         """Wait while lines come: what was written last is measured, too."""
         said = -1
         while self.process.poll() is None and said < (said := len(self.lines)):
+            sys.stdout.write(f"{said} lines so far; waiting for what was written last\n")
+            sys.stdout.flush()
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(_MINUTE_S)
 

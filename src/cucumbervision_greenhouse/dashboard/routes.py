@@ -19,10 +19,11 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer
 from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.printed_words import printed_words
 from cucumbervision_greenhouse.backend.uploads import Sending
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
-from cucumbervision_greenhouse.exports.writers import write_exports
+from cucumbervision_greenhouse.exports.writers import render_sheet, write_exports
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -85,7 +86,7 @@ def _files(request: Request, _: bytes) -> Response:
     except ValueError:
         raise HTTPException(404) from None
     with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
-        write_exports(tables, Path(folder) / "files", formats)
+        write_exports(tables, Path(folder) / "files", formats, words=printed_words())
         packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
         content = packed.read_bytes()
     file_name = quote(safe_name(name or "round"))
@@ -96,9 +97,7 @@ def _files(request: Request, _: bytes) -> Response:
 @answer
 def _print(request: Request, _: bytes) -> Response:
     """Answer with a round's page to print."""
-    with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
-        write_exports(_tables_of(request)[1], Path(folder), [ExportFormat.HTML])
-        return HTMLResponse((Path(folder) / "round.html").read_bytes())
+    return HTMLResponse(render_sheet(_tables_of(request)[1], printed_words()))
 
 
 @lru_cache(maxsize=1)

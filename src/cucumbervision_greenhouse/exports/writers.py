@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
 from cucumbervision.pipeline.tables import Workbook, write_parquet
-from cucumbervision_greenhouse.agronomy.picking import PickKind, hours_words
+from cucumbervision_greenhouse.agronomy.picking import PickKind
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import ExportTable
+from cucumbervision_greenhouse.exports.page_words import ENGLISH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -21,10 +23,15 @@ if TYPE_CHECKING:
 
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision_greenhouse.exports.build import RoundTables
+    from cucumbervision_greenhouse.exports.page_words import PageWords
 
 
 def write_exports(
-    tables: RoundTables, out: Path, formats: Collection[ExportFormat] = tuple(ExportFormat)
+    tables: RoundTables,
+    out: Path,
+    formats: Collection[ExportFormat] = tuple(ExportFormat),
+    *,
+    words: PageWords = ENGLISH,
 ) -> list[Path]:
     """Write a round in one or more formats; existing files are replaced.
 
@@ -36,6 +43,8 @@ def write_exports(
         Output folder; created if missing. Pictures are written to `pictures/`.
     formats : collection of ExportFormat
         Formats to write.
+    words : PageWords
+        Language of the printed page; names and descriptions of columns stay English.
 
     Returns
     -------
@@ -54,7 +63,7 @@ def write_exports(
         ExportFormat.XLSX: _write_workbook,
         ExportFormat.PARQUET: _write_parquet,
         ExportFormat.JSON: _write_json_round,
-        ExportFormat.HTML: _write_sheet,
+        ExportFormat.HTML: partial(_write_sheet, words=words),
     }
     with wrap_os_errors("cannot be written", out, "choose another folder, and close its files"):
         out.mkdir(parents=True, exist_ok=True)
@@ -168,7 +177,6 @@ def _printed(table: ExportTable) -> int:
 
 _FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
-_LABELS = {"ready_today": "ready that day", "may_be_ready": "may be ready that day"}
 _DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
 _NUMBERS = (
     *(
@@ -184,14 +192,17 @@ _NUMBERS = (
 )
 
 
-def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
+_WORTH_SAYING = frozenset({"picked", "failures"})  # unless there are none
+
+
+def _write_sheet(tables: RoundTables, out: Path, words: PageWords) -> list[Path]:
     path = out / "round.html"
-    path.write_text(render_sheet(tables), encoding="utf-8")
+    path.write_text(render_sheet(tables, words), encoding="utf-8")
     return [path]
 
 
-def render_sheet(tables: RoundTables) -> str:
-    """Return the printable page as self-contained HTML with escaped text.
+def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
+    """Return the printable page as self-contained HTML with escaped text, in a language.
 
     Raises
     ------
@@ -203,12 +214,17 @@ def render_sheet(tables: RoundTables) -> str:
     house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
     picks = tables["picks"].rows
     kinds = Counter(str(line["kind"]) for line in picks)
-    return _template().render(
+    return _template(words).render(
+        language=words.code,
         title=tables.title,
         about=tables.provenance,
         note=tables.note,
-        numbers=[(columns[name], summary[name]) for name in _NUMBERS if summary[name] is not None],
-        where=[summary[name] for name in ("house", "profile") if summary[name]],
+        numbers=[
+            (columns[name], summary[name])
+            for name in _NUMBERS
+            if summary[name] is not None and (summary[name] or name not in _WORTH_SAYING)
+        ],
+        where=filter(None, (summary["house"], words.crop(str(summary["profile"] or "")))),
         day=str(summary["started_utc"])[:10],
         simulated=summary["simulated"],
         bins=tables.bins,
@@ -219,12 +235,11 @@ def render_sheet(tables: RoundTables) -> str:
         work=tables["work"].rows,
         picks=picks,
         kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
-        labels=_LABELS,
         fruit=tables["fruit"].rows,
     )
 
 
-def _template() -> Template:
+def _template(words: PageWords) -> Template:
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ModuleNotFoundError:
@@ -236,18 +251,32 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(figure=_figure, hours=hours_words)
+    environment.globals["_"] = words.text
+    environment.filters.update(
+        figure=partial(_figure, words),
+        hours=partial(_hours, words),
+        day=words.day,
+        words=lambda cell: "–" if cell is None else words.text(str(cell)),
+        class_name=words.class_name,
+    )
     return environment.get_template("round.html")
 
 
-def _figure(cell: Cell, unit: str = "") -> Any:
+def _hours(words: PageWords, low: float, high: float) -> str:
+    """Return an interval of hours; one length of time where both ends are written alike."""
+    return "–".join(dict.fromkeys([words.hours(low), words.hours(high)]))
+
+
+def _figure(words: PageWords, cell: Cell, unit: str = "") -> Any:
     """Format a cell for the page."""
     if cell is None:
         return "–"
     if isinstance(cell, bool):
-        return "yes" if cell else "no"
+        return words.text("yes" if cell else "no")
     if isinstance(cell, str) and _TIME.fullmatch(cell):
         return cell.replace("T", " ").removesuffix("Z")
     if isinstance(cell, float):
-        return f"{cell:.{_DIGITS.get(unit, 1)}f}"
+        # A row begins at 0, as the pages show it, also where a fruit hangs before the first stop.
+        cell = max(cell, 0.0) if unit == "m" else cell
+        return words.decimals(f"{cell:.{_DIGITS.get(unit, 1)}f}")
     return cell

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import html
 import io
+import re
 import zipfile
 
 import pytest
@@ -11,7 +13,7 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from tests.greenhouse.capture_page.test_routes import WALK, wait_for_jobs
 
-from cucumbervision_greenhouse.backend import resources
+from cucumbervision_greenhouse.backend import language, resources
 from cucumbervision_greenhouse.store.records import key_of
 
 
@@ -32,6 +34,30 @@ def test_a_round_is_printed_with_its_pick_list(asked: TestClient) -> None:
     assert answer.headers["content-type"].startswith("text/html")
     assert "All fruit: 8" in answer.text
     assert asked.get(f"/api/print/{key_of('gone')}").status_code == 404
+
+
+@pytest.mark.parametrize("code", sorted(language.DRAFTS))
+def test_the_printed_page_is_in_the_viewer_s_language_and_columns_are_in_english(
+    asked: TestClient, code: str
+) -> None:
+    def texts(wanted: str) -> set[str]:
+        page = asked.get(f"/api/print/{WALK}", headers={"accept-language": wanted}).text
+        assert f'<html lang="{wanted}">' in page
+        pieces = re.findall(r">([^<>]+)<", page.partition("<body>")[2])
+        return {html.unescape(piece).strip() for piece in pieces} - {""}
+
+    translated = language.catalogue(code).gettext
+    english, shown = texts("en"), texts(code)
+    # Nothing that the catalogue has stays English, unless the language has the same word.
+    assert not {text for text in english & shown if translated(text) != text}
+    assert {translated("Work"), translated("Remarks")} <= shown
+    assert any(re.fullmatch(r"\d+,\d", text) for text in shown)
+    assert not any(re.fullmatch(r"\d+\.\d", text) for text in shown)
+    answer = asked.get(f"/api/files/{WALK}?formats=csv", headers={"accept-language": code})
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        head, line, *_ = archive.read("fruit.csv").decode("utf-8-sig").splitlines()
+    assert "length_cm,at_least" in head
+    assert "class " in line or "too " in line
 
 
 def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:

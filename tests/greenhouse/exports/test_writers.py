@@ -144,7 +144,7 @@ def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
     assert not re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?https?:""", page)
     assert "default-src 'none'" in page
     # It begins with numbers and ends with one line of what it rests on.
-    first, last = page.index("ready that day"), page.index("<footer>")
+    first, last = page.index("Ready that day"), page.index("<footer>")
     assert page.index("<h1>") < first < page.index("<p")
     assert page[last:].count("<p>") == 1
     assert all(sha[:8] in page[last:] for sha in (CONFIG, MODEL, SITE))

@@ -47,12 +47,12 @@ def page(round_summary: RoundSummary) -> None:
     )
     place = _place(round_summary)
     camera = st.selectbox(
-        _("Camera of pictures without intrinsics"),
+        _("Camera of pictures without a camera file"),
         ["", *CAMERAS],
         format_func=lambda name: name or _("unknown: do not measure them"),
         help=_(
             "Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
-            "Upload an intrinsics file if you have one."
+            "Upload your camera's own file if you have one."
         ),
     )
     component("upload")(

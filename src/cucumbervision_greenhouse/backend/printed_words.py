@@ -1,0 +1,66 @@
+"""The printed page in the language that is shown: its texts, and the core's words in its cells."""
+
+from __future__ import annotations
+
+import re
+from datetime import date
+
+from cucumbervision_greenhouse.backend.forecast_words import hours_words
+from cucumbervision_greenhouse.backend.fruit_words import label_words
+from cucumbervision_greenhouse.backend.language import (
+    day_month_words,
+    decimal_words,
+    language,
+    marked,
+)
+from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.resources import crop_titles
+from cucumbervision_greenhouse.exports.page_words import PageWords
+
+# What a cell joins of the core's words: remarks, reasons in brackets, classes that are possible.
+_JOINTS = re.compile(r"(; |: |, | \(|\)| or )")
+_LEAST = "at least "
+_IN_CELLS = (
+    *(marked("picked"), marked("drawn, not grown"), marked("partly hidden")),
+    *(marked("ready"), marked("may be ready"), marked("no crop profile was named")),
+)
+
+
+def printed_words() -> PageWords:
+    """Return how the printed page writes in the language that is shown."""
+    titles = crop_titles()
+    return PageWords(
+        language(),
+        printed_text,
+        decimal_words,
+        _day,
+        hours_words,
+        crop=lambda name: titles.get(name, name),
+    )
+
+
+def printed_text(text: str) -> str:
+    """Return a text of the page in the language that is shown; of a cell, what is known of it.
+
+    Examples
+    --------
+    >>> printed_text("class II (by length)"), printed_text("an end is hidden: at least 24.1 cm")
+    ('class II (by length)', 'an end is hidden: at least 24.1 cm')
+    """
+    if language() == "en" or (whole := _(text)) != text:
+        return text if language() == "en" else whole
+    if "; " in text:
+        return "; ".join(map(printed_text, text.split("; ")))
+    return "".join(map(_part, _JOINTS.split(text)))
+
+
+def _part(text: str) -> str:
+    if text.startswith(_LEAST):
+        return _("at least {length}").format(length=decimal_words(text.removeprefix(_LEAST)))
+    if text.startswith("class "):
+        return label_words(text)
+    return _(text)
+
+
+def _day(day: str) -> str:
+    return day_month_words(date.fromisoformat(day))

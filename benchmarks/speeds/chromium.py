@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
 import subprocess
@@ -92,14 +93,31 @@ def chromium() -> Iterator[Any]:
         yield web.chromium.launch(executable_path=path, args=list(FLAGS))
 
 
+def compiled(folder: Path) -> dict[str, str]:
+    """Return an environment in which all that servers import is compiled, as where it is installed.
+
+    Python keeps it in a folder.
+    """
+    environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder), "CUCUMBERVISION_LOGIN": "none"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    names = ("guarded_app", "app", "charts")
+    modules = ", ".join(f"cucumbervision_greenhouse.dashboard.{name}" for name in names)
+    code = f"import streamlit.web.cli, uvicorn, cucumbervision.cli.app, {modules}"
+    quiet = subprocess.DEVNULL
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, stderr=quiet)
+    return environment
+
+
 @contextmanager
-def _served(browser: Any, command: Sequence[str], port: int, shown: str) -> Iterator[Visit]:
+def _served(
+    browser: Any, command: Sequence[str], port: int, shown: str, environment: dict[str, str]
+) -> Iterator[Visit]:
     """Start a server on the loopback, and give a page of the browser that opens it."""
     quiet, address = subprocess.DEVNULL, f"http://127.0.0.1:{port}"
     page = browser.new_page(viewport={"width": 1280, "height": 800}, has_touch=True)
     page.set_default_timeout(1000 * PATIENCE_S)
     begun_s = time.perf_counter()
-    with subprocess.Popen(command, stdout=quiet, stderr=quiet) as server:
+    with subprocess.Popen(command, stdout=quiet, stderr=quiet, env=environment) as server:
         try:
             while server.poll() is None:
                 try:
@@ -121,21 +139,23 @@ def _free_port() -> int:
 
 
 @contextmanager
-def dashboard_served(browser: Any, store: Path, replay: Path, shown: str = "h1") -> Iterator[Visit]:
+def dashboard_served(
+    browser: Any, store: Path, replay: Path, environment: dict[str, str], shown: str = "h1"
+) -> Iterator[Visit]:
     """Serve a dashboard, and open a page on it."""
     code, port = "from cucumbervision.cli.app import main; main()", _free_port()
     words = ["--no-browser", "--port", str(port), "--store", str(store), "--replay", str(replay)]
     command = [sys.executable, "-c", code, "dashboard", *words]
-    with _served(browser, command, port, shown) as seen:
+    with _served(browser, command, port, shown, environment) as seen:
         yield seen
 
 
 @contextmanager
-def plain_served(browser: Any, folder: Path) -> Iterator[Visit]:
+def plain_served(browser: Any, folder: Path, environment: dict[str, str]) -> Iterator[Visit]:
     """Serve the plain page from a folder, and open a page on it."""
     script, port = folder / "plain.py", _free_port()
     script.write_text(PLAIN, encoding="utf-8")
     options = ("--server.headless=true", f"--server.port={port}", "--server.address=127.0.0.1")
     command = [sys.executable, "-m", "streamlit", "run", str(script), *options]
-    with _served(browser, command, port, "h1:has-text('First')") as seen:
+    with _served(browser, command, port, "h1:has-text('First')", environment) as seen:
         yield seen

@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
-from speeds.chromium import Visit, chromium, dashboard_served, plain_served
+from speeds.chromium import Visit, chromium, compiled, dashboard_served, plain_served
 from speeds.frames import GIVEN
 from speeds.progress import Steps
 from speeds.task_taps import task_taps
@@ -56,16 +56,21 @@ def dashboard(quick: bool) -> Iterator[Figure]:
         }
     )
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        environment = compiled(Path(folder) / "compiled")
         steps.begin("a capture in memory")
         capture_s = result_s()
         yield Figure("a capture, all networks, in memory", capture_s, "s")
         steps.begin("a walk: preview and presses")
-        yield from walk_figures(browser, Path(folder) / "walk.db", 20 if quick else 200)
+        yield from walk_figures(
+            browser, Path(folder) / "walk.db", 20 if quick else 200, environment
+        )
         steps.begin("a house of 320 stops")
         store = filled_house(Path(folder) / "house.db")
         with (
-            plain_served(browser, Path(folder)) as plain,
-            dashboard_served(browser, store, example_captures(), "text=Pick list") as seen,
+            plain_served(browser, Path(folder), environment) as plain,
+            dashboard_served(
+                browser, store, example_captures(), environment, "text=Pick list"
+            ) as seen,
         ):
             steps.begin("pages beside plain ones")
             yield from page_figures(seen, plain, 1 if quick else 5)
@@ -91,7 +96,9 @@ def result_s() -> float:
     return (time.perf_counter() - begun_s) / len(captures)
 
 
-def walk_figures(browser: Any, path: Path, presses: int) -> Iterator[Figure]:
+def walk_figures(
+    browser: Any, path: Path, presses: int, environment: dict[str, str]
+) -> Iterator[Figure]:
     """Watch the preview of a walk, and press as fast as somebody walks."""
     from tests.conftest import record
     from tests.greenhouse.conftest import WALK
@@ -100,7 +107,7 @@ def walk_figures(browser: Any, path: Path, presses: int) -> Iterator[Figure]:
     with open_store(path) as store:
         store.save_round(WALK)
     recording = record(path.with_suffix(".db3"), 150, scene=passing, enlarged=4)
-    with dashboard_served(browser, path, recording) as seen:
+    with dashboard_served(browser, path, recording, environment) as seen:
         yield Figure("first page after a start, no stop yet", seen.first_s, "s", "<= 2")
         moving, _ = seen.received(5.0)
         words = "preview of 1280x720 while it moves, pictures a second"

@@ -66,6 +66,7 @@ class SharedMeasurer:
         self._loaded: Measurer | None = None
         self._segmenter: NetworkSegmenter | None = None
         self._prompted: tuple[object, NDArray[np.bool_] | None] = (None, None)
+        self._drafted: tuple[object, NDArray[np.bool_] | None] = (None, None)
 
     def with_options(self, options: MeasureOptions) -> Measurer:
         """Return a measurer with these options, and the calibration as its file is now.
@@ -125,13 +126,38 @@ class SharedMeasurer:
         InstancesError
             If there is none.
         """
-        segmented = _some(self._sam().mask_at(capture.color, *at_px))
+        segmented = self._draft(capture, at_px)
         x1, y1, x2, y2 = box_of_mask(segmented).tolist()
         try:
             drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
         except InstancesError:
             return segmented
         return drawn if mask_iou(drawn, segmented) > _SAME_IOU else segmented
+
+    def _draft(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return the mask of a point alone; the last one is held."""
+        prompt = capture_sha256(capture), *at_px
+        prompted, mask = self._drafted
+        if mask is None or prompted != prompt:
+            mask = _some(self._sam().mask_at(capture.color, *at_px))
+            self._drafted = prompt, mask
+        return mask
+
+    def draft_of(
+        self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
+    ) -> NDArray[np.bool_]:
+        """Return what is shown at once of a point or a box, before `mask_of` is measured.
+
+        Of a point that is the narrower mask of the point alone, which takes half the time.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        if not point:
+            return self.mask_of(capture, point, box)
+        return self._draft(capture, (float(point[0]), float(point[1])))
 
     def mask_from_box(
         self, capture: Capture, box_px: tuple[float, float, float, float]
@@ -156,7 +182,7 @@ class SharedMeasurer:
     ) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point, or in a box where none is given.
 
-        The last one is held: it is shown as an outline first, and measured then.
+        The last one is held: one of a box is shown as an outline first, and measured then.
 
         Raises
         ------

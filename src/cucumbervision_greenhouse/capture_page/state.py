@@ -260,7 +260,7 @@ def outline(asked: SentFruit) -> dict[str, Any]:
     measurer = resources.measurer()
     job = resources.worker().submit(
         marked("Outlining the fruit"),
-        lambda _: measurer.mask_of(capture, asked.point, asked.box),
+        lambda _: measurer.draft_of(capture, asked.point, asked.box),
         record.round_key,
     )
     job.wait()

@@ -280,6 +280,12 @@ def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
     # It is another fruit's, and refused; but it was not drawn again.
     assert asked.post("/api/fruit", json={**picture, "box": edges}).status_code == 409
     assert runs.count("_decoder") == drawn
+    # A point is shown by its own mask, and measured by that of its box; each is drawn once.
+    point = [(edges[0] + edges[2]) / 2, (edges[1] + edges[3]) / 2]
+    assert asked.post("/api/outline", json={**picture, "point": point}).status_code == 200
+    assert runs.count("_decoder") == drawn + 1
+    assert asked.post("/api/fruit", json={**picture, "point": point}).status_code == 409
+    assert runs.count("_decoder") == drawn + 2
     assert runs.count("_encoder") == 1
     gone = asked.post("/api/prepare", json={**picture, "capture": "other"})
     assert "not there any more" in gone.json()["error"]

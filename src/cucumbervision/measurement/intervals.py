@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import TypeAdapter
-from scipy.special import ndtri
 
 from cucumbervision.errors import ModelError, wrap_reader_errors
 from cucumbervision.files import read_json
@@ -150,6 +149,8 @@ def feature_groups(
 
 
 def _normal_quantile(level: float) -> float:
+    from scipy.special import ndtri
+
     return float(ndtri(0.5 + level / 2))
 
 

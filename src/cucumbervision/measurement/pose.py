@@ -17,7 +17,6 @@ from pydantic import (
     TypeAdapter,
     WithJsonSchema,
 )
-from scipy.special import expit
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.curve import arc_positions, points_along
@@ -195,7 +194,7 @@ def stem_first(
         return measurement, 0.5
     ends = path[[0, -1]]
     odds = _keypoint_odds(ends, instance, capture) + _gravity_odds(ends, capture)
-    sure = float(expit(abs(odds)))
+    sure = _sure(odds)
     if odds > 0 or (odds == 0 and ends[0, 1] <= ends[1, 1]):
         return measurement, sure
     fit = measurement.fit
@@ -231,7 +230,7 @@ def with_tubes_ends(
         for ends_px in (line[[0, -1]], line[[-1, 0]])
     )
     points = points[::-1].copy() if crossed < straight else points
-    return replace(instance, keypoints=points, end_confidence=float(expit(abs(odds))))
+    return replace(instance, keypoints=points, end_confidence=_sure(odds))
 
 
 def tube_line_px(
@@ -250,6 +249,13 @@ def tube_line_px(
     if points is None or path is None or (path[:, 2] <= 0).any():
         return None
     return capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
+
+
+def _sure(log_odds: float) -> float:
+    """Return the probability of the likelier of two answers."""
+    from scipy.special import expit
+
+    return float(expit(abs(log_odds)))
 
 
 def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+from datetime import date
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cucumbervision_greenhouse.backend.language import (
     counted,
     number_words,
 )
 from cucumbervision_greenhouse.backend.language import gettext as _
+from cucumbervision_greenhouse.backend.round_words import date_words
+from cucumbervision_greenhouse.rounds.forecasting import date_after
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
+    from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.agronomy.growth import Growth
     from cucumbervision_greenhouse.agronomy.picking import Span
     from cucumbervision_greenhouse.backend.settings import Units
@@ -120,3 +127,23 @@ def hours_span_words(span: Span) -> str:
     if lower == upper:
         return expected
     return f"{expected} ({_('{low} to {high}').format(low=lower, high=upper)})"
+
+
+def forecast_day(prediction: Forecast, day: int) -> str:
+    """Return the name of a day of a forecast, counted from its day 0."""
+    return date_words(date_after(prediction.today * DAY_S, day), date.today())
+
+
+def first_days(prediction: Forecast) -> dict[str, int]:
+    """Return the first day on which a fruit is expected in each class that is picked."""
+    first = {}
+    for k, name in enumerate(prediction.classes):
+        (days,) = np.nonzero(prediction.house.expected[:, k] >= 1)
+        if name in prediction.pick and len(days):
+            first[name] = int(prediction.days[days[0]])
+    return first
+
+
+def expected_classes(prediction: Forecast) -> list[int]:
+    """Return which classes any fruit may be in on any of the days."""
+    return [k for k in range(len(prediction.classes)) if prediction.house.high[:, k].max() >= 1]

@@ -161,13 +161,13 @@ def progress(round_key: str) -> Progress:
 
 @st.cache_resource(show_spinner=False)
 def prepare() -> Job | None:
-    """Load the networks before the first capture; measure bundled captures into an empty store."""
+    """Measure what waits, and the bundled captures into an empty store."""
     waiting().clean()
     measure_uploads()
     if wake() is not None:
         return None
     if store().rounds() or store().rounds(deleted=True):
-        return worker().submit(marked("Loading the networks"), _warm_up)
+        return None
     round_for_capture(store(), "", simulated=True, profile=settings().profile)
     return worker().submit(marked("Measuring the bundled captures"), _demonstrate, DEMONSTRATION)
 
@@ -179,8 +179,9 @@ def _demonstrate(job: Job) -> None:
     done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
     job.notes += (added.failure.message for added in done if added.failure is not None)
     merge(DEMONSTRATION)
-    worker().submit(marked("Loading the networks"), _warm_up)
 
 
-def _warm_up(_: Job) -> None:
-    measurer().warm_up(settings().options)
+def warm_up() -> Job:
+    """Load the networks before the first capture."""
+    work = partial(measurer().warm_up, settings().options)
+    return worker().submit(marked("Loading the networks"), lambda _: work())

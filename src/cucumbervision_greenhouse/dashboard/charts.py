@@ -1,4 +1,4 @@
-"""Charts of a round: lengths by class and by method, the map of a row, the forecast by day."""
+"""Charts of a round: lengths by class, the forecast by day, and days of a house."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from datetime import date, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import altair as alt
 import numpy as np
@@ -15,14 +15,12 @@ import streamlit as st
 from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.classes import class_name
-from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS, class_color
+from cucumbervision_greenhouse.backend.forecast_words import expected_classes, forecast_day
+from cucumbervision_greenhouse.backend.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.backend.fruit_words import class_words, label_words
-from cucumbervision_greenhouse.backend.language import date_names, day_month_words, decimal_words
+from cucumbervision_greenhouse.backend.language import date_names, day_month_words
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.round_words import date_words
 from cucumbervision_greenhouse.backend.theme import ink
-from cucumbervision_greenhouse.rounds.forecasting import date_after
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,13 +32,7 @@ if TYPE_CHECKING:
 # reports faults itself. For the same reason channels are named instead of parsed from strings.
 disable_debug_mode()
 
-MAP_PX = 1000, 560
-"""Width and height of a row's map, in its own pixels."""
-
-_MAP_EDGE_PX = 50
-# From viridis: lighter with increasing length.
-_STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")
-
+Drawn = TypeVar("Drawn", alt.Chart, alt.LayerChart)
 
 _WEEKDAYS = 14  # days that have room for their weekday
 _MANY = 40  # number of fruit from which narrow bars are informative
@@ -74,6 +66,15 @@ def _ink() -> str:
 
 def _color_of_class(names: Iterable[str]) -> alt.Color:
     return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
+
+
+def _readable(chart: Drawn, height_px: int) -> Drawn:
+    """Return a chart with its words in the colour of the page's text, to be read in the sun."""
+    color = _ink()
+    chart = chart.properties(height=height_px)
+    chart = chart.configure_axis(labelColor=color, titleColor=color)
+    readable: Drawn = chart.configure_legend(labelColor=color)
+    return readable
 
 
 def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
@@ -113,92 +114,13 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
         .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
     )
     line = alt.Chart(spread).mark_rule(color=_ink(), strokeWidth=2).encode(x=alt.X("mean:Q"))
-    chart: alt.LayerChart = (band + bars + line).properties(height=260)
-    return chart
-
-
-def map_picture(
-    lines: list[dict[str, Any]], all_lines: list[dict[str, Any]], units: Units, *, by_length: bool
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return the fruit of one row and side as layers of a picture of `MAP_PX`, and its grid.
-
-    Parameters
-    ----------
-    lines : list of dict
-        The fruit, as `round_tables.map_lines` gives them.
-    all_lines : list of dict
-        All that are shown, which the scales fit.
-    by_length : bool
-        A layer for every step of the length; else one a class.
-    """
-    ends = {name: _ends(all_lines, name) for name in ("along", "height")}
-
-    def place(name: str, value: float) -> float:
-        (start, end), size = ends[name], MAP_PX[name == "height"]
-        share = (value - start) / max(end - start, 0.1)
-        across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
-        return round(size - across if name == "height" else across, 1)
-
-    layers: dict[str, dict[str, Any]] = {}
-    for line in sorted(lines, key=lambda line: line["length"] or 0.0):
-        name, color = _length_step(line["length"], units) if by_length else _class(line["class"])
-        layer = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
-        mark = {
-            "kind": "mark",
-            "points": [place("along", line["along"]), place("height", line["height"])],
-            "key": line["key"],
-            "mark": line["mark"],
-            "once": line["views"] == 1,
-            "says": line["says"],
-        }
-        layer["shapes"].append(mark)
-    grid = {
-        name: [
-            (place(axis, value), f"{decimal_words(f'{value:g}')} {units.along[0]}")
-            for value in _round_values(*ends[axis])
-        ]
-        for name, axis in (("across", "along"), ("up", "height"))
-    }
-    return list(layers.values()), grid
-
-
-def _class(name: str) -> tuple[str, str]:
-    return label_words(name), class_color(name)
-
-
-def _length_step(length: float | None, units: Units) -> tuple[str, str]:
-    """Return the name and colour of the step of 5 cm or 2 inches that a length is in."""
-    if length is None:
-        return _("not measured"), OTHER_COLORS["not measured"]
-    step = 5 if units.name == "cm" else 2
-    number = int(length // step)
-    high = f"{(number + 1) * step} {units.name}"
-    name = _("{low} to {high}").format(low=number * step, high=high)
-    return name, _STEP_COLORS[min(max(number - 1, 0), len(_STEP_COLORS) - 1)]
-
-
-def _round_values(first_value: float, last_value: float) -> list[float]:
-    """Return round values between two ends, at most ten.
-
-    Examples
-    --------
-    >>> _round_values(-0.31, 0.42), _round_values(0.2, 23.9)
-    ([-0.2, 0.0, 0.2, 0.4], [5.0, 10.0, 15.0, 20.0])
-    """
-    steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-    step = next((s for s in steps if (last_value - first_value) / s <= 5), 100.0)
-    first, last = math.ceil(first_value / step), math.floor(last_value / step)
-    return [round(k * step, 1) for k in range(first, last + 1)]
+    chart: alt.LayerChart = band + bars + line
+    return _readable(chart, 260)
 
 
 def _data(lines: list[dict[str, Any]]) -> Any:
     # Sent as a table, since values within the chart's description are slow.
     return pa.Table.from_pylist(lines)
-
-
-def _ends(lines: list[dict[str, Any]], name: str) -> tuple[float, float]:
-    values = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
-    return min(values), max(values)
 
 
 def forecast_chart(prediction: Forecast) -> alt.LayerChart:
@@ -248,8 +170,8 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(
         x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
     )
-    chart: alt.LayerChart = (bars + whiskers).properties(height=320)
-    return chart
+    chart: alt.LayerChart = bars + whiskers
+    return _readable(chart, 320)
 
 
 def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
@@ -267,7 +189,7 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
         line["when"] = day_month_words(date.fromisoformat(line["day"]))
         line["day"] += "T00:00"  # browsers read a date alone as one in UTC
     axis = _day_axis(weekday=len(days) <= _WEEKDAYS)
-    chart: alt.Chart = (
+    bars: alt.Chart = (
         alt.Chart(_data(lines))
         .mark_bar()
         .encode(
@@ -280,9 +202,8 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
                 alt.Tooltip("fruit:Q", title=_("Fruit")),
             ],
         )
-        .properties(height=260)
     )
-    return chart
+    return _readable(bars, 260)
 
 
 def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
@@ -319,25 +240,5 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
         ],
     )
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
-    chart: alt.LayerChart = (whiskers + points).properties(height=220)
-    return chart
-
-
-def forecast_day(prediction: Forecast, day: int) -> str:
-    """Return the name of a day of a forecast, counted from its day 0."""
-    return date_words(date_after(prediction.today * DAY_S, day), date.today())
-
-
-def first_days(prediction: Forecast) -> dict[str, int]:
-    """Return the first day on which a fruit is expected in each class that is picked."""
-    first = {}
-    for k, name in enumerate(prediction.classes):
-        (days,) = np.nonzero(prediction.house.expected[:, k] >= 1)
-        if name in prediction.pick and len(days):
-            first[name] = int(prediction.days[days[0]])
-    return first
-
-
-def expected_classes(prediction: Forecast) -> list[int]:
-    """Return which classes any fruit may be in on any of the days."""
-    return [k for k in range(len(prediction.classes)) if prediction.house.high[:, k].max() >= 1]
+    chart: alt.LayerChart = whiskers + points
+    return _readable(chart, 220)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 from importlib import import_module
@@ -28,20 +29,27 @@ _GUARD = Middleware(
     token=os.environ.get(TOKEN_VARIABLE, ""),
 )
 
-# Streamlit imports the last two within the first page that is drawn.
-_FIRST_USED = ("cucumbervision_greenhouse.dashboard.app", "pandas", "streamlit.emojis")
+# Streamlit imports the second within the first page that is drawn, the others within later ones.
+_FIRST_USED = ("cucumbervision_greenhouse.dashboard.app", "streamlit.emojis")
+_LATER_USED = ("cucumbervision_greenhouse.dashboard.charts", "pandas")
+_FIRST_PAGE_S = 2.0
+"""The first viewer comes at once, and networks that load meanwhile would take the processor."""
 
 
 @asynccontextmanager
 async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
-    """Load networks, pages and the newest round, and start measuring, before the first viewer."""
+    """Load pages and the newest round before the first viewer, and then the networks."""
 
     def prepare() -> None:
         with suppress(CucumberVisionError, ImportError):  # a page shows the reason
-            tasks.prepare()
             for name in _FIRST_USED:
                 import_module(name)
+            tasks.prepare()
             round_caches.read_ahead()
+            time.sleep(_FIRST_PAGE_S)
+            tasks.warm_up()
+            for name in _LATER_USED:
+                import_module(name)
 
     threading.Thread(target=prepare, name="preparing", daemon=True).start()
     yield {}

@@ -12,6 +12,7 @@ import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.names import readable
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.forecast_words import hours_words
@@ -91,11 +92,32 @@ def spanning(low: float, high: float, value: float) -> tuple[float, float, float
 
 
 def table(lines: list[dict[str, Any]]) -> None:
-    """Draw a table; its words wrap on a phone, and columns without values are left out."""
+    """Draw a table; its words wrap on a phone, and columns without values are left out.
+
+    Streamlit's own tables need pandas, which takes longer to import than all pages, and in the
+    browser what reads Arrow.
+    """
     columns = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
-    st.table(
-        [{plain(name): plain(line[name]) for name in columns} for line in lines], hide_index=True
+    if not columns:
+        return
+    kinds = {name: _kind([str(x[name]) for x in lines]) for name in columns[1:]}
+    kinds[columns[0]] = ""  # names of the lines, also where they are numbers
+    head = "".join(f'<th scope="col"{kinds[name]}>{_literal(name)}</th>' for name in columns)
+    body = "".join(
+        f"<tr>{''.join(f'<td{kinds[name]}>{_literal(line[name])}</td>' for name in columns)}</tr>"
+        for line in lines
     )
+    st.html(f'<table class="figures"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>')
+
+
+def _kind(cells: list[str]) -> str:
+    """Return the class of a column: whole numbers stand under each other."""
+    is_number = all(cell.lstrip("+−").isdecimal() for cell in cells if cell) and any(cells)
+    return ' class="number"' if is_number else ""
+
+
+def _literal(text: object) -> str:
+    return escape(readable(" ".join(str(text).split())))
 
 
 def fruit_list(
@@ -129,7 +151,7 @@ def fruit_list(
         name_in_address("fruit", st.session_state[key].opened)
 
     data = {
-        "fruit": fruit,
+        "fruit": tuple(fruit),  # Streamlit looks for tables in lists, and imports pandas for it
         "words": words,
         "label": label,
         "opens": on_taps is None,

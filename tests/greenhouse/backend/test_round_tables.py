@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
+from tests.greenhouse.dashboard.app_pages import tables
 
 from cucumbervision.agronomy.classes import class_name
 from cucumbervision.agronomy.profiles import load_profile
@@ -91,8 +92,7 @@ def page(name: str, round_key: str, *, fruit: str = "", press: str = "") -> AppT
 
 def table(test: AppTest) -> list[dict[str, str]]:
     """The lines of a page's last table, as it is drawn."""
-    lines = test.table[-1].value.to_dict("records")
-    return [{name: value.replace("\\", "") for name, value in line.items()} for line in lines]
+    return tables(test)[-1]
 
 
 def captions(test: AppTest) -> str:

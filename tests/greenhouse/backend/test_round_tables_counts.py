@@ -20,6 +20,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
+from tests.greenhouse.dashboard.app_pages import tables
 from typer.testing import CliRunner
 
 from cucumbervision.agronomy.profiles import load_profile
@@ -173,16 +174,16 @@ def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
         "Too long": str(HANGS["too long"]),
     }
     assert "4 fruit are left in the list below. 3 more may be ready" in said(today)
-    by_row = today.table[0].value.to_dict("records")
+    by_row = tables(today)[0]
     assert [line["class I"] for line in by_row] == ["2", "2"]
     assert [line["May be ready"] for line in by_row] == ["1", "2"]
 
     forecast = page("forecast")
-    first = forecast.table[0].value.to_dict("records")[0]
+    first = tables(forecast)[0][0]
     for name in ("class I", "class II", "too long"):
         assert first[name].split(" ")[0] == str(HANGS[name])
     assert f"Today {HANGS['undecided']} undecided fruit are in no class" in said(forecast)
-    work = forecast.table[1].value.to_dict("records")[0]
+    work = tables(forecast)[1][0]
     assert work["Fruit"] == first["class I"].removesuffix(" or more")
 
     words = said(page("row_map"))

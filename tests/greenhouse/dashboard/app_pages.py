@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from typing import Any
+from xml.etree import ElementTree
 
 from streamlit.testing.v1 import AppTest
 
@@ -38,6 +40,18 @@ def said(test: AppTest) -> str:
 def listed(test: AppTest) -> list[list[str]]:
     """What the list of fruit says of each."""
     return [line["says"] for line in _lines(test)]
+
+
+def tables(test: AppTest) -> list[list[dict[str, str]]]:
+    """The tables of a page: of each its lines, by the names of the columns."""
+    drawn = [x.proto.body for x in test.get("html") if x.proto.body.startswith("<table")]
+    return [list(_table_lines(ElementTree.fromstring(body))) for body in drawn]
+
+
+def _table_lines(table: ElementTree.Element) -> Iterator[dict[str, str]]:
+    names = [cell.text or "" for cell in table.iter("th")]
+    for line in table.findall("tbody/tr"):
+        yield dict(zip(names, [cell.text or "" for cell in line], strict=True))
 
 
 def keys(test: AppTest) -> list[str]:

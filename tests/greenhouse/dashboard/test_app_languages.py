@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.dashboard.app_pages import PAGES, WALK, app, said
+from tests.greenhouse.dashboard.app_pages import PAGES, WALK, app, said, tables
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.backend import language, resources
@@ -27,7 +27,7 @@ def texts(test: AppTest) -> set[str]:
     labels = {str(part.label) for kind in KINDS for part in getattr(test, kind)}
     headings = {str(part.value) for part in [*test.header, *test.subheader, *test.title]}
     tabs = {str(part.label) for part in [*test.tabs, *test.expander]}
-    columns = {str(name) for table in test.table for name in table.value.columns}
+    columns = {name for lines in tables(test) for name in lines[0]}
     return {*said(test).splitlines(), *labels, *headings, *tabs, *columns} - {""}
 
 

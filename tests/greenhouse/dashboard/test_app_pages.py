@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -31,6 +33,7 @@ from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, n
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -153,3 +156,20 @@ def test_every_page_opens_on_500_stops(
                 for mark in layer["shapes"]
             ]
             assert len(set(marks)) == len(marks) == 2500
+
+
+def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(house: Path) -> None:
+    """A viewer waits for what a new process imports."""
+    code = (
+        "import sys\n"
+        "from tests.greenhouse.dashboard.app_pages import WALK, app\n"
+        "from cucumbervision_greenhouse.backend import resources, tasks\n"
+        "tasks.prepare()\n"
+        "assert not app('today', round=WALK).exception\n"
+        "assert not resources.worker().unfinished()\n"
+        "late = ('pandas', 'pyarrow', 'altair', 'onnxruntime', 'openvino')\n"
+        "print(*[name for name in late if name in sys.modules])\n"
+    )
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == ""

@@ -234,7 +234,7 @@ def save_by_hand(page: Any, house: House, told: list[float]) -> None:
 
 def own_error(page: Any, expected: float) -> float:
     """The mean error in per cent of the lengths that the program reports."""
-    if not page.get_by_test_id("stTable").last.is_visible():
+    if not page.locator("table.figures").last.is_visible():
         page.get_by_text("Details: errors by method").click()
     until, found = time.monotonic() + 300, -1.0
     while abs(found - expected) > 0.3 and time.monotonic() < until:
@@ -245,7 +245,7 @@ def own_error(page: Any, expected: float) -> float:
 
 def errors_of(page: Any, column: int) -> dict[str, str]:
     """What the table of errors says of each method in one of its columns."""
-    lines = page.get_by_test_id("stTable").last.locator("tbody tr").all()
+    lines = page.locator("table.figures").last.locator("tbody tr").all()
     cells = [line.locator("td").all_inner_texts() for line in lines]
     return {line[0]: line[column] for line in cells}
 

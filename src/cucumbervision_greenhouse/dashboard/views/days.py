@@ -15,7 +15,7 @@ from cucumbervision_greenhouse.backend.language import counted, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_words import day_words, row_name
-from cucumbervision_greenhouse.dashboard import charts, page_elements
+from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.rounds.day_comparison import Change
 from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
@@ -135,7 +135,7 @@ def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) ->
 def _rows(comparison: DayComparison) -> None:
     lines = [
         {
-            _("Row"): row_name(row),
+            _("Row"): row or "?",
             _("Before"): counts.before,
             _("Picked"): counts.picked,
             _("Not seen again"): counts.gone,
@@ -164,7 +164,7 @@ def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummar
                 _("Class"): label_words(name),
                 _("Before"): first[name],
                 _("Now"): last[name],
-                _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0"),
+                _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0").replace("-", "−"),
             }
             for name in sorted({*first, *last})
         ]
@@ -205,6 +205,8 @@ def _fruit_days(round_summary: RoundSummary, key: str) -> None:
     page_elements.pictures(views, lambda view: "  \n".join(tables.day_lines(view, units)))
     chart_lines = tables.length_days(views, units)
     if len(chart_lines) > 1:
+        from cucumbervision_greenhouse.dashboard import charts
+
         st.altair_chart(charts.growth_chart(chart_lines, units))
         st.caption(_("Length on each day, with its 90 % interval where one is given."))
     if views[-1].round_key == round_summary.key:
@@ -235,5 +237,7 @@ def _trend(round_summary: RoundSummary, rounds: list[RoundSummary]) -> None:
         for day, x in days
         for label, number in round_caches.class_counts_of(x).items()
     ]
+    from cucumbervision_greenhouse.dashboard import charts
+
     section.altair_chart(charts.trend_chart(lines))
     section.caption(_("Fruit that the last round of each day showed, by class."))

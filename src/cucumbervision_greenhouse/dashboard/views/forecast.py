@@ -11,6 +11,9 @@ from cucumbervision.agronomy.classes import UNDECIDED, class_of
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.forecast_words import (
+    expected_classes,
+    first_days,
+    forecast_day,
     growth_words,
     hours_span_words,
     span_words,
@@ -21,12 +24,6 @@ from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_words import age_words, round_day
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.charts import (
-    expected_classes,
-    first_days,
-    forecast_chart,
-    forecast_day,
-)
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 
 if TYPE_CHECKING:
@@ -72,6 +69,8 @@ def _age(round_summary: RoundSummary) -> None:
 
 
 def _days(prediction: Forecast) -> None:
+    from cucumbervision_greenhouse.dashboard import charts
+
     first = [
         f"{class_words(name)} {forecast_day(prediction, day)}"
         for name, day in first_days(prediction).items()
@@ -79,7 +78,7 @@ def _days(prediction: Forecast) -> None:
     if first:
         st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
     st.markdown(_("**Fruit in each class if nothing is picked**, with the likely range"))
-    st.altair_chart(forecast_chart(prediction))
+    st.altair_chart(charts.forecast_chart(prediction))
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():

@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import GradedRound
 from cucumbervision_greenhouse.backend.round_words import position_words, row_name, side_words
-from cucumbervision_greenhouse.dashboard import charts, page_elements
+from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
 from cucumbervision_greenhouse.exports import ExportFormat
@@ -223,6 +223,8 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     if chart.open:
         words = _("Fruit on the plant: line at the mean, band of one standard deviation")
         chart.caption(words)
+        from cucumbervision_greenhouse.dashboard import charts
+
         chart.altair_chart(charts.histogram(lines, units))
 
 

@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.backend.round_words import (
     step_words,
 )
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.charts import MAP_PX, map_picture
+from cucumbervision_greenhouse.dashboard.map_picture import MAP_PX, map_picture
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, draw_undo, picture
 from cucumbervision_greenhouse.dashboard.views.stops import list_stops
 from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first

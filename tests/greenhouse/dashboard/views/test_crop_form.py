@@ -9,7 +9,7 @@ import tomli_w
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.dashboard.app_pages import app, said, tap
+from tests.greenhouse.dashboard.app_pages import app, said, tables, tap
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision_greenhouse.backend import resources
@@ -40,8 +40,8 @@ def test_own_limits_are_previewed_saved_and_graded_by(
     test = app("settings")
 
     def preview() -> dict[str, int]:
-        [table] = [x.value for x in test.table if "With these limits" in x.value.columns]
-        return dict(zip(table["Class"], map(int, table["With these limits"]), strict=True))
+        [lines] = [x for x in tables(test) if "With these limits" in x[0]]
+        return {line["Class"]: int(line["With these limits"]) for line in lines}
 
     before = preview()
     assert sum(before.values()) == 8

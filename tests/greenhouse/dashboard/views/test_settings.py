@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.dashboard.app_pages import app, said
+from tests.greenhouse.dashboard.app_pages import app, said, tables
 
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision_greenhouse.backend import resources
@@ -31,11 +31,8 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
     control = next(c for c in test.segmented_control if c.label == "Lengths in")
     control.set_value("in").run()
     assert resources.settings().unit == "in"
-    limits = test.table[0].value
-    assert [cell.replace("\\", "") for cell in limits["From"]] == [
-        "9.84 in",
-        "7.87 in",
-    ]  # 25 and 20 cm
+    # 25 and 20 cm.
+    assert [line["From"] for line in tables(test)[0]] == ["9.84 in", "7.87 in"]
     shown = {metric.label: metric.value for metric in app("results").metric}
     assert shown["Mean length"].endswith(" in")
 

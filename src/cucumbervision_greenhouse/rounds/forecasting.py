@@ -408,7 +408,8 @@ def day_0_s(round_summary: RoundSummary, now_s: float) -> float:
     # Without a zone: the same time of day, also beyond the day on which the clocks change.
     walked = datetime.datetime.fromtimestamp(round_summary.walked_s)
     later = datetime.timedelta(0 if age is Age.USELESS else max(days, 0))
-    return (walked + later).timestamp()
+    # Added to the moment itself, which a date with microseconds may be a little before.
+    return round_summary.walked_s + ((walked + later).timestamp() - walked.timestamp())
 
 
 def date_after(at_s: float, days: int) -> datetime.date:

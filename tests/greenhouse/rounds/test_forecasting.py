@@ -42,3 +42,11 @@ def test_each_day_of_a_forecast_has_its_date_when_the_clocks_change(
         day_0 = day_0_s(walk, now_s)
         dates = [date_after(day_0, day) for day in range(3)]
         assert dates == [walked.date() + timedelta(later + day) for day in range(3)]
+
+
+@pytest.mark.parametrize("digit", range(10))
+def test_day_0_is_never_before_the_last_stop(digit: int) -> None:
+    """Clocks count finer than microseconds; a fruit measured after day 0 has no forecast."""
+    walked_s = 1_700_000_000.0 + 2.4e-7 * digit
+    walk = RoundSummary(Round("a", started_s=walked_s), 1, 1, None)
+    assert day_0_s(walk, walked_s + 60.0) == walked_s

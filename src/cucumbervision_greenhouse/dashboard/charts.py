@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from datetime import date, datetime
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import altair as alt
 import numpy as np
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 # Checking each chart against Altair's schema takes longer than all other work of a page, and Vega
 # reports faults itself. For the same reason channels are named instead of parsed from strings.
 disable_debug_mode()
-
-Drawn = TypeVar("Drawn", alt.Chart, alt.LayerChart)
 
 _WEEKDAYS = 14  # days that have room for their weekday
 _MANY = 40  # number of fruit from which narrow bars are informative
@@ -68,13 +66,12 @@ def _color_of_class(names: Iterable[str]) -> alt.Color:
     return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
 
 
-def _readable(chart: Drawn, height_px: int) -> Drawn:
+def _readable(chart: Any, height_px: int) -> Any:
     """Return a chart with its words in the colour of the page's text, to be read in the sun."""
     color = _ink()
     chart = chart.properties(height=height_px)
     chart = chart.configure_axis(labelColor=color, titleColor=color)
-    readable: Drawn = chart.configure_legend(labelColor=color)
-    return readable
+    return chart.configure_legend(labelColor=color)
 
 
 def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
@@ -114,8 +111,8 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
         .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
     )
     line = alt.Chart(spread).mark_rule(color=_ink(), strokeWidth=2).encode(x=alt.X("mean:Q"))
-    chart: alt.LayerChart = band + bars + line
-    return _readable(chart, 260)
+    chart: alt.LayerChart = _readable(band + bars + line, 260)
+    return chart
 
 
 def _data(lines: list[dict[str, Any]]) -> Any:
@@ -170,8 +167,8 @@ def forecast_chart(prediction: Forecast) -> alt.LayerChart:
     whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(
         x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
     )
-    chart: alt.LayerChart = bars + whiskers
-    return _readable(chart, 320)
+    chart: alt.LayerChart = _readable(bars + whiskers, 320)
+    return chart
 
 
 def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
@@ -189,7 +186,7 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
         line["when"] = day_month_words(date.fromisoformat(line["day"]))
         line["day"] += "T00:00"  # browsers read a date alone as one in UTC
     axis = _day_axis(weekday=len(days) <= _WEEKDAYS)
-    bars: alt.Chart = (
+    bars = (
         alt.Chart(_data(lines))
         .mark_bar()
         .encode(
@@ -203,7 +200,8 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
             ],
         )
     )
-    return _readable(bars, 260)
+    chart: alt.Chart = _readable(bars, 260)
+    return chart
 
 
 def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
@@ -240,5 +238,5 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
         ],
     )
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
-    chart: alt.LayerChart = whiskers + points
-    return _readable(chart, 220)
+    chart: alt.LayerChart = _readable(whiskers + points, 220)
+    return chart

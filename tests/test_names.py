@@ -4,7 +4,7 @@ import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import NameRefusedError
-from cucumbervision.names import checked_name, house_key, same_house
+from cucumbervision.names import LONGEST_NAME, checked_name, house_key, same_house
 
 
 @pytest.mark.parametrize(
@@ -44,6 +44,15 @@ def test_what_is_no_letter_is_refused_by_its_number_and_never_shown(bad: str) ->
 def test_names_of_every_script_and_with_any_sign_stay_as_they_are(name: str) -> None:
     assert checked_name(f" {name} ") == name
     assert Stop(row=name).row == name
+
+
+def test_a_name_that_fits_on_no_page_is_refused_with_its_length() -> None:
+    longest = "ü" * LONGEST_NAME
+    assert checked_name(f" {longest} ") == longest
+    with pytest.raises(NameRefusedError, match=r"the row 'ü{40}' has 201 characters, and 200 are"):
+        checked_name(longest + "ü", "row")
+    with pytest.raises(NameRefusedError):
+        Stop(row=longest + "ü")
 
 
 def test_houses_are_one_by_case_spaces_and_the_leading_word_only() -> None:

@@ -14,6 +14,9 @@ _DIRECTION_MARKS = frozenset(
 )
 _NO_LETTERS = ("Cc", "Cs", "Zl", "Zp")  # control, half of a pair, ends of lines and paragraphs
 _SHOWN_CHARACTERS = 40
+LONGEST_NAME = 200
+"""Most characters of a name; more do not fit on a page, a label or a file."""
+
 _HOUSE = re.compile(r"^house(?:[\W_]+|(?=\d))(?=.)")
 
 
@@ -34,7 +37,7 @@ def checked_name(text: str, what: str = "name") -> str:
     ------
     NameRefusedError
         If it has a control character, a line's end, half of a surrogate pair, or a mark that turns
-        the direction of writing.
+        the direction of writing, or is longer than `LONGEST_NAME`.
 
     Examples
     --------
@@ -45,9 +48,14 @@ def checked_name(text: str, what: str = "name") -> str:
     cucumbervision.errors.NameRefusedError: the row '3?' contains U+202E, ...
     """
     name = text.strip()
+    name_start = readable(name[:_SHOWN_CHARACTERS])
+    if len(name) > LONGEST_NAME:
+        raise NameRefusedError(
+            f"the {what} '{name_start}' has {len(name)} characters, and {LONGEST_NAME} are taken",
+            remedy="shorten it",
+        )
     bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
-        name_start = readable(name)[:_SHOWN_CHARACTERS]
         raise NameRefusedError(
             f"the {what} '{name_start}' contains U+{ord(bad):04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",

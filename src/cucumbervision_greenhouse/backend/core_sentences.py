@@ -415,6 +415,8 @@ SENTENCES = (
     marked("the file is damaged"),
     marked("the {what} '{name}' contains {sign}, which is no letter or sign"),
     marked("type it again; only letters, digits, signs and spaces"),
+    marked("the {what} '{name}' has {n} characters, and {most} are taken"),
+    marked("shorten it"),
     # Crops, lengths by hand and calibrations.
     marked("the lengths do not rise"),
     marked("give each class a longer limit"),

@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import NameRefusedError, UploadError
-from cucumbervision.names import checked_name
+from cucumbervision.names import LONGEST_NAME, checked_name
 from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.rounds.walking import NextPlace
 from cucumbervision_greenhouse.store.records import key_of
@@ -32,7 +32,6 @@ def _given(name: str) -> str:
         raise ValueError(str(error)) from None
 
 
-LONGEST_NAME = 500
 Name = Annotated[str, Field(max_length=LONGEST_NAME)]
 GivenName = Annotated[Name, AfterValidator(_given)]
 Length = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)]

@@ -19,6 +19,7 @@ from starlette.routing import Route, WebSocketRoute
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import NameRefusedError
+from cucumbervision.names import LONGEST_NAME
 from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
@@ -55,8 +56,8 @@ class SentPress(Sent):
     at_s: Moment
     round: Key
     source: Source
-    row: Annotated[str, Field(max_length=100)] = ""
-    side: Annotated[str, Field(max_length=100)] = "left"
+    row: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    side: Annotated[str, Field(max_length=LONGEST_NAME)] = "left"
     position_m: Annotated[float, Field(ge=0, le=10_000)]
 
 
@@ -69,8 +70,8 @@ class SentPresses(Sent):
 class SentRound(Sent):
     """A new round."""
 
-    name: Annotated[str, Field(max_length=200)] = ""
-    house: Annotated[str, Field(max_length=200)] = ""
+    name: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    house: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
 
 
 class SentUndo(Sent):

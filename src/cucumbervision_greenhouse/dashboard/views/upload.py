@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
-from cucumbervision.names import checked_name
+from cucumbervision.names import LONGEST_NAME, checked_name
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import counted
@@ -17,7 +17,7 @@ from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.progress import progress_of
 from cucumbervision_greenhouse.backend.round_words import round_day, side_words
 from cucumbervision_greenhouse.backend.uploading import CAMERAS
-from cucumbervision_greenhouse.backend.uploads import LONGEST_NAME, MOST_FILES, SentPlace
+from cucumbervision_greenhouse.backend.uploads import MOST_FILES, SentPlace
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of

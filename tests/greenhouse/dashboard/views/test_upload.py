@@ -11,6 +11,7 @@ pytest.importorskip("streamlit")
 
 from tests.greenhouse.dashboard.app_pages import WALK, app, field, said
 
+from cucumbervision.names import LONGEST_NAME
 from cucumbervision_greenhouse.capture_page.state import walk
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
@@ -84,4 +85,4 @@ def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house:
 def test_a_row_of_the_address_may_be_too_long(house: Path) -> None:
     test = app("upload", row="x" * 10_000)
     assert not test.exception
-    assert field(test, "text_input", "Row").value == "x" * 500
+    assert field(test, "text_input", "Row").value == "x" * LONGEST_NAME

@@ -14,6 +14,7 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import betaln
 
 from cucumbervision.measurement.matching import DEPTH, pooled_length
 
@@ -144,6 +145,7 @@ _MOST_LEARNT = 500  # views; a house changes
 # With fewer of its chances to show a fruit again come true, a row's pictures are unrelated.
 _LEAST_SEEN_AGAIN, _CHANCES = 0.25, 10
 _MOST_ITERATIONS = 400  # it converges slowly if many fruit are hidden
+_STILL = 1e-9  # change of a probability from one iteration to the next
 
 
 @dataclass(frozen=True)
@@ -405,6 +407,7 @@ def estimate_count(
     once = (view_counts == 1) if accepted_fruit is None else (view_counts == 1) & ~accepted_fruit
     q, real = _SEEN, np.where(once, 0.5, 1.0)
     for _ in range(_MOST_ITERATIONS):
+        before = q, real
         nothing = (1 - q) ** capture_counts
         single = capture_counts * q * (1 - q) ** (capture_counts - 1) / (1 - nothing)
         false_views = (1 - real).sum() + false.share * false.weight
@@ -415,6 +418,8 @@ def estimate_count(
         hits = (real * view_counts).sum() + _SEEN * _SEEN_WEIGHT
         q = float(hits / (((real + unseen) * capture_counts).sum() + _SEEN_WEIGHT))
         q = min(max(q, 0.05), 0.995)
+        if max(abs(q - before[0]), float(np.abs(real - before[1]).max())) < _STILL:
+            break
     uncertain = float((real * (1 - real)).sum()) * _share_learnt(real[once])
     sd = np.sqrt(uncertain + (unseen * (1 + unseen)).sum())
     return CountEstimate(
@@ -444,8 +449,6 @@ def _score_ratio(score: Floats, sure: Floats) -> Floats:
 
     The density is a Beta distribution's, fitted by moments.
     """
-    from scipy.stats import beta
-
     if len(sure) < 20 or float(sure.std()) < 1e-3:
         return np.ones(len(score))
     lowest, highest = min(float(score.min()), float(sure.min())), 1.0
@@ -454,5 +457,8 @@ def _score_ratio(score: Floats, sure: Floats) -> Floats:
     mean, variance = float(scaled.mean()), float(scaled.var())
     common = max(mean * (1 - mean) / variance - 1, 0.1)
     scaled_score = np.clip((score - lowest) / spread, 0.01, 0.99)
-    density = beta.pdf(scaled_score, mean * common, (1 - mean) * common)
+    a, b = mean * common, (1 - mean) * common
+    # As `scipy.stats.beta.pdf`, whose import takes a second.
+    log_density = (a - 1) * np.log(scaled_score) + (b - 1) * np.log1p(-scaled_score) - betaln(a, b)
+    density = np.exp(log_density)
     return np.asarray(np.clip(density, 0.02, 5.0), np.float64)

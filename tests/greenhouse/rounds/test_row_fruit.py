@@ -105,3 +105,18 @@ def test_share_found_by_hand() -> None:
 def test_without_any_row_the_priors_stand() -> None:
     assert found_share([]) == pytest.approx((0.9, (0.9 * 0.1 / 20) ** 0.5, 0.02))
     assert found_share([CountEstimate.of_nothing()]) == found_share([])
+
+
+def test_a_count_that_stands_still_is_that_of_all_iterations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(4)
+    chances = np.full(60, 3)
+    views = np.maximum(rng.binomial(chances, 0.6), 1)
+    scores = rng.uniform(0.3, 0.9, 60)
+    settled = estimate_count(views, chances, scores, np.zeros(0))
+    monkeypatch.setattr("cucumbervision_greenhouse.rounds.row_fruit._STILL", 0.0)
+    every = estimate_count(views, chances, scores, np.zeros(0))
+    assert settled.expected == pytest.approx(every.expected, rel=1e-6)
+    assert settled.sd == pytest.approx(every.sd, rel=1e-6)
+    assert settled.real == pytest.approx(every.real, abs=1e-6)

@@ -14,7 +14,6 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import betaln
 
 from cucumbervision.measurement.matching import DEPTH, pooled_length
 
@@ -459,6 +458,7 @@ def _score_ratio(score: Floats, sure: Floats) -> Floats:
     scaled_score = np.clip((score - lowest) / spread, 0.01, 0.99)
     a, b = mean * common, (1 - mean) * common
     # As `scipy.stats.beta.pdf`, whose import takes a second.
-    log_density = (a - 1) * np.log(scaled_score) + (b - 1) * np.log1p(-scaled_score) - betaln(a, b)
-    density = np.exp(log_density)
+    log_of_all = math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
+    log_density = (a - 1) * np.log(scaled_score) + (b - 1) * np.log1p(-scaled_score)
+    density = np.exp(log_density - log_of_all)
     return np.asarray(np.clip(density, 0.02, 5.0), np.float64)

@@ -167,7 +167,7 @@ def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(house: Path
         "tasks.prepare()\n"
         "assert not app('today', round=WALK).exception\n"
         "assert not resources.worker().unfinished()\n"
-        "late = ('pandas', 'pyarrow', 'altair', 'onnxruntime', 'openvino')\n"
+        "late = ('pandas', 'pyarrow', 'altair', 'scipy.stats', 'onnxruntime', 'openvino')\n"
         "print(*[name for name in late if name in sys.modules])\n"
     )
     command = [sys.executable, "-W", "ignore", "-c", code]

@@ -41,6 +41,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import MethodName
@@ -117,7 +118,7 @@ class Comparison:
         axis_cm = self.level_axis_cm()
         if axis_cm is None:
             return None
-        return 100 * (polyline_cm(axis_cm) / polyline_cm(self.truth.passes[0].axis_cm) - 1)
+        return 100 * (polyline_length(axis_cm) / polyline_length(self.truth.passes[0].axis_cm) - 1)
 
     def end_errors_mm(self) -> tuple[float, float] | None:
         """Return how far M6 goes beyond each marked tip as seen, whatever the depth's scale."""
@@ -145,12 +146,7 @@ class Comparison:
         pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
         ray = self.intrinsics.rays(*np.asarray(pixels).reshape(-1, 2).T)
         read_cm = np.column_stack([*ray, np.ones(len(points))]) * points[:, 2:] * self.scale
-        return 100 * (polyline_cm(read_cm) / polyline_cm(points) - 1)
-
-
-def polyline_cm(points_cm: NDArray[np.float64]) -> float:
-    """Return the length of a line through points, shape (N, 3)."""
-    return float(np.linalg.norm(np.diff(points_cm, axis=0), axis=1).sum())
+        return 100 * (polyline_length(read_cm) / polyline_length(points) - 1)
 
 
 def read_truth(matrix: NDArray[np.float64], file: Path = MARKED) -> list[Truth]:

@@ -20,7 +20,7 @@ LONGEST_NAME = 200
 _HOUSE = re.compile(r"^house(?:[\W_]+|(?=\d))(?=.)")
 
 
-def checked_name(text: str, what: str = "name") -> str:
+def checked_name(text: str, what: str = "name", longest: int | None = LONGEST_NAME) -> str:
     r"""Return a name without spaces around it, after checking that it is one line that can be read.
 
     Letters of every script are allowed, and so is text that looks like markup or a formula: pages
@@ -32,12 +32,14 @@ def checked_name(text: str, what: str = "name") -> str:
         The name as entered.
     what : str
         Kind of name, for the error message.
+    longest : int, optional
+        Most characters; None for a name that files and folders gave.
 
     Raises
     ------
     NameRefusedError
         If it has a control character, a line's end, half of a surrogate pair, or a mark that turns
-        the direction of writing, or is longer than `LONGEST_NAME`.
+        the direction of writing, or is too long.
 
     Examples
     --------
@@ -48,14 +50,15 @@ def checked_name(text: str, what: str = "name") -> str:
     cucumbervision.errors.NameRefusedError: the row '3?' contains U+202E, ...
     """
     name = text.strip()
-    name_start = readable(name[:_SHOWN_CHARACTERS])
-    if len(name) > LONGEST_NAME:
+    if longest is not None and len(name) > longest:
+        name_start = readable(name[:_SHOWN_CHARACTERS])
         raise NameRefusedError(
-            f"the {what} '{name_start}' has {len(name)} characters, and {LONGEST_NAME} are taken",
+            f"the {what} '{name_start}' has {len(name)} characters, and {longest} are taken",
             remedy="shorten it",
         )
     bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
+        name_start = readable(name[:_SHOWN_CHARACTERS])
         raise NameRefusedError(
             f"the {what} '{name_start}' contains U+{ord(bad):04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",

@@ -32,8 +32,8 @@ def _given(name: str) -> str:
         raise ValueError(str(error)) from None
 
 
-Name = Annotated[str, Field(max_length=LONGEST_NAME)]
-GivenName = Annotated[Name, AfterValidator(_given)]
+FileName = Annotated[str, Field(max_length=500)]  # with its folders
+GivenName = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_given)]
 Length = Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)]
 
 
@@ -44,7 +44,7 @@ class _Frozen(BaseModel):
 class SentFile(_Frozen):
     """A file as announced: its name, its size in bytes, the time of its last change."""
 
-    name: Name
+    name: FileName
     size: Annotated[int, Field(ge=0)]
     changed: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
@@ -94,7 +94,7 @@ class Sending(_Frozen):
     round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
     files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=MOST_FILES)]
     place: SentPlace = SentPlace()
-    camera: Name = ""
+    camera: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
 
     @property
     def key(self) -> str:

@@ -91,7 +91,7 @@ def checked_stop(stop: StopRecord) -> StopRecord:
     """
     check_place(stop)
     for capture in stop.captures:
-        checked_name(capture.name, "capture's name")
+        checked_name(capture.name, "capture's name", longest=None)
     stop = replace(
         stop,
         key=checked_key(stop.key, "stop"),

@@ -69,6 +69,13 @@ def test_what_cannot_be_announced_leaves_no_folder(
     assert list((tmp_path / "up").iterdir()) == []
 
 
+def test_a_file_is_named_with_its_folders() -> None:
+    path = "house 7/" * 50 + "a.png"  # 405 characters, as a browser names the files of a folder
+    assert SentFile(name=path, size=1).name == path
+    with pytest.raises(ValidationError):
+        SentFile(name="x" * 501, size=1)
+
+
 def test_what_is_too_large_is_refused_before_it_is_sent(tmp_path: Path) -> None:
     uploads = Uploads(tmp_path / "up")
     with pytest.raises(UploadError, match="more than the 0 MB that are taken"):

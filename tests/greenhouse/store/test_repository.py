@@ -60,6 +60,18 @@ def test_a_name_that_is_none_is_refused_by_every_database_alike(
     assert lines(store) == before
 
 
+def test_long_names_of_places_are_refused_and_those_of_files_are_kept(
+    store: Store, make_stop: MakeStop
+) -> None:
+    stop, long = make_stop(3), "x" * 201
+    for changed in (replace(stop, row=long), replace(stop, side=long), replace(stop, note=long)):
+        with pytest.raises(NameRefusedError, match="201 characters"):
+            store.save_stop(changed)
+    capture = replace(stop.captures[0], name=long)
+    assert store.save_stop(replace(stop, captures=(capture,))) is Saved.NEW
+    assert store.stop(stop.key).captures[0].name == long
+
+
 def test_a_house_gets_the_name_that_it_had_first(store: Store) -> None:
     first = Round(house=" House 7 ")
     second = Round(house="7")

@@ -104,6 +104,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         (OURS | {"stream": "infrared"}, "'stream': input should be"),
         (OURS | {"distorsion": "none"}, "'distorsion': extra inputs are not permitted"),
         (OURS | {"coefficients": [1, 2]}, "coefficients"),
+        (OURS | {"coefficients": [0.1, 0, 0, 0, 0]}, "coefficients need 'distortion'"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [[1, 2], [3, 4]]}, "not \\[\\[fx, 0, cx\\]"),
         (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "camera matrix is not"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [10**400] * 9}, "camera matrix is not"),
@@ -119,7 +120,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
                 {"fx": 1e-300},
                 {"fx": 1e300, "fy": 1e300},
                 {"fx": 1820.0, "fy": 910.0},
-                {"coefficients": [0, 0, 0, 0, 1e300]},
+                {"distortion": "none", "coefficients": [0, 0, 0, 0, 1e300]},
             )
         ),
         (

@@ -56,6 +56,7 @@ TEXTS = {
         {
             **{"fl_x": 60.5, "fl_y": 60.25, "cx": 31.5, "cy": 24.5, "w": 64, "h": 48},
             **dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS, strict=True)),
+            "camera_model": "OPENCV",
             "frames": [],
         }
     ),
@@ -70,6 +71,7 @@ TEXTS = {
     "matrix.json": json.dumps([ROWS[:3], ROWS[3:6], ROWS[6:]]),
     "commas.txt": "60.5, 0, 31.5, 0, 60.25, 24.5, 0, 0, 1",
 }
+NERF = TEXTS["transforms.json"]
 UNSIZED = {"cam_K.txt", "intrinsic_color.txt", "matrix.json", "commas.txt"}
 
 
@@ -140,6 +142,16 @@ def test_a_name_may_say_that_it_is_not_the_colour_camera(name: str, tmp_path: Pa
     [
         ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "another than plumb_bob"),
         ("a.yaml", ROS.replace("0.01]", "0.01, 0.2, 0.0, 0.0]"), "more than five coefficients"),
+        ("a.yaml", ROS.replace("plumb_bob", "equidistant").replace(str(LENS), "[]"), "another"),
+        (
+            "a.json",
+            NERF.replace("OPENCV", "OPENCV_FISHEYE"),
+            "another",
+        ),
+        ("a.json", NERF.replace('"frames"', '"is_fisheye": true, "frames"'), "another"),
+        ("a.json", NERF.replace('"frames"', '"k4": 0.3, "frames"'), "more than five"),
+        ("a.yaml", f"{TEXTS['slam.yaml']}Camera.type: KannalaBrandt8\n", "another"),
+        ("a.yaml", f"fisheye_model: 1\n{ROS}", "another"),
         ("a.yaml", "K: &a [*a, *a]", "entities or anchors"),
         ("a.xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "entities or anchors"),
         ("a.xml", "<a", "is damaged"),

@@ -51,6 +51,15 @@ def test_the_wrong_unit_is_named(raw: Any, unit_m: float | None, words: str) -> 
         depth_to_metres(raw, unit_m, source="a.png")
 
 
+def test_shares_of_the_largest_distance_are_no_metres() -> None:
+    shares = (PLAUSIBLE / PLAUSIBLE.max()).astype(np.float32)
+    with pytest.raises(DepthError, match=r"a\.npy: .*no metres; .*declare the depth unit 1 m"):
+        depth_to_metres(shares, source="a.npy")
+    assert depth_to_metres(shares, 1.0).max() == 1.0
+    clipped = np.minimum(np.rint(1000 * PLAUSIBLE) / 1000, 1.0).astype(np.float32)
+    assert depth_to_metres(clipped).max() == 1.0
+
+
 def test_holes_do_not_count_against_a_unit() -> None:
     raw = np.zeros((10, 10), np.uint16)
     raw[0, 0] = 450

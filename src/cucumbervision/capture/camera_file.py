@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cucumbervision.capture.camera_formats import camera_document
 from cucumbervision.capture.conventions import DepthAlong
@@ -107,6 +107,12 @@ class CameraModel(StrictModel):
     distortion: Distortion = Distortion.NONE
     coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     stream: Stream
+
+    @model_validator(mode="after")
+    def _names_its_lens(self) -> CameraModel:
+        if any(self.coefficients) and "distortion" not in self.model_fields_set:
+            raise ValueError("coefficients need 'distortion', which says whose they are")
+        return self
 
     @property
     def intrinsics(self) -> Intrinsics:

@@ -22,9 +22,19 @@ _LENSES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "d")
 _NAMES = {
     **{"fl_x": "fx", "fl_y": "fy", "w": "width", "h": "height"},
     **{f"Camera.{key}": key for key in ("fx", "fy", "cx", "cy", "width", "height")},
-    **{f"Camera.{key}": key for key in ("k1", "k2", "p1", "p2", "k3")},
+    **{f"Camera.{key}": key for key in ("k1", "k2", "p1", "p2", "k3", "k4")},
 }
 _LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")
+_MORE_LENS_KEYS = ("k4", "k5", "k6")
+# Keys that name a lens model, and the names of those with the five coefficients: a fisheye lens
+# has others by the same keys.
+_LENS_MODELS = ("distortion_model", "camera_model", "Camera.type", "is_fisheye", "fisheye_model")
+_FIVE_COEFFICIENTS = frozenset(
+    {
+        *("plumb_bob", "brown_conrady", "rational_polynomial", "radtan", "opencv", "radial"),
+        *("pinhole", "simple_pinhole", "simple_radial", "rectified", "none", "false", "0"),
+    }
+)
 # As librealsense prints it: [ 640x480  p[319.5 239.5]  f[600 600]  Brown Conrady [0 0 0 0 0] ]
 _PRINTED = re.compile(
     r"\[\s*(\d+)x(\d+)\s+p\[(\S+) (\S+)\]\s+f\[(\S+) (\S+)\]\s+([A-Za-z ]+?)\s*"
@@ -195,9 +205,10 @@ def _of_other_names(data: dict[str, Any], path: Path) -> dict[str, Any]:
     ours = {_NAMES.get(key, key): value for key, value in data.items()}
     keys = ("fx", "fy", "cx", "cy", "width", "height")
     camera = {key: ours[key] for key in keys if key in ours}
-    lens = [float(ours.get(key) or 0.0) for key in _LENS_KEYS]
+    lens = [float(ours.get(key) or 0.0) for key in (*_LENS_KEYS, *_MORE_LENS_KEYS)]
+    _require_five(data, lens, path)
     if any(lens):
-        camera |= {"distortion": "brown_conrady", "coefficients": lens}
+        camera |= {"distortion": "brown_conrady", "coefficients": lens[:5]}
     if steps := data.get("DepthMapFactor"):
         camera["depth_unit_m"] = 1 / float(steps)
     return {**camera, "stream": data.get("stream") or _stream_of(data, path)}
@@ -232,15 +243,21 @@ def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
         if value is not None:
             ours[key] = value
     lens = next((_numbers(data[key]) for key in _LENSES if key in data), [])
+    _require_five(data, lens, path)
     if any(lens):
-        if any(lens[5:]) or str(data.get("distortion_model", "plumb_bob")) != "plumb_bob":
-            raise IntrinsicsError(
-                "has a lens model of more than five coefficients, or another than plumb_bob",
-                source=path,
-                remedy="rectify the pictures, or calibrate with five coefficients",
-            )
         ours |= {"distortion": "brown_conrady", "coefficients": [*lens, *[0.0] * 5][:5]}
     return ours
+
+
+def _require_five(data: dict[str, Any], lens: list[float], path: Path) -> None:
+    """Refuse a lens that is not described by k1, k2, p1, p2 and k3 alone."""
+    models = {str(data[key]).lower() for key in _LENS_MODELS if data.get(key)}
+    if any(lens[5:]) or not models <= _FIVE_COEFFICIENTS:
+        raise IntrinsicsError(
+            "has a lens model of more than five coefficients, or another than plumb_bob",
+            source=path,
+            remedy="rectify the pictures, or calibrate with five coefficients",
+        )
 
 
 def _of_rows(values: list[float]) -> list[float]:

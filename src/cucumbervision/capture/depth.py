@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 _FEW, _MOST = 0.01, 0.5
+_WHOLE = 0.01  # of a millimetre, to which float32 rounds whole ones
 _FINEST_M, _COARSEST_M = 1e-7, 10.0
 _UNIT_NAMES = {
     1.0: "metres",
@@ -67,8 +68,8 @@ def depth_to_metres(
     Raises
     ------
     DepthError
-        If the picture has colour channels or 8 bits, or the unit is implausible while metres or
-        millimetres are plausible.
+        If the picture has colour channels or 8 bits, the unit is implausible while metres or
+        millimetres are plausible, or the numbers are shares of the largest.
 
     Examples
     --------
@@ -83,6 +84,7 @@ def depth_to_metres(
         raw = raw[:, :, 0]
     _check_kind(raw, source)
     if unit_m is None:
+        _refuse_shares(raw, source)
         unit_m = 1.0 if raw.dtype.kind == "f" else 0.001
     if not _FINEST_M <= unit_m <= _COARSEST_M:
         raise DepthError(
@@ -142,6 +144,22 @@ def _check_kind(raw: NDArray[Any], source: object) -> None:
     else:
         return
     raise DepthError(fault, source=source, remedy="give the 16-bit depth itself")
+
+
+def _refuse_shares(raw: NDArray[Any], source: object) -> None:
+    """Refuse numbers that were divided by the largest: relative depth has no metres."""
+    if raw.dtype.kind != "f":
+        return
+    readings = raw[np.isfinite(raw) & (raw > 0)]
+    if readings.max(initial=0.0) != 1.0 or readings.min() == 1.0:
+        return
+    steps = 1000.0 * readings
+    if (np.abs(steps - np.rint(steps)) > _WHOLE).mean() > _MOST:  # a camera's are whole millimetres
+        raise DepthError(
+            "depth is 1 at most, as shares of the largest distance are, which are no metres",
+            source=source,
+            remedy="give depth in metres; if it is, declare the depth unit 1 m",
+        )
 
 
 def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:

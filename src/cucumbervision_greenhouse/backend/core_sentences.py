@@ -393,6 +393,8 @@ SENTENCES = (
     marked("undo the later one first"),
     marked("it was changed again since"),
     marked("undo the later change first"),
+    marked("somebody else has changed it meanwhile"),
+    marked("look at it as it is now"),
     marked("no fruit was named"),
     marked("name at least one"),
     marked("{first} and {second} are not two fruit that can be linked so"),

@@ -8,7 +8,9 @@ from typing import Any
 import streamlit as st
 from streamlit.runtime.state.safe_session_state import SafeSessionState
 
-from cucumbervision_greenhouse.backend.plain_text import Option, told_apart
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.plain_text import Option, sentence, told_apart
 
 _will_rerun = SafeSessionState.on_script_will_rerun
 
@@ -57,5 +59,8 @@ def _uninterrupted(state: SafeSessionState, *states: Any, **options: Any) -> Non
     runner._execing = False  # prevents an interruption
     try:
         _will_rerun(state, *states, **options)
+    except CucumberVisionError as error:
+        # Such as a full disk, or a fruit that another viewer deleted; pages say their own faults.
+        st.toast(sentence(said(error)), icon=":material/error:", duration="long")
     finally:
         runner._execing = True

@@ -78,6 +78,45 @@ def draw_undo(round_key: str) -> None:
         st.warning(sentence(fault), icon=":material/error:")
 
 
+def setting(
+    name: str,
+    draw: Callable[..., Any],
+    label: str,
+    *args: Any,
+    field: str = "",
+    shown: Callable[[Any], Any] = lambda saved: saved,
+    meant: Callable[[Any], Any] = lambda value: value,
+    **options: Any,
+) -> None:
+    """Draw a field that shows a setting, and changes it when somebody changes the field.
+
+    A page that others have left behind changes nothing else; where another viewer has changed this
+    setting since the page was drawn, its viewer is told so.
+
+    Parameters
+    ----------
+    name : str
+        Name in `Settings`.
+    draw : callable
+        Streamlit's field, with `label`, `args` and `options`.
+    field : str
+        Name of the field, where a setting has several.
+    shown, meant : callable
+        From the setting to what the field holds, and back.
+    """
+    key = f"setting_{name}{field}"
+
+    def choose() -> None:
+        if getattr(resources.settings(), name) != st.session_state[f"{key}_drawn"]:
+            words = _("Somebody else has changed this meanwhile; what you chose counts now.")
+            st.toast(words, icon=":material/info:")
+        resources.change_settings(**{name: meant(st.session_state[key])})
+
+    saved = getattr(resources.settings(), name)
+    st.session_state[f"{key}_drawn"], st.session_state[key] = saved, shown(saved)
+    draw(label, *args, key=key, on_change=choose, **options)
+
+
 def spanning(low: float, high: float, value: float) -> tuple[float, float, float]:
     """Return limits and value of a field for numbers: a file may hold a value beyond the limits.
 

@@ -131,7 +131,7 @@ def _change(round_summary: RoundSummary | None) -> None:
             _("Rename"),
             width="stretch",
             on_click=_do,
-            args=(_rename, round_summary.key),
+            args=(partial(_rename, round_summary.record.name), round_summary.key),
             disabled=not name.strip(),
         )
         _house(round_summary)
@@ -176,12 +176,12 @@ def _house(round_summary: RoundSummary) -> None:
     words = f"{plain(words)} ({counted(len(of_house), '{n} round', '{n} rounds')})"
     for label, keys in ((_("Move this round"), [key]), (words, of_house)):
         if house or keys == [key]:  # rounds without a house are not of one house
-            act = partial(_move, keys)
+            act = partial(_move, keys, house)
             st.button(label, width="stretch", on_click=_do, args=(act, typed))
 
 
-def _move(keys: list[str], house: str) -> None:
-    for key in move_rounds(resources.store(), keys, house):
+def _move(keys: list[str], seen: str, house: str) -> None:
+    for key in move_rounds(resources.store(), keys, house, seen):
         tasks.merge(key)  # linked to the other rounds of its house now
 
 
@@ -194,10 +194,10 @@ def _do(act: Callable[[str], None], key: str) -> None:
         st.session_state[_CHANGING] = False
 
 
-def _rename(key: str) -> None:
+def _rename(seen: str, key: str) -> None:
     # Read the field's current value, which may have changed since it was drawn.
     if name := st.session_state[f"name_{key}"].strip():
-        resources.store().rename_round(key, name)
+        resources.store().rename_round(key, name, seen)
 
 
 def _delete(key: str) -> None:

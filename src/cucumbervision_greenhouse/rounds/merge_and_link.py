@@ -286,6 +286,8 @@ def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> i
     ------
     RoundError
         If it is moved to where another stop of the round is, of the same camera.
+    StoreConflictError
+        If it is not where `stop` says any more.
     """
     if (place.row, place.side, place.position_m) != (stop.row, stop.side, stop.position_m):
         camera = store.cameras(stop.round_key)[stop.key]
@@ -299,7 +301,8 @@ def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> i
         note=note,
         mirrored=stop.mirrored != turned,
     )
-    return store.place_stop(stop.key, where)
+    seen = StopPlace(stop.row, stop.side, stop.position_m, stop.step, stop.note, stop.mirrored)
+    return store.place_stop(stop.key, where, seen)
 
 
 def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list[str]:
@@ -330,7 +333,9 @@ def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list
     return [later.key for later in after]  # its fruit are those of the round before now
 
 
-def move_rounds(store: Store, keys: Sequence[str], house: str) -> list[str]:
+def move_rounds(
+    store: Store, keys: Sequence[str], house: str, seen: str | None = None
+) -> list[str]:
     """Move rounds to a house, as `Store.move_rounds` does.
 
     Returns
@@ -340,7 +345,7 @@ def move_rounds(store: Store, keys: Sequence[str], house: str) -> list[str]:
         in the house that they left and in the other.
     """
     before = store.rounds()
-    store.move_rounds(keys, house)
+    store.move_rounds(keys, house, seen)
     return _to_settle(keys, before, store.rounds())
 
 

@@ -81,7 +81,8 @@ class Corrections(Database):
     """Corrections of fruit, stops and rounds. Each method returns its number in the log.
 
     The log names who the store is signed by (`Database.signed`). All raise `StoreError` where a
-    detection, stop or round is not there.
+    detection, stop or round is not there. Those that are told what was `seen` before raise
+    `StoreConflictError` where somebody else has changed it since.
     """
 
     def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None) -> int:
@@ -177,7 +178,7 @@ class Corrections(Database):
         with self.writing() as connection:
             return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth")
 
-    def place_stop(self, key: str, place: StopPlace) -> int:
+    def place_stop(self, key: str, place: StopPlace, seen: StopPlace | None = None) -> int:
         """Set where a stop was taken, and its name; its fitted position is discarded.
 
         Raises
@@ -187,10 +188,12 @@ class Corrections(Database):
         """
         check_place(place)
         with self.writing() as connection:
-            after = asdict(place)
-            row, stop = after.pop("row"), line_of(connection, StopLine, key)
-            after["row_id"] = row if row is None else row_id_of(connection, stop.round_id, row)
-            return _edit(connection, StopLine, stop, "place-stop", after)
+            stop = line_of(connection, StopLine, key)
+            after, before = (
+                None if x is None else _place_cells(connection, stop.round_id, x)
+                for x in (place, seen)
+            )
+            return _edit(connection, StopLine, stop, "place-stop", after or {}, before)
 
     def delete_stop(self, key: str, *, taken_back: bool = False) -> int:
         """Take a stop with all its fruit out of every list.
@@ -203,7 +206,7 @@ class Corrections(Database):
             stop = line_of(connection, StopLine, key)
             return _edit(connection, StopLine, stop, kind, {"deleted": True})
 
-    def rename_round(self, key: str, name: str) -> int:
+    def rename_round(self, key: str, name: str, seen: str | None = None) -> int:
         """Rename a round.
 
         Raises
@@ -214,9 +217,10 @@ class Corrections(Database):
         name = checked_name(name, "round's name")
         with self.writing() as connection:
             line = line_of(connection, RoundLine, key)
-            return _edit(connection, RoundLine, line, "rename-round", {"name": name})
+            before = None if seen is None else {"name": seen}
+            return _edit(connection, RoundLine, line, "rename-round", {"name": name}, before)
 
-    def move_rounds(self, keys: Sequence[str], house: str) -> int:
+    def move_rounds(self, keys: Sequence[str], house: str, seen: str | None = None) -> int:
         """Move rounds to a house: all of one house to rename it, or to merge it with another.
 
         The house is the known one where the names differ by no more than case, spaces or the word
@@ -242,7 +246,8 @@ class Corrections(Database):
             house = same_house(house, connection.execute(houses.order_by(RoundLine.id)).scalars())
             moved = [line for line in lines if line.house != house]
             for line in moved:
-                _edit(connection, RoundLine, line, MOVE_ROUND, {"house": house})
+                before = None if seen is None else {"house": seen}
+                _edit(connection, RoundLine, line, MOVE_ROUND, {"house": house}, before)
             _forget_other_houses(connection, [line.id for line in moved])
         return len(moved)
 
@@ -506,8 +511,25 @@ def line_of(connection: Connection, table: Any, key: str) -> Any:
     return line
 
 
-def _edit(connection: Connection, table: Any, line: Any, kind: str, after: dict[str, Any]) -> int:
+def _place_cells(connection: Connection, round_id: int, place: StopPlace) -> dict[str, Any]:
+    cells = asdict(place)
+    row = cells.pop("row")
+    return {**cells, "row_id": row if row is None else row_id_of(connection, round_id, row)}
+
+
+def _edit(
+    connection: Connection,
+    table: Any,
+    line: Any,
+    kind: str,
+    after: dict[str, Any],
+    seen: dict[str, Any] | None = None,
+) -> int:
     before = {name: getattr(line, name) for name in after}
+    if seen is not None and before != seen:
+        raise StoreConflictError(
+            "somebody else has changed it meanwhile", remedy="look at it as it is now"
+        )
     details = {"table": table.__tablename__, "key": line.key, "before": before, "after": after}
     round_id = line.id if table is RoundLine else line.round_id
     number = log_action(connection, kind, round_id, details=details)

@@ -295,7 +295,7 @@ def save_by_hand(dashboard: Dashboard, page: Any, values: list[str]) -> None:
         page.wait_for_timeout(100)
     sure.click()
     page.get_by_role("button", name="Save these lengths", disabled=False).click()
-    lines = [f",{float(value):.2f},," for value in values]
+    lines = [f",{float(value):.2f}," for value in values]
     for _ in range(500):
         written = "".join(x.read_text() for x in dashboard.store.parent.glob("house.truth/*.csv"))
         if all(line in written for line in lines):
@@ -316,6 +316,9 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
     fields = by_hand(page, typed, pause_ms=pause_ms)
     dashboard.quiet()
     assert [fields.nth(line).input_value() for line in range(7)] == typed
+    # The same fruit measured again by the other, who does not see the first length yet.
+    second.get_by_label("Again, fruit").first.fill("71.4")
+    second.get_by_label("Again, fruit").first.blur()
     save_by_hand(dashboard, page, typed)
     # What is saved by somebody else since does not take it away.
     last = f"99.{1 + pause_ms % 7}"
@@ -326,6 +329,7 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
         fields = one.get_by_label("By hand, fruit")
         fields.nth(7).wait_for()
         assert [fields.nth(line).input_value() for line in range(8)] == [*typed, last]
+        assert one.get_by_label("Again, fruit").first.input_value() == "71.4"
     second.close()
     dashboard.shot("hand")
 

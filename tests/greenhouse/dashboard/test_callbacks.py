@@ -59,6 +59,27 @@ def test_a_press_that_is_overtaken_is_carried_out_whole_and_once() -> None:
         assert page.session_state["begun"] == page.session_state["pressed"] == presses
 
 
+def _full_disk() -> None:
+    import streamlit as st
+
+    from cucumbervision.errors import StoreError
+
+    def press() -> None:
+        raise StoreError("the disk is full", remedy="free some space")
+
+    st.button("Press", on_click=press)
+    st.write("whole")
+
+
+@pytest.mark.usefixtures("whole")
+def test_what_stops_a_press_is_said_and_leaves_the_page_whole() -> None:
+    page = AppTest.from_function(_full_disk, default_timeout=PATIENCE_S).run()
+    page.button[0].click().run()
+    assert not page.exception
+    assert "The disk is full; free some space" in page.toast[0].value
+    assert page.markdown[0].value == "whole"
+
+
 def _choice() -> None:
     import streamlit as st
 

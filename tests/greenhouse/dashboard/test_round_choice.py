@@ -70,6 +70,24 @@ def test_the_names_that_another_viewer_gives_are_shown(house: Path) -> None:
     assert test.text_input(key=f"house_{WALK}").value == "South"
 
 
+def test_a_name_that_another_viewer_has_changed_meanwhile_is_not_overwritten(house: Path) -> None:
+    first, second = app("results", round=WALK), app("results", round=WALK)
+    for test, name in ((second, "Evening"), (first, "Noon")):
+        test.text_input(key=f"name_{WALK}").set_value(name).run()
+    tap(first, "Rename")
+    tap(second, "Rename")
+    assert "changed it meanwhile" in said(second)
+    assert second.text_input(key=f"name_{WALK}").value == "Noon"
+    for test, name in ((second, "South"), (first, "North")):
+        test.text_input(key=f"house_{WALK}").set_value(name).run()
+    tap(first, "Rename the house (1 round)")
+    tap(second, "Rename the house (1 round)")
+    assert "changed it meanwhile" in said(second)
+    with open_store(house) as store:
+        [record] = [summary.record for summary in store.rounds()]
+    assert (record.name, record.house) == ("Noon", "North")
+
+
 def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
     capture = next(iter(open_source(example_captures()))).load()
     one = resources.waiting().put(capture, new_key(), WALK, time.time())

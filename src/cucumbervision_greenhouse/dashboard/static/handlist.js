@@ -18,7 +18,8 @@ function makeLine(line, own) {
     const field = Object.assign(document.createElement("input"), { inputMode: "decimal", autocomplete: "off", maxLength: 12 });
     field.setAttribute("aria-label", `${words}, ${line.name}`);
     field.onchange = () => {
-      own.typed[line.key] = fields.map((one) => one.value.trim());
+      // The other field's is somebody else's, perhaps: it is sent only where it was typed here.
+      own.typed[line.key] = fields.map((one, k) => (k === at ? one.value.trim() : own.typed[line.key]?.[k] ?? null));
       own.check(field);
       own.send();
     };
@@ -52,10 +53,10 @@ export default function (component) {
     const made = own.made.get(line.key) || makeLine(line, own);
     own.made.set(line.key, made);
     const typed = own.typed[line.key];
-    if (typed?.every((text, at) => isSame(text, line.saved[at]))) delete own.typed[line.key]; // it is saved
+    if (typed?.every((text, at) => text === null || isSame(text, line.saved[at]))) delete own.typed[line.key]; // it is saved
     made.fields.forEach((field, at) => {
       // What is being typed stays; what was saved elsewhere is shown.
-      if (field !== root.activeElement) field.value = (own.typed[line.key] || line.saved)[at];
+      if (field !== root.activeElement) field.value = own.typed[line.key]?.[at] ?? line.saved[at];
       own.check(field);
     });
     return made;

@@ -90,7 +90,7 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
     )
     st.caption(_("Lengths in {unit}.").format(unit=units.name))
     name = f"hand_{path.stem}_{units.name}"
-    typed: dict[str, list[str]] = st.session_state.setdefault(f"{name}_typed", {})
+    typed: dict[str, list[str | None]] = st.session_state.setdefault(f"{name}_typed", {})
     key = f"{name}_{page_fruit[0].key}"
     component("handlist")(
         key=key,
@@ -132,13 +132,15 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
 
 
 def _read(
-    typed: Mapping[str, Sequence[str]], saved: dict[str, tuple[float | None, float | None]]
+    typed: Mapping[str, Sequence[str | None]], saved: dict[str, tuple[float | None, float | None]]
 ) -> list[str]:
     """Add typed values to the saved lengths; return those that are not lengths."""
     units, bad = resources.settings().units, list[str]()
     for key, cells in typed.items():
         lengths = list(saved.get(key, (None, None)))
         for index, cell in enumerate(cells[:2]):
+            if cell is None:  # not typed: it may have been saved by another viewer meanwhile
+                continue
             try:
                 lengths[index] = typed_m(str(cell), units)
             except ValueError:

@@ -93,8 +93,12 @@ def draw_choice() -> None:
         page_elements.button(undo, label, "undo", _use, before or "")
     for calibration in saved:
         _draw(calibration, key=str(calibration.path))
-    words = _("A calibration counts from the next capture on; measured fruit stay as they are.")
-    st.caption(words)
+    st.caption(
+        _(
+            "A calibration counts for what is measured from now on, captures that wait included; "
+            "measured fruit stay as they are, and each says its own in its details."
+        )
+    )
 
 
 def _draw(calibration: SavedCalibration, key: str) -> None:

@@ -109,21 +109,13 @@ def _days(prediction: Forecast) -> None:
 def _work(prediction: Forecast) -> None:
     saved = resources.settings()
     per_hour, per_row, per_crate = st.columns(3)
-    resources.change_settings(
-        fruit_per_hour=per_hour.number_input(
-            _("Fruit picked in an hour"),
-            *page_elements.spanning(1.0, 5000.0, saved.fruit_per_hour),
-            10.0,
-        ),
-        minutes_per_row=per_row.number_input(
-            _("Minutes for each row"),
-            *page_elements.spanning(0.0, 120.0, saved.minutes_per_row),
-            0.5,
-        ),
-        fruit_per_crate=per_crate.number_input(
-            _("Fruit in a crate"), 1, max(500, saved.fruit_per_crate), saved.fruit_per_crate
-        ),
-    )
+    for name, column, label, low, high, step in (
+        ("fruit_per_hour", per_hour, _("Fruit picked in an hour"), 1.0, 5000.0, 10.0),
+        ("minutes_per_row", per_row, _("Minutes for each row"), 0.0, 120.0, 0.5),
+        ("fruit_per_crate", per_crate, _("Fruit in a crate"), 1, 500, 1),
+    ):
+        limits = page_elements.spanning(low, high, getattr(saved, name))[:2]
+        page_elements.setting(name, column.number_input, label, *limits, step=step)
     lines = [
         {
             _("Day"): forecast_day(prediction, day.day),

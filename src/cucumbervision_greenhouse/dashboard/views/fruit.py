@@ -40,7 +40,7 @@ from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, cloud_ply, point_cloud
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -149,6 +149,9 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
             st.caption(plain(said(rule)))
+        site = stored_calibration(detail.stop)
+        name = _("none") if site is None else plain(site.name)
+        st.caption(_("Measured with the calibration: {name}").format(name=name))
         page_elements.table(figure_lines(record))
 
 
@@ -276,7 +279,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
         _correct(detail, prompted, MaskSource.SAM)
     elif drawn.stroke:
-        painted = partial(_painted, record, capture, drawn.stroke)
+        painted = partial(_painted, view.key, capture, drawn.stroke)
         _correct(detail, painted, MaskSource.HAND)
     _accept_others(detail)
 
@@ -322,9 +325,9 @@ def _accept_others(detail: DetectionDetail) -> None:
     )
 
 
-def _painted(
-    record: DetectionRecord, capture: Capture, stroke: dict[str, Any]
-) -> NDArray[np.bool_]:
+def _painted(key: str, capture: Capture, stroke: dict[str, Any]) -> NDArray[np.bool_]:
+    # As it is now: another viewer, or an earlier stroke, may have changed it since it was drawn.
+    record = resources.store().detection(key).view.record
     mask = np.zeros((capture.height, capture.width), bool)
     if record.mask is not None:
         mask = decode_rle(record.mask, capture.height, capture.width)

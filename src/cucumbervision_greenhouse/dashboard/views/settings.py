@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import streamlit as st
 
@@ -52,16 +53,15 @@ def page() -> None:
 
 def _crop() -> None:
     st.header(_("Crop and units"))
-    saved = resources.settings()
     _language()
-    unit = st.segmented_control(
+    page_elements.setting(
+        "unit",
+        st.segmented_control,
         _("Lengths in"),
         ["cm", "in"],
         format_func={"cm": _("Centimetres"), "in": _("Inches")}.__getitem__,
-        default=saved.unit,
         required=True,
     )
-    resources.change_settings(unit=unit)
     crop_form.draw()
 
 
@@ -75,46 +75,37 @@ def _language() -> None:
         draft = {"nl": " (concept)", "es": " (borrador)"}
         return LANGUAGES[code] + (draft[code] if code in DRAFTS else "")
 
-    def choose() -> None:
-        resources.change_settings(language=st.session_state["language"])
-
-    st.session_state["language"] = resources.settings().language
-    st.selectbox(
-        _("Language"), ["", *LANGUAGES], format_func=words, key="language", on_change=choose
+    page_elements.setting(
+        "language", st.selectbox, _("Language"), ["", *LANGUAGES], format_func=words
     )
 
 
 def _measuring() -> None:
     st.header(_("Measuring"))
-    saved = resources.settings()
-    lengths = list(LengthDefinition)
-    length = st.segmented_control(
+    page_elements.setting(
+        "length",
+        st.segmented_control,
         _("Length definition"),
-        lengths,
+        list(LengthDefinition),
         format_func=lambda x: _(_LENGTHS[x]),
-        default=saved.length,
         required=True,
         help=_(
             "Thread: over the outer side, as people measure by hand. Centreline: along the "
             "middle. Chord: straight from end to end."
         ),
     )
-    finder = st.selectbox(
+    page_elements.setting(
+        "fruit_from",
+        st.selectbox,
         _("Find fruit by"),
         list(_FINDERS),
-        index=list(_FINDERS).index(saved.fruit_from),
         format_func=lambda name: _(_FINDERS[name]),
     )
-    exact = st.toggle(_("Same lengths on every computer (slower)"), saved.full_precision)
-    burst = st.number_input(_("Frames per photo"), 1, 15, saved.burst)
-    limit_mb = st.number_input(_("Upload at most [MB]"), 1, 1_000_000, saved.upload_limit_mb, 100)
-    resources.change_settings(
-        length=length,
-        fruit_from=finder,
-        full_precision=exact,
-        upload_limit_mb=limit_mb,
-        burst=burst,
-    )
+    exact = _("Same lengths on every computer (slower)")
+    page_elements.setting("full_precision", st.toggle, exact)
+    page_elements.setting("burst", st.number_input, _("Frames per photo"), 1, 15)
+    limit_mb = _("Upload at most [MB]")
+    page_elements.setting("upload_limit_mb", st.number_input, limit_mb, 1, 1_000_000, step=100)
 
 
 def _calibration() -> None:
@@ -155,53 +146,49 @@ _USUAL_US = 8000.0  # a bright house
 def _camera() -> None:
     """Draw preset and exposure; the camera is opened again where they change."""
     st.header(_("Camera"))
-    saved = resources.settings()
-    preset = st.selectbox(
+    page_elements.setting(
+        "camera_preset",
+        st.selectbox,
         _("Depth preset"),
         PRESETS,
-        PRESETS.index(saved.camera_preset),
         format_func=lambda name: name.replace("-", " ") or _("Camera default"),
     )
-    exposure = None if saved.exposure_us is None else "fixed" if saved.exposure_us else "automatic"
-    chosen = st.selectbox(
+    page_elements.setting(
+        "exposure_us",
+        st.selectbox,
         _("Exposure of the colour camera"),
         list(_EXPOSURES),
-        list(_EXPOSURES).index(exposure),
+        field="_by",
+        shown=lambda us: None if us is None else "fixed" if us else "automatic",
+        meant={None: None, "automatic": 0.0, "fixed": _USUAL_US}.__getitem__,
         format_func=lambda name: _(_EXPOSURES[name]),
     )
-    exposure_us = None if chosen is None else 0.0
-    if chosen == "fixed":
-        usual = saved.exposure_us or _USUAL_US
-        exposure_us = st.number_input(_("Microseconds"), *EXPOSURE_US, usual, 500.0, "%.0f")
-    resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
+    if resources.settings().exposure_us:
+        how: dict[str, Any] = {"step": 500.0, "format": "%.0f"}
+        microseconds = _("Microseconds")
+        page_elements.setting("exposure_us", st.number_input, microseconds, *EXPOSURE_US, **how)
     cameras.camera().configure(resources.settings().camera)
 
 
 def _how() -> None:
-    saved = resources.settings()
-    resources.change_settings(
-        confidence=st.number_input(
-            _("Minimum confidence of a detection"), 0.05, 0.95, saved.confidence, 0.05
-        ),
-        input_sizes=tuple(
-            st.pills(
-                _("Network input size, pixels (long side); none: its own, two: both are merged"),
-                sorted({*_INPUT_SIZES_PX, *saved.input_sizes}),
-                selection_mode="multi",
-                default=saved.input_sizes,
-            )[-2:]
-        ),
-        selector=st.segmented_control(
-            _("Choice of method"),
-            list(Selector),
-            format_func={
-                Selector.BEST: _("Best"),
-                Selector.PAPER: _("As in the paper"),
-            }.__getitem__,
-            default=saved.selector,
-            required=True,
-        )
-        or saved.selector,
+    confidence = _("Minimum confidence of a detection")
+    page_elements.setting("confidence", st.number_input, confidence, 0.05, 0.95, step=0.05)
+    page_elements.setting(
+        "input_sizes",
+        st.pills,
+        _("Network input size, pixels (long side); none: its own, two: both are merged"),
+        sorted({*_INPUT_SIZES_PX, *resources.settings().input_sizes}),
+        shown=list,
+        meant=lambda sizes_px: tuple(sizes_px[-2:]),
+        selection_mode="multi",
+    )
+    page_elements.setting(
+        "selector",
+        st.segmented_control,
+        _("Choice of method"),
+        list(Selector),
+        format_func={Selector.BEST: _("Best"), Selector.PAPER: _("As in the paper")}.__getitem__,
+        required=True,
     )
 
 

@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.backend.fruit_words import (
 )
 from cucumbervision_greenhouse.backend.language import counted, marked, ngettext
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.backend.round_words import (
     age_words,
@@ -280,8 +280,12 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
         st.write(words)
         yes, no = st.columns(2)
         if yes.button(_("Yes, all are picked"), type="primary", width="stretch"):
-            st.session_state["picked_all"] = resources.store().pick(unpicked)
-            st.rerun()
+            try:
+                st.session_state["picked_all"] = resources.store().pick(unpicked)
+            except CucumberVisionError as error:
+                st.error(sentence(said(error)), icon=":material/error:")
+            else:
+                st.rerun()
         if no.button(_("No"), width="stretch"):
             st.rerun()
 

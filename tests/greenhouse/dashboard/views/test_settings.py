@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("streamlit")
 
 
+from streamlit.testing.v1 import AppTest
+from streamlit.testing.v1.element_tree import Selectbox
 from tests.greenhouse.dashboard.app_pages import app, said, tables
 
 from cucumbervision.capture.realsense_device import CameraSettings
@@ -52,6 +55,21 @@ def test_the_language_is_chosen_and_kept(house: Path) -> None:
     assert [subheader.value for subheader in test.header][:2] == ["Gewas en eenheden", "Camera"]
     next(box for box in test.selectbox if box.label == "Taal").select("").run()
     assert test.header[0].value == "Crop and units"
+
+
+def test_two_viewers_change_settings_and_the_later_one_is_told(house: Path) -> None:
+    def finder(test: AppTest) -> Selectbox[Any]:
+        return next(box for box in test.selectbox if box.label == "Find fruit by")
+
+    first, second = app("settings"), app("settings")
+    next(x for x in first.number_input if x.label == "Frames per photo").set_value(9).run()
+    finder(first).select("models").run()
+    finder(second).select("dataset").run()
+    assert "Somebody else has changed this" in second.toast[0].value
+    finder(second).select("auto").run()
+    assert not second.toast
+    saved = resources.settings()
+    assert (saved.burst, saved.fruit_from) == (9, "auto")
 
 
 def test_a_calibration_that_is_no_file_leaves_the_page_whole(house: Path) -> None:

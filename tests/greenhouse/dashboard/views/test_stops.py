@@ -60,6 +60,24 @@ def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
     assert (now.row, now.note, now.position_m) == ("12", "long leaf", first.position_m)
 
 
+def test_what_another_viewer_saved_meanwhile_is_not_overwritten(house: Path) -> None:
+    with open_store(house) as store:
+        stop = store.stops(WALK)[0]
+    state = {f"stop_of_{WALK}": stop.key}
+    first, second = (app("row_map", round=WALK, **state) for _ in range(2))
+    field(first, "number_input", "At [m]").set_value(7.5)
+    field(second, "text_input", "Name").set_value("long leaf")
+    tap(first, "Save")
+    tap(second, "Save")
+    assert "changed it meanwhile" in said(second)
+    assert field(second, "number_input", "At [m]").value == 7.5
+    field(second, "text_input", "Name").set_value("long leaf")
+    tap(second, "Save")
+    with open_store(house) as store:
+        now = next(x for x in store.stops(WALK) if x.key == stop.key)
+    assert (now.position_m, now.note) == (7.5, "long leaf")
+
+
 def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:
     with open_store(house) as store:
         first = store.stops(WALK)[0]

@@ -38,3 +38,10 @@ def test_size_and_fill(capture: Capture) -> None:
 def test_parts_that_disagree(capture: Capture, change: dict[str, Any], words: str) -> None:
     with pytest.raises(CaptureError, match=words):
         replace(capture, **change)
+
+
+def test_pixels_that_a_masked_array_leaves_out_are_no_readings() -> None:
+    depth = np.ma.masked_greater(np.array([[0.5, 0.5, 4.0, 4.0]] * 4), 1.0)
+    matrix = np.array([[4.0, 0, 1.9], [0, 4, 1.9], [0, 0, 1]])
+    read = Capture.from_arrays(np.zeros((4, 4, 3), np.uint8), depth, matrix)
+    assert read.depth_m.tolist() == [[0.5, 0.5, 0.0, 0.0]] * 4

@@ -236,7 +236,8 @@ class Capture:
         """
         from cucumbervision.capture.depth import depth_to_metres
 
-        depth_m = depth_to_metres(np.asarray(depth), depth_unit_m, source=name)
+        raw = np.ma.filled(depth, 0)  # pixels that a masked array leaves out are no readings
+        depth_m = depth_to_metres(np.asarray(raw), depth_unit_m, source=name)
         if not isinstance(intrinsics, Intrinsics):
             height, width = color.shape[:2]
             intrinsics = Intrinsics.from_matrix(intrinsics, width, height)

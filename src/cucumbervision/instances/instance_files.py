@@ -146,14 +146,25 @@ class InstanceFile:
         -------
         missing, unused : list of str
             Names of captures, and of pictures of the file.
+
+        Raises
+        ------
+        InstancesError
+            If several captures have a picture's name: only one of them can be meant.
         """
-        missing, used = [], set()
+        missing, used = [], dict[int, str]()
         for names, frame in captures:
             picture = self._find([n for n in names if n], frame)
+            capture_name = next((n for n in names if n), str(frame))
             if picture is None:
-                missing.append(next((n for n in names if n), str(frame)))
-            else:
-                used.add(id(picture))
+                missing.append(capture_name)
+            elif used.setdefault(id(picture), capture_name) != capture_name:
+                raise InstancesError(
+                    f"names {picture.name or picture.number} once, which both "
+                    f"{used[id(picture)]} and {capture_name} are: one has the other's fruit",
+                    source=self.source,
+                    remedy="name the pictures with their folders, and measure again",
+                )
         return missing, [
             p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
         ]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocketDisconnect
 
@@ -45,7 +46,8 @@ def answer(
 ) -> Callable[[Request], Awaitable[Response]]:
     """Make a route from a function of a request and its content, and send its result as JSON.
 
-    A named error is answered in one line for people, with status 409, and its fault in English.
+    A named error is answered in one line for people, with status 409, and its fault in English; a
+    full disk with 507.
     """
 
     @wraps(work)
@@ -54,11 +56,17 @@ def answer(
             content = await request.body() if request.method == "POST" else b""
         except HTTPException as error:  # too large or too slow, as `AccessGuard` found
             return JSONResponse({"error": error.detail}, error.status_code, error.headers)
+        except ClientDisconnect:  # lost on the way, as happens among plants: nobody reads an answer
+            return Response(status_code=400)
         ask_for(request.headers.get("accept-language"))
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
             return JSONResponse({"error": said(error), "fault": error.message}, 409)
+        except OSError as error:  # a full disk; a part of an upload is sent again
+            why = error.strerror
+            words = f"The computer cannot store more ({why}): free some space on its disk"
+            return JSONResponse({"error": said(words)}, 507)
         except ValidationError:
             return JSONResponse({"error": said("the request is damaged; reload the page")}, 400)
         if isinstance(reply, Response):

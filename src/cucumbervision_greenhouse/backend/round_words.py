@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -210,6 +211,14 @@ def count_words(report: RowCounts) -> str:
         expected=expected,
         range=range_words,
     )
+
+
+def clock_words(walked_s: float) -> str:
+    """Return what is said of a round that is later than this machine's clock."""
+    return _(
+        "The last stop ({when}) is later than this computer's clock ({now}): set the clock. Until "
+        "then days, growth and what is left to pick are not right."
+    ).format(when=round_day(walked_s), now=round_day(time.time()))
 
 
 def age_words(days: int) -> str:

@@ -12,13 +12,12 @@ from urllib.parse import quote
 import streamlit
 from pydantic import Field
 from starlette.exceptions import HTTPException
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from cucumbervision.capture.source import safe_name
 from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer
-from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.printed_words import printed_words
 from cucumbervision_greenhouse.backend.uploads import Sending
 from cucumbervision_greenhouse.exports import ExportFormat
@@ -52,11 +51,7 @@ def _begin_upload(request: Request, content: bytes) -> Any:  # noqa: ARG001
 def _receive(request: Request, content: bytes) -> Any:
     part = UploadPart.model_validate({**request.path_params, **request.query_params})
     uploads = resources.uploads()
-    try:
-        received = uploads.append(part.upload, part.number, part.offset, content)
-    except OSError as error:  # a full disk: the browser sends the part again until there is space
-        words = f"The computer cannot store more ({error.strerror}): free some space on its disk"
-        return JSONResponse({"error": said(words)}, 507)
+    received = uploads.append(part.upload, part.number, part.offset, content)
     if uploads.is_whole(part.upload):
         tasks.measure_uploads()
     return {"received": received}

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+import asyncio
+from typing import Any
+
 import pytest
 
 pytest.importorskip("streamlit")
 pytest.importorskip("httpx2")
 
+from starlette.requests import Request
 from starlette.testclient import TestClient
 from tests.greenhouse.capture_page.test_routes import WALK
 
+from cucumbervision_greenhouse.backend.answers import answer
 from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -23,3 +28,19 @@ def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store
         line.send_text("next")
         while line.receive_json()["version"] == first["version"]:
             line.send_text("next")  # until the test's own limit
+
+
+def test_a_request_that_is_cut_off_is_no_fault_of_the_server() -> None:
+    parts = [
+        {"type": "http.request", "body": b'{"presses":', "more_body": True},
+        {"type": "http.disconnect"},
+    ]
+    worked: list[Any] = []
+
+    async def receive() -> Any:
+        return parts.pop(0)
+
+    route = answer(lambda *given: worked.append(given))
+    scope = {"type": "http", "method": "POST", "headers": []}
+    response: Any = asyncio.run(route(Request(scope, receive)))  # type: ignore[arg-type]
+    assert (response.status_code, worked) == (400, [])

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import errno
 import html
 import io
 import re
+import shutil
 import zipfile
 
 import pytest
@@ -27,6 +29,18 @@ def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
     assert len(lines) == 9  # eight fruit and the head
     assert asked.get(f"/api/files/{key_of('gone')}?formats=csv").status_code == 404
     assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
+
+
+def test_a_full_disk_is_said_where_files_are_packed(
+    asked: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(shutil, "make_archive", full)
+    answer = asked.get(f"/api/files/{WALK}?formats=csv")
+    assert answer.status_code == 507
+    assert "cannot store more (No space left on device): free some space" in answer.json()["error"]
 
 
 def test_a_round_is_printed_with_its_pick_list(asked: TestClient) -> None:

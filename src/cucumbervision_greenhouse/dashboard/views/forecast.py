@@ -22,7 +22,7 @@ from cucumbervision_greenhouse.backend.fruit_words import class_words
 from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
-from cucumbervision_greenhouse.backend.round_words import age_words, round_day
+from cucumbervision_greenhouse.backend.round_words import age_words, clock_words, round_day
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 
@@ -52,6 +52,8 @@ def page(round_summary: RoundSummary) -> None:
 def _age(round_summary: RoundSummary) -> None:
     walked = round_summary.walked_s
     days, age = age_of(walked, time.time())
+    if days < 0:
+        st.warning(clock_words(walked), icon=":material/error:")
     if age is not Age.FRESH:
         words = _(
             "This round is {age} (walked on {when}): the forecast is valid only if nothing was "

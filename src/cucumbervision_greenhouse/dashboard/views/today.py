@@ -24,6 +24,7 @@ from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.round_tables import doubtful
 from cucumbervision_greenhouse.backend.round_words import (
     age_words,
+    clock_words,
     position_words,
     round_day,
     side_words,
@@ -59,6 +60,9 @@ def page(round_summary: RoundSummary) -> None:
 def _age(round_summary: RoundSummary, today: Today) -> None:
     walked = round_day(round_summary.walked_s)
     if not round_summary.stops:
+        return
+    if today.age_days < 0:
+        st.warning(clock_words(round_summary.walked_s), icon=":material/error:")
         return
     if today.age is Age.USELESS:
         words = _(

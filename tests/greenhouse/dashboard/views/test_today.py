@@ -45,6 +45,19 @@ def test_an_old_round_says_nothing_of_today(house: Path) -> None:
     assert not test.metric
 
 
+def test_a_clock_that_was_set_back_is_said(house: Path) -> None:
+    with open_store(house) as store:
+        template = store.stop(store.stops(WALK)[0].key)
+        ahead = Round(name="ahead")
+        store.save_round(ahead)
+        taken_s = ahead.started_s + 365 * 86_400
+        store.save_stop(replace(template, key=new_key(), round_key=ahead.key, taken_s=taken_s))
+    for page in ("today", "forecast"):
+        words = said(app(page, round=ahead.key))
+        assert "later than this computer's clock" in words
+        assert "Measured yesterday" not in words
+
+
 def test_today_counts_what_is_ready(house: Path) -> None:
     with open_store(house) as store:
         template = store.stop(store.stops(WALK)[1].key)

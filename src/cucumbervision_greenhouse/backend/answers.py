@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from contextlib import suppress
 from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,6 +60,7 @@ def answer(
         except ClientDisconnect:  # lost on the way, as happens among plants: nobody reads an answer
             return Response(status_code=400)
         ask_for(request.headers.get("accept-language"))
+        follow_zone()
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
@@ -76,6 +78,12 @@ def answer(
     return route
 
 
+def follow_zone() -> None:
+    """Tell times in the computer's zone as it is now; Python keeps the one of the start."""
+    if hasattr(time, "tzset"):  # not on Windows
+        time.tzset()
+
+
 def store_of(request: Request) -> Any:
     """Return the store, signed by the one who sent a request."""
     name = request.scope.get("viewer") or "dashboard"
@@ -91,6 +99,7 @@ async def news(socket: WebSocket) -> None:
     sent: dict[str, Any] = {}
 
     def look() -> str | None:
+        follow_zone()
         changes = round_caches.news(socket.query_params.get("round", ""))
         now_s = changes.pop("now_s")
         is_due = abs(now_s - sent.get("at_s", 0.0)) >= _BEAT_S

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 
     _Opened: TypeAlias = tuple[AcceptedSource, CaptureSource]
 
-# Focal length divided by the picture's height: nominal values of colour cameras.
+# Focal length divided by the picture's shorter side, which is the sensor's height, also where the
+# camera was mounted upright and its pictures were turned: nominal values of colour cameras.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
 
 
@@ -48,8 +49,10 @@ def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
     --------
     >>> round(_usual_intrinsics("RealSense D435 / D435i", 1280, 720).fx_px)
     924
+    >>> round(_usual_intrinsics("RealSense D435 / D435i", 720, 1280).fx_px)
+    924
     """
-    focal_px = CAMERAS[camera] * height
+    focal_px = CAMERAS[camera] * min(width, height)
     middle = (width - 1) / 2, (height - 1) / 2
     return Intrinsics(width, height, focal_px, focal_px, *middle, Stream.COLOR)
 

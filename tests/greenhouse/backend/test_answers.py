@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -28,6 +30,20 @@ def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store
         line.send_text("next")
         while line.receive_json()["version"] == first["version"]:
             line.send_text("next")  # until the test's own limit
+
+
+def test_times_are_in_the_zone_that_the_computer_has_now(
+    asked: TestClient, in_zone: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for zone, name in (("Asia/Tokyo", "JST"), ("Pacific/Honolulu", "HST")):
+        in_zone("UTC")
+        monkeypatch.setenv("TZ", zone)  # as the computer's own zone is changed
+        if name == "JST":
+            asked.get("/api/walk")
+        else:
+            with asked.websocket_connect(f"/api/news?round={WALK}") as line:
+                line.receive_json()
+        assert time.tzname[0] == name
 
 
 def test_a_request_that_is_cut_off_is_no_fault_of_the_server() -> None:

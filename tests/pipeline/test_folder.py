@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import uuid
 from dataclasses import replace
@@ -77,7 +78,24 @@ def test_what_fails_half_way_leaves_what_was_there(out: OutputFolder) -> None:
     with pytest.raises(RuntimeError):
         break_off()
     assert (out.path / "table.csv").read_bytes() == b"whole"
-    assert [path.name for path in out.path.iterdir()] == ["table.csv"]
+    assert [path.name for path in out.path.rglob("*") if path.is_file()] == ["table.csv"]
+
+
+def test_the_next_run_removes_what_a_killed_one_left_half_written(local: OutputFolder) -> None:
+    pytest.importorskip("fcntl")
+    program = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from cucumbervision.pipeline.folder import OutputFolder\n"
+        "with OutputFolder(Path(sys.argv[1])).replacing('overlays/a.png') as path:\n"
+        "    path.write_bytes(b'ha'); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", program, local.path], check=False)
+    left = [path for path in local.path.rglob("*") if path.is_file()]
+    assert [path.read_bytes() for path in left] == [b"ha"]
+    with local.locked(".lock"):
+        local.write("table.csv", b"whole")
+    assert sorted(path.name for path in local.path.iterdir()) == [".lock", "overlays", "table.csv"]
+    assert not list((local.path / "overlays").iterdir())
 
 
 def test_two_runs_do_not_write_into_one_folder(local: OutputFolder) -> None:

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import tempfile
 import time
 import uuid
@@ -55,6 +56,7 @@ class OutputFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.is_remote = is_remote(path)
+        self._unfinished = path / ".unfinished"
 
     def has(self, name: str) -> bool:
         """Return whether a file of that name exists."""
@@ -91,9 +93,10 @@ class OutputFolder:
                 self._upload(filled, name)
             return
         target = self.path / name
-        target.parent.mkdir(parents=True, exist_ok=True)
+        for folder in (target.parent, self._unfinished):
+            folder.mkdir(parents=True, exist_ok=True)
         # Writers recognise the format by the extension.
-        filled = target.with_name(f".{os.getpid()}.{target.name}")
+        filled = self._unfinished / f"{uuid.uuid4().hex}{target.suffix}"
         try:
             yield filled
             with filled.open("rb+") as file:
@@ -111,6 +114,8 @@ class OutputFolder:
     @contextmanager
     def locked(self, name: str) -> Iterator[None]:
         """Lock the folder against other programs during the block, if the system can lock files.
+
+        What killed programs left half written is removed.
 
         Raises
         ------
@@ -137,7 +142,12 @@ class OutputFolder:
                     source=self.path,
                     remedy="wait until it ends, or choose another --out",
                 ) from None
-            yield
+            shutil.rmtree(self._unfinished, ignore_errors=True)
+            try:
+                yield
+            finally:
+                with suppress(OSError):
+                    self._unfinished.rmdir()
 
 
 JOURNAL = "journal"

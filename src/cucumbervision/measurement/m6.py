@@ -262,7 +262,7 @@ _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and too long for the girth
 PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
 _SMOOTH_PX = (
-    1.5  # roughness of the outline; a detector's mask that fills the hollow of a bend has 5
+    2.5  # roughness of the outline; a detector's mask that fills the hollow of a bend has 5
 )
 
 

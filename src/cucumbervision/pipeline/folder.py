@@ -93,8 +93,8 @@ class OutputFolder:
                 self._upload(filled, name)
             return
         target = self.path / name
-        for folder in (target.parent, self._unfinished):
-            folder.mkdir(parents=True, exist_ok=True)
+        for place in (target.parent, self._unfinished):
+            place.mkdir(parents=True, exist_ok=True)
         # Writers recognise the format by the extension.
         filled = self._unfinished / f"{uuid.uuid4().hex}{target.suffix}"
         try:

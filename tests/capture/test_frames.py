@@ -33,6 +33,8 @@ def test_size_and_fill(capture: Capture) -> None:
         ({"depth_m": np.zeros((48, 60), np.float32)}, "colour 64x48, depth 60x48"),
         ({"masks": (np.zeros((24, 32), bool),)}, "mask 0 32x24"),
         ({"intrinsics": Intrinsics(32, 24, 30, 30, 16, 12)}, "the intrinsics are for 32x24"),
+        ({"gravity": (0.0, 0.0, 0.0)}, "gravity .0.0, 0.0, 0.0. is no direction"),
+        ({"gravity": (0.0, np.nan, 1.0)}, "is no direction"),
     ],
 )
 def test_parts_that_disagree(capture: Capture, change: dict[str, Any], words: str) -> None:

@@ -100,7 +100,7 @@ class Capture:
     Raises
     ------
     CaptureError
-        If sizes of colour, depth and masks differ, or a dtype is wrong.
+        If sizes of colour, depth and masks differ, a dtype is wrong, or gravity has no direction.
     IntrinsicsError
         If the intrinsics belong to another stream or size of picture.
 
@@ -161,6 +161,12 @@ class Capture:
                 f"sizes differ: {text}",
                 source=self.source or self.name,
                 remedy="align depth to colour, and give masks of the picture's own size",
+            )
+        if self.gravity is not None and not 0 < np.linalg.norm(self.gravity) < np.inf:
+            raise CaptureError(
+                f"gravity {tuple(self.gravity)} is no direction",
+                source=self.source or self.name,
+                remedy="give it in camera coordinates, or leave it out",
             )
         check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
         signs = {

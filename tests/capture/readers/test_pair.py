@@ -199,6 +199,10 @@ def test_npz_holds_all(tmp_path: Path, intrinsics: Path) -> None:
             {"color": COLOR, "depth": DEPTH_MM, "matrix": MATRIX, "stream": "depth"},
             "depth stream's",
         ),
+        *(
+            ({"color": COLOR, "depth": DEPTH_MM, "matrix": MATRIX, name: 0.1}, "which is not read")
+            for name in ("dist", "distortion", "coeffs", "depth_scale", "depth_unit_m")
+        ),
         (
             {"color": COLOR, "depth": DEPTH_MM, "matrix": MATRIX, "stream": "ir"},
             "neither 'color' nor 'depth'",

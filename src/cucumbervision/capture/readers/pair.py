@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _LISTS = frozenset({"associations.txt", "associated.txt", "associate.txt", "assoc.txt"})
 _TIMES = ("rgb.txt", "depth.txt")
+_LENS = re.compile(r"dist(ort|_?coef|$)|coef|lens", re.IGNORECASE)  # names of arrays in an `.npz`
+_UNIT = re.compile(r"depth_?(scale|unit)", re.IGNORECASE)
 _TUM_STEP_M = 1 / 5000
 _TUM_APART_S = 0.02  # most between a colour picture and its depth
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -383,6 +385,14 @@ def _load_npz(
             f"'color' is {color.dtype} {color.shape}, not uint8 (H, W, 3)",
             source=path,
             remedy="save an 8-bit RGB picture",
+        )
+    unread = [name for name in arrays if _LENS.match(name) and camera_file is None]
+    unread += [name for name in arrays if _UNIT.search(name) and options.depth_unit_m is None]
+    if unread:
+        raise CaptureError(
+            f"has an array '{unread[0]}', which is not read",
+            source=path,
+            remedy="give a lens by --intrinsics and a unit by --depth-unit, or leave it out",
         )
     frame_intrinsics = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
     return frame_capture(

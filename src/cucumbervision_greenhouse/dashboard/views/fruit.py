@@ -279,7 +279,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
         _correct(detail, prompted, MaskSource.SAM)
     elif drawn.stroke:
-        painted = partial(_painted, view.key, capture, drawn.stroke)
+        painted = partial(painted_now, view.key, capture, drawn.stroke)
         _correct(detail, painted, MaskSource.HAND)
     _accept_others(detail)
 
@@ -325,8 +325,12 @@ def _accept_others(detail: DetectionDetail) -> None:
     )
 
 
-def _painted(key: str, capture: Capture, stroke: dict[str, Any]) -> NDArray[np.bool_]:
-    # As it is now: another viewer, or an earlier stroke, may have changed it since it was drawn.
+def painted_now(key: str, capture: Capture, stroke: dict[str, Any]) -> NDArray[np.bool_]:
+    """Return a fruit's outline with a stroke of the brush.
+
+    The outline is that of now: another viewer, or an earlier stroke, may have changed it since the
+    page was drawn.
+    """
     record = resources.store().detection(key).view.record
     mask = np.zeros((capture.height, capture.width), bool)
     if record.mask is not None:

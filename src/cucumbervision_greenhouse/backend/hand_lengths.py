@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.measured import REPORTED, Measured, Reading
-from cucumbervision.accuracy.truth import Line, parse_number, read_table
+from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
 from cucumbervision.errors import TruthError
 from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.rounds.from_store import read_round
@@ -156,6 +157,8 @@ def write_hand_lengths(
 ) -> int:
     """Write lengths by hand as the table that `accuracy.truth.read_truth` reads.
 
+    Lines of other fruit, such as one that was deleted by mistake, stay in it.
+
     Parameters
     ----------
     path : Path
@@ -175,7 +178,9 @@ def write_hand_lengths(
     text = io.StringIO()
     table = csv.writer(text)
     table.writerow(COLUMNS)
-    written = 0
+    others = _lines_of_others(path, fruit)
+    table.writerows(others)
+    written = len(others)
     for view in fruit:
         first, second = lengths.get(view.key, (None, None))
         if first is None and second is None:
@@ -185,6 +190,26 @@ def write_hand_lengths(
         written += 1
     replace_text(path, text.getvalue())
     return written
+
+
+def _lines_of_others(path: Path, fruit: Sequence[DetectionSummary]) -> list[list[str]]:
+    keys = {(capture_name(view), str(view.record.number)) for view in fruit}
+    lines = read_table(path, TruthError).lines if path.exists() else ()
+    cells = [[line.cells.get(name, "") for name in COLUMNS] for line in lines]
+    return [line for line in cells if (line[0], line[1]) not in keys]
+
+
+def truth_of(path: Path, measured: Measured) -> Truth:
+    """Return the table's lengths of fruit that are measured; others were deleted since.
+
+    Raises
+    ------
+    TruthError
+        If the table is none.
+    """
+    truth, there = read_truth(path), {(r.capture, r.fruit) for r in measured.readings}
+    lengths = tuple(x for x in truth.lengths if (x.capture, x.fruit) in there)
+    return replace(truth, lengths=lengths)
 
 
 def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:

@@ -15,10 +15,12 @@ from cucumbervision_greenhouse.backend.hand_lengths import (
     hand_file,
     hand_lengths,
     measured_round,
+    truth_of,
     write_hand_lengths,
 )
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.views import Verdict
 
 WALK = key_of("walk")
 
@@ -55,6 +57,19 @@ def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Pa
     assert written == 1
     assert hand_lengths(path, fruit) == {fruit[0].key: (0.2, None)}
     assert hand_lengths(tmp_path / "none.csv", fruit) == {}
+
+
+def test_a_length_of_a_fruit_that_somebody_deletes_is_kept(store: Store, tmp_path: Path) -> None:
+    fruit, path = store.detections(WALK), tmp_path / "a.csv"
+    lengths = {view.key: (view.record.length_m, None) for view in fruit}
+    write_hand_lengths(path, fruit, lengths, LengthDefinition.CENTRELINE)
+    store.set_verdict([fruit[0].key], Verdict.REJECTED)
+    measured = measured_round(store, WALK, store.measurements(WALK))
+    assert len(evaluate_lengths(measured, truth_of(path, measured)).pairs) == 7
+    left = [view for view in store.detections(WALK) if view.verdict is not Verdict.REJECTED]
+    write_hand_lengths(path, left, hand_lengths(path, left), LengthDefinition.CENTRELINE)
+    store.undo(WALK)
+    assert set(hand_lengths(path, fruit)) == {view.key for view in fruit}
 
 
 def test_a_table_that_a_spreadsheet_saved_is_read(store: Store, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
-from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.core_sentences import said
@@ -18,6 +17,7 @@ from cucumbervision_greenhouse.backend.hand_lengths import (
     hand_lengths,
     is_odd,
     measured_round,
+    truth_of,
     typed_m,
     write_hand_lengths,
 )
@@ -169,7 +169,9 @@ def _scores(round_summary: RoundSummary, path: Path) -> None:
     measured = measured_round(
         resources.store(), round_summary.key, round_caches.methods_of(round_summary)
     )
-    truth = read_truth(path)
+    truth = truth_of(path, measured)
+    if not truth.lengths:
+        return
     own_truth: OwnTruth = evaluate_lengths(measured, truth)
     st.header(_("Errors"))
     st.markdown(f"**{plain(bias_words(own_truth, resources.settings().units))}**")

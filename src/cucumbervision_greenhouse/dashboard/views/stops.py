@@ -22,6 +22,13 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.views import RoundSummary, StopSummary
 
 
+# Kinds of action by which others must not take away what is being typed.
+_OF_FRUIT = (
+    *("accept", "reject", "clear", "pick", "unpick", "correct", "add"),
+    *("merge", "unmerge", "link-growth", "unlink-growth"),
+)
+
+
 def list_stops(round_summary: RoundSummary) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
     stops = {stop.key: stop for stop in resources.store().stops(round_summary.key)}
@@ -54,8 +61,8 @@ def _words(stop: StopSummary) -> str:
 def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
     """Draw a stop's place and name to be changed; `sides` are those of its round."""
     store = resources.store()
-    # Fields of new names after every change: those on the page keep what was typed before.
-    version = f"{stop.key}_{store.newest_action(stop.round_key)}"
+    # Fields of new names after each change of a stop: those on the page keep what was typed.
+    version = f"{stop.key}_{store.newest_action(stop.round_key, without=_OF_FRUIT)}"
     row, side, position = st.columns(3)
     number, note = st.columns([1, 2])
     row.text_input(_("Row"), stop.row or "", key=f"stop_row_{version}")

@@ -11,6 +11,7 @@ from tests.greenhouse.dashboard.app_pages import WALK, app, field, said, tap, wa
 
 from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.views import Verdict
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -76,6 +77,17 @@ def test_what_another_viewer_saved_meanwhile_is_not_overwritten(house: Path) -> 
     with open_store(house) as store:
         now = next(x for x in store.stops(WALK) if x.key == stop.key)
     assert (now.position_m, now.note) == (7.5, "long leaf")
+
+
+def test_what_is_typed_stays_while_somebody_else_judges_fruit(house: Path) -> None:
+    with open_store(house) as store:
+        first, fruit = store.stops(WALK)[0], store.detections(WALK)[0].key
+        test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+        field(test, "text_input", "Name").set_value("long leaf")
+        store.set_verdict([fruit], Verdict.ACCEPTED)
+        store.pick([fruit])
+        test.run()
+    assert field(test, "text_input", "Name").value == "long leaf"
 
 
 def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:

@@ -18,7 +18,13 @@ from cucumbervision.capture.readers import (
     open_source,
 )
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
-from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError, wrap_os_errors
+from cucumbervision.errors import (
+    CaptureError,
+    CucumberVisionError,
+    DiskFullError,
+    UploadError,
+    wrap_os_errors,
+)
 from cucumbervision.intake.archives import (
     Budget,
     Limits,
@@ -153,6 +159,8 @@ def accept_uploads(
     ------
     UploadError
         If there are too many files, or `folder` is not writable.
+    DiskFullError
+        If the disk is full; nothing is kept.
 
     Examples
     --------
@@ -179,16 +187,10 @@ def accept_uploads(
             shutil.rmtree(batch)
         elif not any(intake.loose.iterdir()):
             intake.loose.rmdir()
-    except OSError as error:
+    except BaseException as error:
         shutil.rmtree(batch, ignore_errors=True)
-        raise UploadError(
-            f"uploads cannot be kept ({error.strerror or error})",
-            source=folder,
-            remedy="make room on the disk, or choose another folder",
-        ) from None
-    except BaseException:
-        shutil.rmtree(batch, ignore_errors=True)
-        raise
+        with wrap_os_errors("uploads cannot be kept", folder, "choose another folder", UploadError):
+            raise error from None
     return intake.out
 
 
@@ -214,6 +216,8 @@ class _Intake:
                 raise UploadError("the file is empty", source=title, remedy="copy it again")
             with wrap_os_errors("cannot be kept", title, "rename it", UploadError):
                 arrived.rename(self._loose_path(name))
+        except DiskFullError:  # no fault of the file: the others cannot be kept, either
+            raise
         except CucumberVisionError as error:
             self.out.refused.append(error)
         finally:

@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, TypeAlias
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
-from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadError
+from cucumbervision.errors import (
+    CucumberVisionError,
+    DiskFullError,
+    IntrinsicsError,
+    UploadError,
+)
 from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
@@ -78,8 +83,8 @@ def measure_upload(
 
     Notes
     -----
-    If a network or the calibration cannot be loaded, that is the outcome of all files, and the
-    upload is measured later.
+    If a network or the calibration cannot be loaded, or the disk is full, that is the outcome of
+    all files, and the upload is measured later.
     """
     files, outcomes = uploads.files(key), list[UploadOutcome]()
     measures = measurer.with_options(options)
@@ -112,6 +117,9 @@ def measure_upload(
     with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
         try:
             accepted = accept_uploads(files, Path(folder), limits)
+        except DiskFullError as error:
+            note(*(_failed(name, error.message) for name, _ in files), tries=upload.tries)
+            return
         except UploadError as error:
             note(*(_failed(name, error.message) for name, _ in files), done=True)
             return

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import DiskFullError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
@@ -173,6 +174,30 @@ def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(
     assert (stop.row, stop.position_m) == ("7", 3.0)
     taken = store.stop(stop.key).captures[0].camera
     assert taken["fx"] == pytest.approx(CAMERAS[camera] * 48)
+
+
+def test_files_stay_while_the_disk_is_full(
+    store: Store, measurer: SharedMeasurer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.save_round(ROUND)
+    uploads, content = Uploads(tmp_path / "uploads"), packed().getvalue()
+    file = SentFile(name="row.zip", size=len(content))
+    sending = Sending(round=ROUND.key, files=(file,), place=PLACE)
+    uploads.begin(sending, 10**9)
+    uploads.append(sending.key, 0, 0, content)
+
+    def full(*_: object) -> None:
+        raise DiskFullError("cannot be kept (No space left on device)", source="row.zip")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("cucumbervision.intake.uploads.write_chunk", full)
+        for _ in range(4):
+            measure_upload(uploads, sending.key, measurer, store, OPTIONS)
+    [upload] = uploads.all()
+    assert (upload.done, upload.tries) == (False, 0)
+    assert "No space left on device" in upload.outcomes[0].words
+    measure_upload(uploads, sending.key, measurer, store, OPTIONS)
+    assert [outcome.saved for outcome in uploads.all()[0].outcomes] == [True, True]
 
 
 def test_files_stay_while_nothing_can_be_measured(

@@ -32,6 +32,7 @@ _ON_PAGES = (
         "say depth_along: ray in the camera file sent with it",
     ),
     (r"leave out --depth-along and --aligned-to", "leave both out of the camera file"),
+    (r"with --intrinsics FILE", "as an intrinsics file"),
     (r"give --intrinsics", "send one camera file alone"),
     (r"leave --input-size out|choose another --input-size", "choose the input size in 'Settings'"),
     (r"choose other --instances", "choose where fruit come from in 'Settings'"),

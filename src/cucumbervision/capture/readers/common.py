@@ -80,7 +80,7 @@ def no_intrinsics(source: object) -> CaptureError:
     return IntrinsicsError(
         "carries no camera intrinsics, without which pixels have no lengths",
         source=source,
-        remedy="give the colour camera's as an intrinsics file",
+        remedy="give the colour camera's with --intrinsics FILE",
     )
 
 

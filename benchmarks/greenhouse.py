@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +29,8 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.capture.source import ReadOptions
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.geometry.curve import points_along, polyline_length
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
@@ -282,6 +285,33 @@ def marked_lines(compared: list[ComparedCapture]) -> list[str]:
     ]
 
 
+def cost_line(measurer: Measurer, captures: list[Capture], compared: list[ComparedCapture]) -> str:
+    """Return what drew the masks, and the processor time beside that of the package's examples."""
+    examples = [ref.load() for ref in open_source(example_captures())]
+    plant_s, example_s = (
+        np.mean([processor_s(measurer, capture) for _ in range(3) for capture in group])
+        for group in (captures, examples)
+    )
+    sources = Counter(
+        str(fruit.mask_source)
+        for capture in compared
+        for _, fruit in capture.fruit
+        if fruit is not None and fruit.mask_source is not None
+    )
+    masks = ", ".join(f"{name} {count}" for name, count in sources.most_common())
+    return (
+        f"masks by {masks}; a capture takes {plant_s / example_s:.1f} times the processor time of "
+        "one of the package's examples"
+    )
+
+
+def processor_s(measurer: Measurer, capture: Capture) -> float:
+    """Return the processor time of measuring a capture."""
+    start_s = time.process_time()
+    measurer.measure(capture)
+    return time.process_time() - start_s
+
+
 def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -301,20 +331,23 @@ def main() -> None:
     measurer = Measurer(options)
     marks = {capture["name"]: capture for capture in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=arguments.folder / "intrinsics.json")
+    captures: list[Capture] = []
     compared, with_stickers = [], []
     for capture in read_captures([arguments.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
+        captures.append(capture)
         truth = marks[capture.name.removesuffix("_color")]
         with_stickers.append(compare(measurer.measure(capture), truth))
         plain = replace(capture, color=without_sticker(capture.color, truth))
         compared.append(compare(measurer.measure(plain), truth))
     console = Console(width=120, highlight=False)
     console.print(fruit_table(compared))
-    for title, captures in (("stickers painted over", compared), ("as captured", with_stickers)):
+    for title, group in (("stickers painted over", compared), ("as captured", with_stickers)):
         console.print(f"\n{title}:")
-        for line in summary(captures):
+        for line in summary(group):
             console.print(line, soft_wrap=True)
+    console.print(cost_line(measurer, captures, with_stickers), soft_wrap=True)
 
 
 if __name__ == "__main__":

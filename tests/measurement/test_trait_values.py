@@ -48,7 +48,8 @@ def measured(capture: Capture, *traits: TableTrait) -> CaptureResult:
 
 
 @pytest.mark.parametrize(
-    "answer", [10**400, 1 + 2j, np.complex128(1), np.timedelta64(3, "s"), float("inf"), SystemExit(0)]
+    "answer",
+    [10**400, 1 + 2j, np.complex128(1), np.timedelta64(3, "s"), float("inf"), SystemExit(0)],
 )
 def test_what_is_no_finite_number_is_a_failure_of_its_own(answer: Any, capture: Capture) -> None:
     result = measured(capture, TableTrait("firmness", "", "says", giving(answer)))

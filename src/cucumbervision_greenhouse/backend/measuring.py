@@ -13,7 +13,7 @@ import numpy as np
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.errors import CucumberVisionError, DiskFullError, InstancesError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask, mask_iou
@@ -322,7 +322,8 @@ def measure_waiting(
     Raises
     ------
     CucumberVisionError
-        If nothing can be measured at all: a network or the calibration cannot be loaded.
+        If nothing can be measured at all: a network or the calibration cannot be loaded, or the
+        disk is full.
     """
     while waiting.captures():
         _measure_alike(waiting, measurer, store, options, settle, job)
@@ -362,17 +363,22 @@ def _measure_alike(
                 return
 
     # In turn: each capture leaves the queue, or is dropped, before the next is read.
-    for _, added in add_all(store, items(), measures, in_turn):
-        queued_capture = queue[0]
-        if added.failure is not None:
-            job.notes.append(added.failure.message)
-            continue
-        job.notes += filter(None, [added.note])
-        job.measured[queued_capture.key] = queued_capture.round_key
-        waiting.done(queued_capture)
-        last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
-        if last_of_round and (fault := settle(queued_capture.round_key)):
-            job.notes.append(fault)
+    try:
+        for _, added in add_all(store, items(), measures, in_turn):
+            queued_capture = queue[0]
+            if added.failure is not None:
+                job.notes.append(added.failure.message)
+                continue
+            job.notes += filter(None, [added.note])
+            job.measured[queued_capture.key] = queued_capture.round_key
+            waiting.done(queued_capture)
+            last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
+            if last_of_round and (fault := settle(queued_capture.round_key)):
+                job.notes.append(fault)
+    except DiskFullError:  # no fault of the capture, which would be set aside for it
+        if queue:
+            waiting.forget_start(queue[0])
+        raise
 
 
 _SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object

@@ -114,26 +114,25 @@ def measure_upload(
             else:
                 note(item, measured=next(measured))
 
-    with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
-        try:
+    try:
+        with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
             accepted = accept_uploads(files, Path(folder), limits)
-        except DiskFullError as error:
-            note(*(_failed(name, error.message) for name, _ in files), tries=upload.tries)
-            return
-        except UploadError as error:
-            note(*(_failed(name, error.message) for name, _ in files), done=True)
-            return
-        opened = [_open(source, options.reading, sending.camera) for source in accepted.sources]
-        readable = [source for source in opened if not isinstance(source, UploadOutcome)]
-        note(
-            *(_failed(str(refusal.source), refusal.message) for refusal in accepted.refused),
-            *(outcome for outcome in opened if isinstance(outcome, UploadOutcome)),
-            captures=sum(source.total or 0 for _, source in readable),
-        )
-        for item, added in add_all(store, items(readable), measures, in_turn):
-            if isinstance(item, RoundCapture):
-                note(_outcome(item, added, sending.round), measured=next(measured))
-    note(done=True)
+            opened = [_open(source, options.reading, sending.camera) for source in accepted.sources]
+            readable = [source for source in opened if not isinstance(source, UploadOutcome)]
+            note(
+                *(_failed(str(refusal.source), refusal.message) for refusal in accepted.refused),
+                *(outcome for outcome in opened if isinstance(outcome, UploadOutcome)),
+                captures=sum(source.total or 0 for _, source in readable),
+            )
+            for item, added in add_all(store, items(readable), measures, in_turn):
+                if isinstance(item, RoundCapture):
+                    note(_outcome(item, added, sending.round), measured=next(measured))
+    except DiskFullError as error:  # measured later, and no reason to give it up
+        note(*(_failed(name, error.message) for name, _ in files), tries=upload.tries)
+    except UploadError as error:
+        note(*(_failed(name, error.message) for name, _ in files), done=True)
+    else:
+        note(done=True)
 
 
 def _round_captures(

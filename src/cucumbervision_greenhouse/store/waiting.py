@@ -35,6 +35,7 @@ MOST_TRIES = 3  # limits how often a capture can crash the program
 _DESCRIPTION_FILE = "waiting.json"
 _TRIES_FILE = "tries"
 _TEMPORARY = ".unfinished-"
+_REMEDY = "free some space on the disk, and check its rights"
 
 
 @dataclass(frozen=True)
@@ -220,9 +221,8 @@ class WaitingCaptures:
             "stop": asdict(queued_capture.stop),
             "source": queued_capture.source,
         }
-        remedy = "free some space on the disk, and check its rights"
         try:
-            with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
+            with wrap_os_errors("cannot be written", self.folder, _REMEDY, StoreError):
                 half.mkdir(parents=True)
                 fill(half)
                 (half / _DESCRIPTION_FILE).write_text(json.dumps(description), encoding="utf-8")
@@ -250,11 +250,27 @@ class WaitingCaptures:
         return any(self.folder.glob(f"[0-9]*-{key}/{_DESCRIPTION_FILE}"))
 
     def begin(self, queued_capture: Waiting) -> None:
-        """Record the start of a measurement, to recognise captures that crash the program."""
-        with (queued_capture.folder / _TRIES_FILE).open("ab") as tries:
+        """Record the start of a measurement, to recognise captures that crash the program.
+
+        Raises
+        ------
+        DiskFullError
+            If the disk is full.
+        """
+        path = queued_capture.folder / _TRIES_FILE
+        with (
+            wrap_os_errors("cannot be written", path, _REMEDY, StoreError),
+            path.open("ab") as tries,
+        ):
             tries.write(b".")
             tries.flush()
             os.fsync(tries.fileno())
+
+    def forget_start(self, queued_capture: Waiting) -> None:
+        """Take back what `begin` recorded: that it was not measured is no fault of the capture."""
+        path = queued_capture.folder / _TRIES_FILE
+        with suppress(OSError):
+            os.truncate(path, max(path.stat().st_size - 1, 0))
 
     def done(self, queued_capture: Waiting) -> None:
         """Remove a capture whose stop is in the store."""

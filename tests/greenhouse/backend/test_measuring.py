@@ -16,7 +16,7 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CalibrationError, InstancesError
+from cucumbervision.errors import CalibrationError, DiskFullError, InstancesError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask
@@ -216,6 +216,26 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
     with pytest.raises(CalibrationError, match=r"site\.json: the file is missing"):
         measure_waiting(queue, measurer, store, lambda: lost, lambda _: "", job)
     assert [one.tries for one in queue.captures()] == [0]  # it waits
+
+
+def test_a_full_disk_sets_no_capture_aside(
+    store: Store, measurer: SharedMeasurer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise DiskFullError("database or disk is full")
+
+    queue = WaitingCaptures(tmp_path / "waiting")
+    store.save_round(Round(key_of("queue")))
+    capture = next(iter(open_source(example_captures()))).load()
+    queue.put(capture, key_of("press"), key_of("queue"), 1.0)
+    parts = queue, measurer, store, lambda: OPTIONS, lambda _: "", Job(1, "Measuring")
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "save_stop", full)
+        for _ in range(4):
+            with pytest.raises(DiskFullError):
+                measure_waiting(*parts)
+    assert [one.tries for one in queue.captures()] == [0]
+    assert measure_waiting(*parts) == 1
 
 
 def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted(

@@ -190,6 +190,9 @@ def test_files_stay_while_the_disk_is_full(
         raise DiskFullError("cannot be kept (No space left on device)", source="row.zip")
 
     with monkeypatch.context() as patch:
+        patch.setattr(Store, "save_stop", full)
+        for _ in range(4):
+            measure_upload(uploads, sending.key, measurer, store, OPTIONS)
         patch.setattr("cucumbervision.intake.uploads.write_chunk", full)
         for _ in range(4):
             measure_upload(uploads, sending.key, measurer, store, OPTIONS)

@@ -137,6 +137,10 @@ class StoreError(CucumberVisionError):
     """A store of rounds cannot be opened, read or written, or does not hold what was asked."""
 
 
+class StoreAwayError(StoreError):
+    """The database is locked or cannot be reached: no fault of what was to be stored."""
+
+
 class StoreVersionError(StoreError):
     """A store that was written by a newer version of the software."""
 

@@ -13,7 +13,12 @@ import numpy as np
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CucumberVisionError, DiskFullError, InstancesError
+from cucumbervision.errors import (
+    CucumberVisionError,
+    DiskFullError,
+    InstancesError,
+    StoreAwayError,
+)
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask, mask_iou
@@ -21,7 +26,12 @@ from cucumbervision.measurement.flags import Flag
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
-from cucumbervision_greenhouse.rounds.adding import RoundCapture, add_all, capture_sha256
+from cucumbervision_greenhouse.rounds.adding import (
+    RoundCapture,
+    add_all,
+    capture_sha256,
+    require_store,
+)
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import (
     fruit_record,
@@ -322,8 +332,8 @@ def measure_waiting(
     Raises
     ------
     CucumberVisionError
-        If nothing can be measured at all: a network or the calibration cannot be loaded, or the
-        disk is full.
+        If nothing can be measured at all: a network or the calibration cannot be loaded, the disk
+        is full, or the store is not there.
     """
     while waiting.captures():
         _measure_alike(waiting, measurer, store, options, settle, job)
@@ -366,6 +376,7 @@ def _measure_alike(
     try:
         for _, added in add_all(store, items(), measures, in_turn):
             queued_capture = queue[0]
+            require_store(added)
             if added.failure is not None:
                 job.notes.append(added.failure.message)
                 continue
@@ -375,8 +386,8 @@ def _measure_alike(
             last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
             if last_of_round and (fault := settle(queued_capture.round_key)):
                 job.notes.append(fault)
-    except DiskFullError:  # no fault of the capture, which would be set aside for it
-        if queue:
+    except (DiskFullError, StoreAwayError):
+        if queue:  # no fault of the capture, which would be set aside for it
             waiting.forget_start(queue[0])
         raise
 

@@ -16,6 +16,7 @@ from cucumbervision.errors import (
     CucumberVisionError,
     DiskFullError,
     IntrinsicsError,
+    StoreAwayError,
     UploadError,
 )
 from cucumbervision.intake.archives import Limits
@@ -23,7 +24,7 @@ from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
-from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all
+from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, require_store
 from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import last_step, refuse_taken
 
@@ -83,8 +84,8 @@ def measure_upload(
 
     Notes
     -----
-    If a network or the calibration cannot be loaded, or the disk is full, that is the outcome of
-    all files, and the upload is measured later.
+    If a network or the calibration cannot be loaded, the disk is full, or the store is
+    away, that is the outcome of all files, and the upload is measured later.
     """
     files, outcomes = uploads.files(key), list[UploadOutcome]()
     measures = measurer.with_options(options)
@@ -125,9 +126,10 @@ def measure_upload(
                 captures=sum(source.total or 0 for _, source in readable),
             )
             for item, added in add_all(store, items(readable), measures, in_turn):
+                require_store(added)
                 if isinstance(item, RoundCapture):
                     note(_outcome(item, added, sending.round), measured=next(measured))
-    except DiskFullError as error:  # measured later, and no reason to give it up
+    except (DiskFullError, StoreAwayError) as error:  # measured later, and no reason to give it up
         note(*(_failed(name, error.message) for name, _ in files), tries=upload.tries)
     except UploadError as error:
         note(*(_failed(name, error.message) for name, _ in files), done=True)

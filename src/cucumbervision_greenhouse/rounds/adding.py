@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from cucumbervision.errors import StoreAwayError
 from cucumbervision.pipeline.batch import (
     Engine,
     Item,
@@ -261,6 +262,18 @@ def add_all(
             added = Added(failures[0].capture or failures[0].input, failure=failures[0])
         if added is not None:  # None: stopped before its turn
             yield item, added
+
+
+def require_store(added: Added) -> None:
+    """Stop where the store was not there, which is no fault of the capture: it is kept for later.
+
+    Raises
+    ------
+    StoreAwayError
+        As it was said.
+    """
+    if added.failure is not None and added.failure.error == StoreAwayError.__name__:
+        raise StoreAwayError(added.failure.message)
 
 
 def _added(

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 
 from cucumbervision.errors import (
     DiskFullError,
     MissingExtraError,
+    StoreAwayError,
     StoreError,
     StoreVersionError,
     wrap_os_errors,
@@ -234,7 +235,8 @@ def _store_errors(url: URL) -> Iterator[None]:
         cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
-        kind = DiskFullError if remedy == _MAKE_ROOM else StoreError
+        away = StoreAwayError if isinstance(error, OperationalError) else StoreError
+        kind = DiskFullError if remedy == _MAKE_ROOM else away
         raise kind(fault, source=named(url), remedy=remedy) from error
 
 

@@ -16,7 +16,13 @@ from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CalibrationError, DiskFullError, InstancesError
+from cucumbervision.errors import (
+    CalibrationError,
+    CucumberVisionError,
+    DiskFullError,
+    InstancesError,
+    StoreAwayError,
+)
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask
@@ -218,11 +224,16 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
     assert [one.tries for one in queue.captures()] == [0]  # it waits
 
 
-def test_a_full_disk_sets_no_capture_aside(
-    store: Store, measurer: SharedMeasurer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("kind", [DiskFullError, StoreAwayError])
+def test_a_store_that_is_full_or_away_sets_no_capture_aside(
+    kind: type[CucumberVisionError],
+    store: Store,
+    measurer: SharedMeasurer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def full(*_: object) -> None:
-        raise DiskFullError("database or disk is full")
+    def fail(*_: object) -> None:
+        raise kind("database is locked, or its disk full")
 
     queue = WaitingCaptures(tmp_path / "waiting")
     store.save_round(Round(key_of("queue")))
@@ -230,9 +241,9 @@ def test_a_full_disk_sets_no_capture_aside(
     queue.put(capture, key_of("press"), key_of("queue"), 1.0)
     parts = queue, measurer, store, lambda: OPTIONS, lambda _: "", Job(1, "Measuring")
     with monkeypatch.context() as patch:
-        patch.setattr(Store, "save_stop", full)
+        patch.setattr(Store, "save_stop", fail)
         for _ in range(4):
-            with pytest.raises(DiskFullError):
+            with pytest.raises(kind):
                 measure_waiting(*parts)
     assert [one.tries for one in queue.captures()] == [0]
     assert measure_waiting(*parts) == 1

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import DiskFullError
+from cucumbervision.errors import DiskFullError, StoreAwayError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
@@ -176,7 +176,7 @@ def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(
     assert taken["fx"] == pytest.approx(CAMERAS[camera] * 48)
 
 
-def test_files_stay_while_the_disk_is_full(
+def test_files_stay_while_the_disk_is_full_or_the_store_away(
     store: Store, measurer: SharedMeasurer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store.save_round(ROUND)
@@ -189,7 +189,13 @@ def test_files_stay_while_the_disk_is_full(
     def full(*_: object) -> None:
         raise DiskFullError("cannot be kept (No space left on device)", source="row.zip")
 
+    def locked(*_: object) -> None:
+        raise StoreAwayError("database is locked")
+
     with monkeypatch.context() as patch:
+        patch.setattr(Store, "save_stop", locked)
+        for _ in range(4):
+            measure_upload(uploads, sending.key, measurer, store, OPTIONS)
         patch.setattr(Store, "save_stop", full)
         for _ in range(4):
             measure_upload(uploads, sending.key, measurer, store, OPTIONS)

@@ -10,7 +10,7 @@ from threading import Timer
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreError
+from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreAwayError, StoreError
 from cucumbervision_greenhouse.store.engine import begin, database_url, named
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
@@ -76,10 +76,18 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     [
         ("could not extend file: No space left on device", DiskFullError, "make room on the disk"),
         ('could not extend file "b": wrote only 4096 of 8192 bytes', DiskFullError, "make room"),
-        ("connection failed: the database system is in recovery mode", StoreError, "try again"),
-        ("connection failed: the database system is not yet accepting connections", StoreError, ""),
-        ("connection failed: the database system is starting up", StoreError, "in a minute"),
-        ("connection failed: Connection refused", StoreError, "check that the PostgreSQL server"),
+        ("connection failed: the database system is in recovery mode", StoreAwayError, "try again"),
+        (
+            "connection failed: the database system is not yet accepting connections",
+            StoreAwayError,
+            "",
+        ),
+        ("connection failed: the database system is starting up", StoreAwayError, "in a minute"),
+        (
+            "connection failed: Connection refused",
+            StoreAwayError,
+            "check that the PostgreSQL server",
+        ),
     ],
 )
 def test_what_a_server_says_has_a_remedy(

@@ -87,9 +87,10 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
         if kind is not None
     ]
     rows = sorted({pick.fruit.row for pick in listed}, key=natural_key)
+    index_of = {row: index for index, row in enumerate(rows)}
 
     def along_the_walk(pick: Pick) -> tuple[int, float, str, str]:
-        row_index = rows.index(pick.fruit.row)
+        row_index = index_of[pick.fruit.row]
         position = -pick.fruit.position_m if row_index % 2 else pick.fruit.position_m
         return row_index, position, pick.fruit.side, pick.fruit.fruit_id
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
@@ -33,12 +35,19 @@ from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.views import RoundSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
 KEPT = 8  # largest number of cached rounds, forecasts or fruit
 
 
 def where() -> str:
     """Return the whole path, or the URL, of the store."""
-    place = os.environ.get(STORE_VARIABLE) or default_store()
+    return _whole(os.environ.get(STORE_VARIABLE) or default_store())
+
+
+@lru_cache(maxsize=1)
+def _whole(place: str) -> str:
     # Settings keep the paths of files beside it, for a dashboard that is started elsewhere.
     return place if "://" in place else str(Path(place).absolute())
 
@@ -93,14 +102,15 @@ def uploads() -> Uploads:
     return Uploads(waiting_folder(where()).with_suffix(".uploads"))
 
 
-@st.cache_resource(show_spinner=False)
-def _settings() -> list[Settings]:
-    return [read_settings(settings_file(where()))]
+@lru_cache(maxsize=1)
+def _settings(place: str) -> list[Settings]:
+    # Every text of a page asks for the language; Streamlit's cache would take longer than the text.
+    return [read_settings(settings_file(place))]
 
 
 def settings() -> Settings:
     """Return the settings, the same for all viewers."""
-    return _settings()[0]
+    return _settings(where())[0]
 
 
 _CHANGING = threading.Lock()
@@ -115,7 +125,7 @@ def change_settings(**changes: object) -> None:
         chosen = Settings.model_validate({**settings().model_dump(), **changes})
         if chosen == settings():
             return
-        _settings()[0] = chosen
+        _settings(where())[0] = chosen
         try:
             write_settings(chosen, settings_file(where()))
         except CucumberVisionError as error:
@@ -176,9 +186,9 @@ def rounds() -> list[RoundSummary]:
     )
 
 
-def houses() -> list[str]:
-    """Return the houses of all rounds, each by the first of its names."""
-    named = sorted(store().rounds(), key=lambda round_summary: round_summary.record.started_s)
+def houses(of_rounds: Iterable[RoundSummary]) -> list[str]:
+    """Return the houses of rounds, each by the first of its names."""
+    named = sorted(of_rounds, key=lambda round_summary: round_summary.record.started_s)
     name_of_house: dict[str, str] = {}
     for round_summary in named:
         if round_summary.record.house:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import streamlit as st
@@ -20,7 +20,8 @@ from cucumbervision_greenhouse.backend.resources import (
     uploads,
     worker,
 )
-from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_round
+from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_round, map_lines
+from cucumbervision_greenhouse.backend.settings import Units
 from cucumbervision_greenhouse.backend.tasks import mergings, progress
 from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
 from cucumbervision_greenhouse.rounds.day_comparison import (
@@ -59,7 +60,7 @@ def news(round_key: str) -> dict[str, Any]:
     round_key : str
         The open round; its `version` changes whenever one of its pages would.
     """
-    round_summary = next((x for x in store().rounds() if x.key == round_key), None)
+    round_summary = store().round(round_key)
     counts = (
         worker().finished + uploads().changes,
         0 if round_summary is None else hash(_version(round_summary)),
@@ -83,6 +84,7 @@ def _measured_version(round_summary: RoundSummary) -> tuple[object, ...]:
 
 
 _HASH_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}
+_HASH_OF_WORDS = _HASH_OF_ROUND | {Units: lambda units: units.name}
 _HASH_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
     DetectionSummary: lambda view: (view.key, view.corrected, view.record.box_x1_px),
     JointRecord: lambda joint: joint.key,
@@ -101,6 +103,12 @@ def graded_round(round_summary: RoundSummary) -> GradedRound:
     return grade_round(
         content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
     )
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_WORDS)
+def map_lines_of(round_summary: RoundSummary, units: Units, language: str) -> list[dict[str, Any]]:  # noqa: ARG001, of the words
+    """Return the marks of a round's map in a unit and a language; made again after a change."""
+    return map_lines(graded_round(round_summary), units)
 
 
 @st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_HASH_OF_ROUND)
@@ -144,7 +152,7 @@ def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def rows_of(round_summary: RoundSummary) -> list[RowCounts]:
+def rows_of(round_summary: RoundSummary) -> Sequence[RowCounts]:
     """Return a round's rows with their counts; computed again only after a change."""
     return row_counts(content_of(round_summary))
 
@@ -156,7 +164,7 @@ def doubts_of(round_summary: RoundSummary) -> list[str]:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def fruit_of(round_summary: RoundSummary) -> list[RoundFruit]:
+def fruit_of(round_summary: RoundSummary) -> Sequence[RoundFruit]:
     """Return a round's fruit with the lengths from all views; computed again after a change."""
     return fruit_table(content_of(round_summary))
 

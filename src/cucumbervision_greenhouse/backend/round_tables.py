@@ -120,7 +120,7 @@ def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
             "height": -round((view.record.centre_y_m or 0.0) * per_metre, 3),
             "length": units.value(view.record.length_m),
             "class": graded.grades[view.key].label,
-            "says": map_words(view, graded, units),
+            "says": mark_words(view, graded, units),
             "views": view.views,
             "mark": _mark_of(view),
         }
@@ -185,9 +185,14 @@ def length_days(views: Iterable[DetectionSummary], units: Units) -> list[dict[st
 
 
 def map_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
-    """Return the map's text on a fruit: its place, length and class."""
+    """Return the map's text on a fruit: its row and side, then `mark_words`."""
+    return f"{row_and_side(view)}, {mark_words(view, graded, units)}"
+
+
+def mark_words(view: DetectionSummary, graded: GradedRound, units: Units) -> str:
+    """Return what is said of a fruit on the map of its row: its position, length and class."""
     grades = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
-    place = f"{row_and_side(view)}, {position_words(view.along_m, units)}"
+    place = position_words(view.along_m, units)
     return ", ".join([f"{place}: {length_words(view.record, units)}", *grades])
 
 

@@ -87,7 +87,7 @@ def _measure_upload(key: str, _: Job) -> None:
 
 
 def _settle(round_key: str) -> str:
-    round_summary = next((x for x in store().rounds() if x.key == round_key), None)
+    round_summary = store().round(round_key)
     fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
     mergings()[round_key] += 1
     work = partial(_measure_all_views, round_key)

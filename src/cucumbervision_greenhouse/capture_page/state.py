@@ -70,7 +70,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     return {
         "now_s": time.time(),
         "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
-        "houses": resources.houses(),
+        "houses": resources.houses(rounds),
         "round": round_summary.key if round_summary else "",
         "missing": bool(round_key) and round_summary is None,
         "house": round_summary.record.house if round_summary else "",
@@ -226,7 +226,7 @@ def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
 
 def _last_action(store: Store, round_key: str) -> LogEntry | None:
     """Return a viewer's last action in a round, ignoring presses that were undone."""
-    if not any(round_summary.key == round_key for round_summary in resources.rounds()):
+    if store.round(round_key) is None:
         return None
     actions = store.own_actions(round_key)
     return next((action for action in actions if action.kind != TAKE_BACK), None)

@@ -42,7 +42,7 @@ _STYLE, _HEAD = (Path(__file__).with_name("static") / name for name in ("pages.c
 
 def main() -> None:
     """Draw the page that the viewer chose."""
-    st.set_page_config(page_title="CucumberVision", page_icon="🥒", layout="wide")
+    st.set_page_config(page_title="CucumberVision", layout="wide")
     st.html(_STYLE)
     try:
         _check_guard()
@@ -107,10 +107,11 @@ def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
 def _head(title: str) -> str:
     """Return the top of a page: the program, the house that is open, the choice of colours."""
     opened = st.session_state.get("round")
-    houses = [x.record.house for x in resources.rounds() if opened in (None, x.key)]
+    rounds = [resources.store().round(opened)] if opened else resources.rounds()
+    house = next((x.record.house for x in rounds if x is not None), "")
     parts = {
         "home": escape(f"/?{urlencode(page_elements.here())}"),
-        "house": escape(next(iter(houses), "")),
+        "house": escape(house),
         "title": escape(title),
         "colors": escape(_("Light or dark colours")),
     }

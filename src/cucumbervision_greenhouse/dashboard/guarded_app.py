@@ -29,8 +29,8 @@ _GUARD = Middleware(
     token=os.environ.get(TOKEN_VARIABLE, ""),
 )
 
-# Streamlit imports the second within the first page that is drawn, the others within later ones.
-_FIRST_USED = ("cucumbervision_greenhouse.dashboard.app", "streamlit.emojis")
+# Streamlit imports the first within the first page that is drawn, the others within later ones.
+_PAGES = "cucumbervision_greenhouse.dashboard.app"
 _LATER_USED = ("cucumbervision_greenhouse.dashboard.charts", "pandas")
 _FIRST_PAGE_S = 2.0
 """The first viewer comes at once, and networks that load meanwhile would take the processor."""
@@ -42,8 +42,7 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
 
     def prepare() -> None:
         with suppress(CucumberVisionError, ImportError):  # a page shows the reason
-            for name in _FIRST_USED:
-                import_module(name)
+            import_module(_PAGES)
             tasks.prepare()
             round_caches.read_ahead()
             time.sleep(_FIRST_PAGE_S)

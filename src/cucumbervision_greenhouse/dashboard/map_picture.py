@@ -34,6 +34,14 @@ def map_picture(
         All that are shown, which the scales fit.
     by_length : bool
         A layer for every step of the length; else one a class.
+
+    Returns
+    -------
+    layers : list of dict
+        As `page_elements.picture` takes them, with 'marks': of each fruit x and y, key, words,
+        kind of mark, and whether it was seen once.
+    grid : dict
+        Lines 'across' and 'up' with their words.
     """
     ends = {name: _ends(all_lines, name) for name in ("along", "height")}
 
@@ -43,19 +51,16 @@ def map_picture(
         across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
         return round(size - across if name == "height" else across, 1)
 
+    by_class = {name: _class(name) for name in {line["class"] for line in lines}}
     layers: dict[str, dict[str, Any]] = {}
     for line in sorted(lines, key=lambda line: line["length"] or 0.0):
-        name, color = _length_step(line["length"], units) if by_length else _class(line["class"])
-        layer = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
-        mark = {
-            "kind": "mark",
-            "points": [place("along", line["along"]), place("height", line["height"])],
-            "key": line["key"],
-            "mark": line["mark"],
-            "once": line["views"] == 1,
-            "says": line["says"],
-        }
-        layer["shapes"].append(mark)
+        name, color = _length_step(line["length"], units) if by_length else by_class[line["class"]]
+        layer = layers.setdefault(
+            name, {"name": name, "color": color, "on": True, "shapes": [], "marks": []}
+        )
+        # Without names: a round has thousands of them.
+        at = place("along", line["along"]), place("height", line["height"])
+        layer["marks"].append((*at, line["key"], line["says"], line["mark"], line["views"] == 1))
     grid = {
         name: [
             (place(axis, value), f"{decimal_words(f'{value:g}')} {units.along[0]}")

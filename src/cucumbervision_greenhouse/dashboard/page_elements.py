@@ -43,6 +43,16 @@ def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
     return first, right
 
 
+def section(label: str, icon: str, key: str, *, opened: bool = False) -> DeltaGenerator | None:
+    """Draw a part of a page that is closed at first; return it where it is open.
+
+    What nobody sees would take as long to draw and to send as what is seen.
+    """
+    icon = f":material/{icon}:"
+    part = st.expander(label, expanded=opened, icon=icon, key=key, on_change="rerun")
+    return part if part.open else None
+
+
 def button(
     place: Any, label: str, icon: str, act: Callable[..., object], *args: Any, **options: Any
 ) -> None:

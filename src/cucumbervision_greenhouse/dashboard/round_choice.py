@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_r
 from cucumbervision_greenhouse.store.records import Round
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from cucumbervision_greenhouse.store.views import RoundSummary
 
@@ -60,7 +60,7 @@ def choose_round() -> RoundSummary | None:
     # Popovers keep their state, so that an action inside closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
     with new.popover(_("New round"), icon=":material/add:", key=_BEGINNING, **tall):
-        _begin()
+        _begin(rounds.values())
     tall |= {"help": _("Rename or delete")}
     with change.popover("", icon=":material/edit:", key=_CHANGING, **tall):
         _change(round_summary)
@@ -72,9 +72,9 @@ def missing_round() -> str:
     return str(st.session_state.get(_MISSING) or "")
 
 
-def _begin() -> None:
+def _begin(rounds: Iterable[RoundSummary]) -> None:
     st.text_input(_("Name"), placeholder=_("Morning round"), key="new_name")
-    houses = resources.houses()
+    houses = resources.houses(rounds)
     house_choices = [*houses, _NEW_HOUSE]
     if houses:
         st.selectbox(
@@ -167,9 +167,11 @@ def _house(round_summary: RoundSummary) -> None:
     typed = " ".join(st.text_input(_("House"), house, key=f"house_{key}").split())
     if typed == house:
         return
-    of_house = [x.key for x in resources.rounds() if x.record.house == house]
-    same_name = same_house(typed, [name for name in resources.houses() if name != house])
-    merged = same_name in resources.houses()
+    rounds = resources.rounds()
+    houses = resources.houses(rounds)
+    of_house = [x.key for x in rounds if x.record.house == house]
+    same_name = same_house(typed, [name for name in houses if name != house])
+    merged = same_name in houses
     words = _("Rename the house")
     if merged:
         words = _("Merge the house with '{house}'").format(house=same_name)

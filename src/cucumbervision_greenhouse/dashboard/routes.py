@@ -59,9 +59,7 @@ def _receive(request: Request, content: bytes) -> Any:
 
 def _tables_of(request: Request) -> tuple[str, RoundTables]:
     """Return the name and the tables of the round in the address."""
-    round_summary = next(
-        (x for x in resources.rounds() if x.key == request.path_params["round"]), None
-    )
+    round_summary = resources.store().round(request.path_params["round"])
     if round_summary is None:
         raise HTTPException(404)
     profile_name, profile = resources.profile_of(round_summary)
@@ -97,15 +95,17 @@ def _print(request: Request, _: bytes) -> Response:
 
 @lru_cache(maxsize=1)
 def _index() -> str:
-    """Return Streamlit's first page with the address of its server.
+    """Return Streamlit's first page with the address of its server, and the program's icon.
 
-    Otherwise it tries addresses below the page's first, which fail in the console.
+    Otherwise it tries addresses below the page's first, which fail in the console. For an emoji as
+    the icon, it would import all emojis before the first page.
     """
     text = (Path(streamlit.__file__).parent / "static/index.html").read_text(encoding="utf-8")
     told = (
         "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"
         '<link rel="stylesheet" href="/capture/theme.css"><script src="/capture/theme.js"></script>'
     )
+    text = text.replace('"./favicon.png"', '"/capture/icon.svg"')
     title = "<title>CucumberVision</title>"
     return text.replace("<title>Streamlit</title>", title).replace("<head>", f"<head>{told}", 1)
 

@@ -88,7 +88,7 @@ def round_tables(
     StoreError, RoundError
         If the round does not exist or cannot be read.
     """
-    view = next((candidate for candidate in store.rounds() if candidate.key == round_key), None)
+    view = store.round(round_key)
     if view is None:
         raise CucumberVisionError(
             f"no round has the key {round_key}", source=store.name, remedy="see `round list`"

@@ -140,30 +140,35 @@ class DayComparison:
         """Return the fruit with a change."""
         return tuple(fruit for fruit in self.changes if fruit.change is change)
 
-    def counts(self, row: str | None = None) -> ChangeCounts:
-        """Return the numbers of a row, or of the house without one."""
-        changes = [fruit for fruit in self.changes if row is None or fruit.row == row]
-        number = Counter(fruit.change for fruit in changes)
-        picked, gone, stayed = (number[c] for c in (Change.PICKED, Change.GONE, Change.STAYED))
-        growths = [fruit.growth_m_per_day for fruit in changes]
-        known_growths = [growth for growth in growths if growth is not None]
-        return ChangeCounts(
-            before=picked + gone + stayed,
-            picked=picked,
-            gone=gone,
-            stayed=stayed,
-            new=number[Change.NEW],
-            after=stayed + number[Change.NEW],
-            unsure=sum(fruit.probability < SURE for fruit in changes),
-            returned=sum(fruit.is_back for fruit in changes),
-            not_walked=number[Change.NOT_WALKED],
-            growth_m_per_day=median(known_growths) if known_growths else None,
-        )
+    def counts(self) -> ChangeCounts:
+        """Return the numbers of the house."""
+        return _counts(self.changes)
 
     def by_row(self) -> dict[str, ChangeCounts]:
         """Return the numbers of each row, in the natural order of their names."""
-        rows = sorted({fruit.row for fruit in self.changes}, key=natural_key)
-        return {row: self.counts(row) for row in rows}
+        rows: dict[str, list[FruitChange]] = {}
+        for fruit in self.changes:
+            rows.setdefault(fruit.row, []).append(fruit)
+        return {row: _counts(rows[row]) for row in sorted(rows, key=natural_key)}
+
+
+def _counts(changes: Sequence[FruitChange]) -> ChangeCounts:
+    number = Counter(fruit.change for fruit in changes)
+    picked, gone, stayed = (number[c] for c in (Change.PICKED, Change.GONE, Change.STAYED))
+    growths = [fruit.growth_m_per_day for fruit in changes]
+    known_growths = [growth for growth in growths if growth is not None]
+    return ChangeCounts(
+        before=picked + gone + stayed,
+        picked=picked,
+        gone=gone,
+        stayed=stayed,
+        new=number[Change.NEW],
+        after=stayed + number[Change.NEW],
+        unsure=sum(fruit.probability < SURE for fruit in changes),
+        returned=sum(fruit.is_back for fruit in changes),
+        not_walked=number[Change.NOT_WALKED],
+        growth_m_per_day=median(known_growths) if known_growths else None,
+    )
 
 
 def compare_rounds(

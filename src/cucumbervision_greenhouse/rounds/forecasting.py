@@ -163,24 +163,19 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
             is_known = link.second in rounds[later].views and link.second in names
             if not is_known or not (link.by_hand or (link.score or 0.0) >= SURE):
                 continue
-            for key, day in days.items():
-                if day < days[later] and key not in rounds:
-                    rounds[key] = _Measured(read_round(store, key))
-            home = next(
-                (
-                    key
-                    for key, content_of_round in rounds.items()
-                    if link.first in content_of_round.views
-                ),
-                None,
-            )
+            home = next((key for key, x in rounds.items() if link.first in x.views), None)
+            # Most fruit are followed to the round before; a season need not be read.
+            unread = [key for key in days if days[key] < days[later] and key not in rounds]
+            while home is None and unread:
+                nearest = max(unread, key=days.__getitem__)
+                unread.remove(nearest)
+                rounds[nearest] = _Measured(read_round(store, nearest))
+                home = nearest if link.first in rounds[nearest].views else None
             if home is None:
                 continue
-            before = rounds[home].views[link.first]
             name = names[link.second]
-            for view in rounds[home].views.values():
-                if view.group == before.group:
-                    names.setdefault(view.key, name)
+            for key in rounds[home].same_fruit(link.first):
+                names.setdefault(key, name)
             first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
             before_m, after_m = first.record.length, last.record.length
             if before_m is not None and after_m is not None and days[home] < days[later]:
@@ -197,6 +192,17 @@ class _Measured:
     def __init__(self, content: RoundContent) -> None:
         self.views = {view.key: view for view in content.views}
         self._content = content
+
+    @cached_property
+    def _groups(self) -> dict[str, list[str]]:
+        groups: dict[str, list[str]] = {}
+        for view in self.views.values():
+            groups.setdefault(view.group, []).append(view.key)
+        return groups
+
+    def same_fruit(self, key: str) -> list[str]:
+        """Return the keys of all views of a view's fruit."""
+        return self._groups[self.views[key].group]
 
     @cached_property
     def _table(self) -> dict[str, DetectionSummary]:
@@ -367,10 +373,11 @@ def with_counts_today(result: Forecast) -> Forecast:
     for undecided, missed and mistaken fruit; of what is ready today they are the same.
     """
     counted = np.zeros(result.by_row.expected[:, 0].shape)
+    index_of = {row: index for index, row in enumerate(result.rows)}
     for state, possible in zip(result.fruit, result.possible, strict=True):
         name = class_of(possible)
         if name in result.classes:
-            counted[result.rows.index(state.row), result.classes.index(name)] += 1
+            counted[index_of[state.row], result.classes.index(name)] += 1
     picked = np.isin(result.classes, result.pick)
     by_row = _counted_today(result.by_row, counted)
     house = _counted_today(result.house, counted.sum(axis=0))

@@ -80,6 +80,10 @@ class StoredRow:
     false: FalseShare
 
 
+CONTENTS = 8
+"""Rounds whose fruit and counts are kept, once computed from their content."""
+
+
 @dataclass(frozen=True, eq=False)
 class RoundContent:
     """The stored content of a round, read once and shared.

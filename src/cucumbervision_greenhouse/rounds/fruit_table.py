@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from cucumbervision.measurement.matching import pooled_length
 from cucumbervision.measurement.result import INTERVAL_Z
 from cucumbervision_greenhouse.agronomy.forecast import natural_key
 from cucumbervision_greenhouse.rounds.from_store import (
+    CONTENTS,
     RoundContent,
     counted_fruit,
     joint_groups,
@@ -118,15 +120,16 @@ def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFi
     )
 
 
-def fruit_table(content: RoundContent) -> list[RoundFruit]:
+@lru_cache(maxsize=CONTENTS)  # all pages of a round ask for the same
+def fruit_table(content: RoundContent) -> tuple[RoundFruit, ...]:
     """Return a round's fruit, each once, by row and position; rejected ones are left out."""
     pooled, joint = _pooled(content), _joint(content)
     best = counted_fruit(content.views)
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
-    return [
+    return tuple(
         _fruit(number, view, joint.get(view.key), pooled.get(view.key))
         for number, view in enumerate(best, 1)
-    ]
+    )
 
 
 def _joint(content: RoundContent) -> dict[str, JointRecord]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds.day_linking import link_days
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.from_store import (
+    CONTENTS,
     RoundContent,
     by_hand_of,
     counted_fruit,
@@ -166,11 +168,12 @@ def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) ->
     )
 
 
-def row_counts(content: RoundContent) -> list[RowCounts]:
+@lru_cache(maxsize=CONTENTS)  # today's list, the forecast and the map ask for the same
+def row_counts(content: RoundContent) -> tuple[RowCounts, ...]:
     """Return the rows of a round as they were merged last, what was done by hand included."""
     fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
     fruit = Counter(view.row or "" for view in counted_fruit(content.views))
-    return [
+    return tuple(
         _report(
             row,
             stored_merging(content, row),
@@ -178,7 +181,7 @@ def row_counts(content: RoundContent) -> list[RowCounts]:
             done=not fitted.isdisjoint(row.stop_keys),
         )
         for row in content.rows
-    ]
+    )
 
 
 def link_rounds(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING, Any
@@ -72,7 +73,7 @@ from cucumbervision_greenhouse.store.views import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from sqlalchemy import Connection
+    from sqlalchemy import ColumnElement, Connection
 
 
 _PLACE = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m")
@@ -98,6 +99,19 @@ class Queries(Database):
 
         `deleted` gives those that were deleted instead.
         """
+        return self._summaries(RoundLine.deleted == deleted)
+
+    def round(self, key: str) -> RoundSummary | None:
+        """Return a round; None where it is not there or was deleted.
+
+        Much faster than `rounds`, which counts the fruit of all.
+        """
+        with suppress(StoreError):  # no such key
+            key = checked_key(key, "round")
+            return next(iter(self._summaries(~RoundLine.deleted, RoundLine.key == key)), None)
+        return None
+
+    def _summaries(self, *only: ColumnElement[bool]) -> list[RoundSummary]:
         of_round = and_(StopLine.round_id == RoundLine.id, ~StopLine.deleted)
         query = select(
             *columns_of(RoundLine, ROUND_CELLS),
@@ -107,9 +121,8 @@ class Queries(Database):
             .scalar_subquery(),
             select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
         ).order_by(RoundLine.started_s.desc(), RoundLine.id.desc())
-        query = query.where(RoundLine.deleted == deleted)
         with self.reading() as connection:
-            rows = cells_of(connection, query)
+            rows = cells_of(connection, query.where(*only))
             return [RoundSummary(Round(*row[:6]), *row[6:]) for row in rows]
 
     def stop_is_deleted(self, key: str) -> bool | None:

@@ -77,10 +77,13 @@ def walked(store: Store) -> str:
     return one.key
 
 
-def page(name: str, round_key: str, *, fruit: str = "", press: str = "") -> AppTest:
+def page(
+    name: str, round_key: str, *, fruit: str = "", press: str = "", **state: object
+) -> AppTest:
     script = f"from cucumbervision_greenhouse.dashboard.views import {name}\n{name}.page()\n"
     test = AppTest.from_string(script, default_timeout=600)
-    test.session_state["round"] = round_key
+    for key, value in {"round": round_key, **state}.items():
+        test.session_state[key] = value
     if fruit:
         test.query_params["fruit"] = fruit
     test.run()
@@ -134,7 +137,7 @@ def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: 
 
     # Work and crates of the days, and of today.
     work: list[dict[str, Any]] = files["work"].rows
-    shown = table(page("forecast", walked))
+    shown = table(page("forecast", walked, forecast_tabs="Work and crates"))
     days = [line for line in work if line["fruit_high"] >= 1]
     assert len(shown) == len(days) > 1
     for line, day in zip(shown, days, strict=True):

@@ -5,15 +5,17 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("streamlit")
 
-
+from streamlit.runtime.caching.cache_utils import CachedFunc
 from tests.greenhouse.dashboard.app_pages import (
     LONG,
     PAGES,
@@ -28,9 +30,13 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.capture_page.state import walk
+from cucumbervision_greenhouse.rounds import merge_and_link
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision_greenhouse.rounds.from_store import StoredRow
+from cucumbervision_greenhouse.store.queries import Queries
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import RoundSummary
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 ROOT = Path(__file__).parents[3]
@@ -150,24 +156,82 @@ def test_every_page_opens_on_500_stops(
                 one for one in test.get("bidi_component") if "picture" in one.proto.component_name
             ]
             marks = [
-                mark["key"]
+                mark[2]
                 for one in drawn
                 for layer in json.loads(one.proto.json)["layers"]
-                for mark in layer["shapes"]
+                for mark in layer["marks"]
             ]
             assert len(set(marks)) == len(marks) == 2500
+            # A tablet in the house loads them; before, it was 240 a mark.
+            assert sum(len(one.proto.json) for one in drawn) < 130 * len(marks)
 
 
-def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(house: Path) -> None:
+@pytest.mark.parametrize("page", ["results", "row_map", "forecast", "accuracy"])
+def test_a_page_asks_once_whatever_the_number_of_its_fruit(
+    page: str,
+    house: Path,
+    make_long: Callable[[Store, StopRecord, int], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open_store(house) as store:
+        make_long(store, store.stop(store.stops(WALK)[0].key), 100)
+    test = app(page, round=LONG)  # reads what is kept then
+    asked: Counter[str] = Counter()
+    ask, read = CachedFunc.__call__, Queries.rounds
+
+    def counted(cached: Any, *args: Any, **named: Any) -> Any:
+        asked["of caches"] += 1
+        return ask(cached, *args, **named)
+
+    def rounds(store: Queries, *, deleted: bool = False) -> list[RoundSummary]:
+        asked[f"for rounds, {deleted=}"] += 1
+        return read(store, deleted=deleted)
+
+    monkeypatch.setattr(CachedFunc, "__call__", counted)
+    monkeypatch.setattr(Queries, "rounds", rounds)
+    assert not test.run().exception
+    assert 0 < asked.pop("of caches") < 100  # before, 13,000 on a map of 500 fruit
+    assert asked == {"for rounds, deleted=False": 1, "for rounds, deleted=True": 1}
+
+
+def test_what_pages_share_is_computed_once(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted: list[str] = []
+    report = merge_and_link._report
+
+    def counting(row: StoredRow, *args: Any, **named: Any) -> merge_and_link.RowCounts:
+        counted.append(row.name)
+        return report(row, *args, **named)
+
+    monkeypatch.setattr(merge_and_link, "_report", counting)
+    for page in ("today", "forecast", "row_map"):
+        assert not app(page, round=WALK).exception
+    assert len(set(counted)) == len(counted) == 1  # the rows of the round
+
+
+def test_news_of_a_round_count_no_other(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = round_caches.news(WALK)["version"]
+    monkeypatch.delattr(Queries, "rounds")  # every open page asks three times a second
+    assert round_caches.news(WALK)["version"] == before
+    for missing in ("", "no key", new_key()):
+        assert round_caches.news(missing)["version"].endswith("-0")
+
+
+def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A viewer waits for what a new process imports."""
+    monkeypatch.setenv("CUCUMBERVISION_LOGIN", "none")
     code = (
         "import sys\n"
-        "from tests.greenhouse.dashboard.app_pages import WALK, app\n"
-        "from cucumbervision_greenhouse.backend import resources, tasks\n"
-        "tasks.prepare()\n"
-        "assert not app('today', round=WALK).exception\n"
+        "from streamlit.testing.v1 import AppTest\n"
+        "from cucumbervision_greenhouse.backend import resources\n"
+        "from cucumbervision_greenhouse.dashboard import app\n"
+        "test = AppTest.from_file(app.__file__, default_timeout=600).run()\n"
+        "assert not test.exception and not test.error\n"
+        "assert 'Pick list' in [heading.value for heading in test.header]\n"
         "assert not resources.worker().unfinished()\n"
-        "late = ('pandas', 'pyarrow', 'altair', 'scipy.stats', 'onnxruntime', 'openvino')\n"
+        "late = ('pandas', 'pyarrow', 'altair', 'scipy.stats', 'onnxruntime', 'openvino',\n"
+        "        'pydeck', 'streamlit.emojis')\n"
         "print(*[name for name in late if name in sys.modules])\n"
     )
     command = [sys.executable, "-W", "ignore", "-c", code]

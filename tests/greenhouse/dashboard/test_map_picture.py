@@ -23,11 +23,10 @@ def test_a_map_has_a_layer_a_class_and_its_marks_where_the_fruit_hang() -> None:
         for k, (length, name) in enumerate([(12.0, "too short"), (27.0, "class I"), (None, "?")])
     ]
     layers, grid = map_picture(shown[:2], shown, Units("cm"), by_length=False)
-    drawn = {layer["name"]: layer["shapes"][0] for layer in layers}
+    drawn = {layer["name"]: layer["marks"][0] for layer in layers}
     # Scales are those of all rows: the second fruit hangs in the middle of what is shown.
-    assert drawn["too short"]["points"] == [50.0, 510.0]
-    assert drawn["class I"]["points"] == [500.0, 280.0]
-    assert (drawn["too short"]["once"], drawn["class I"]["once"]) == (False, True)
+    assert drawn["too short"] == (50.0, 510.0, "0", "", "seen", False)
+    assert drawn["class I"] == (500.0, 280.0, "1", "", "seen", True)
     assert (500.0, "1 m") in grid["across"]
     assert (280.0, "0.2 m") in grid["up"]
     layers, _ = map_picture(shown, shown, Units("cm"), by_length=True)

@@ -14,13 +14,14 @@ from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision_greenhouse.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision_greenhouse.agronomy.picking import pick_list
+from cucumbervision_greenhouse.rounds import forecasting
 from cucumbervision_greenhouse.rounds.forecasting import (
     forecast_today,
     fruit_states,
     growth_links,
     shared_scale_sd,
 )
-from cucumbervision_greenhouse.rounds.from_store import find_round, read_round
+from cucumbervision_greenhouse.rounds.from_store import RoundContent, find_round, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, merge_round, row_counts
 from cucumbervision_greenhouse.store.links import LinkKind
@@ -182,9 +183,20 @@ def test_a_measured_depth_scale_narrows_what_all_lengths_share() -> None:
     assert shared_scale_sd([site(0.00098), [own_truth_alone]]) == 0.01
 
 
-def test_growth_is_followed_through_three_rounds(store: Store) -> None:
+def test_growth_is_followed_through_three_rounds_and_no_other_is_read(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    days_read: list[str] = []
+
+    def reading(opened: Store, key: str) -> RoundContent:
+        days_read.append(key)
+        return read_round(opened, key)
+
+    monkeypatch.setattr(forecasting, "read_round", reading)
+    for hour in range(1, 4):
+        store.save_round(Round(key_of("early", hour), "early", "", hour * 3600.0))
     keys = []
-    for day in (1, 2, 3):
+    for day in (2, 3, 4):
         record = Round(key_of("three", day), f"day {day}", "", day * 86400.0)
         store.save_round(record)
         fruit = DetectionRecord(1, length=Length(0.1 + 0.03 * day))
@@ -195,8 +207,9 @@ def test_growth_is_followed_through_three_rounds(store: Store) -> None:
     store.link_growth(keys[0][1], keys[1][1])
     store.link_growth(keys[1][1], keys[2][1])
     links = growth_links(store, keys[2][0])
-    assert sorted((link.day0, link.day1) for link in links) == [(1.0, 2.0), (2.0, 3.0)]
+    assert sorted((link.day0, link.day1) for link in links) == [(2.0, 3.0), (3.0, 4.0)]
     assert {link.fruit_id for link in links} == {keys[2][1]}
+    assert days_read == [key for key, _ in keys[::-1]]
 
 
 def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:

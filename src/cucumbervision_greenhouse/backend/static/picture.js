@@ -93,14 +93,19 @@ const MARKS = {
   seen: (x, y, r) => `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`,
 };
 
-function drawMark(svg, shape, color, px, isOpen) {
-  const picked = shape.mark === "picked", r = (picked ? 0.8 : 1) * MARK_PX * px;
-  const node = make("path", {
-    d: MARKS[shape.mark](...shape.points, r), "data-key": shape.key, fill: color, "fill-opacity": shape.once ? 0.15 : 0.85,
-    stroke: color, class: isOpen ? "open" : "", "stroke-width": (picked ? 7 : 2.5) * px, "pointer-events": "all",
-  }, svg);
-  make("title", {}, node).textContent = shape.says;
+function drawMarks(svg, { marks, color }, data, { px, card }) {
+  const group = make("g", { fill: color, stroke: color, "pointer-events": "all" }, svg);
+  for (const [x, y, key, words, mark, once] of marks) {
+    const picked = mark === "picked", r = (picked ? 0.8 : 1) * MARK_PX * px;
+    const node = make("path", {
+      d: MARKS[mark](x, y, r), "data-key": key, "fill-opacity": once ? 0.15 : 0.85, "stroke-width": (picked ? 7 : 2.5) * px,
+    }, group);
+    if (card === key) node.classList.add("open");
+    make("title", {}, node).textContent = says(data, words);
+  }
 }
+
+const says = (data, words) => `${data.map.row}, ${words}`;
 
 function drawGrid(svg, grid, { x, y, w, h }, px) {
   const line = { "stroke-width": px };
@@ -114,13 +119,9 @@ function drawGrid(svg, grid, { x, y, w, h }, px) {
   }
 }
 
-function drawLayer(svg, layer, unit, own) {
+function drawLayer(svg, layer, unit) {
   for (const shape of layer.shapes) {
     const points = shape.points;
-    if (shape.kind === "mark") {
-      drawMark(svg, shape, layer.color, own.px, own.card === shape.key);
-      continue;
-    }
     if (shape.kind === "dot") {
       make("circle", { cx: points[0], cy: points[1], r: 4 * unit, fill: layer.color, stroke: "#000", "stroke-width": 1.5 * unit }, svg);
       continue;
@@ -174,7 +175,7 @@ function draw(root, data, own) {
   if (!names.includes(own.image)) own.image = names[0];
   if (data.map) drawGrid(svg, data.map.grid, { x, y, w, h }, own.px);
   else make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
-  for (const layer of data.layers) if (own.on[layer.name]) drawLayer(svg, layer, unit, own);
+  for (const layer of data.layers) if (own.on[layer.name]) (layer.marks ? drawMarks(svg, layer, data, own) : drawLayer(svg, layer, unit));
   if (own.tool === "ruler") drawRuler(svg, own.ends, data.rulerText, unit);
   if (own.tool === "box" && own.drag) {
     const [x1, y1, x2, y2] = own.drag;
@@ -190,11 +191,13 @@ function draw(root, data, own) {
   if (data.map) putCard(root, data, own);
 }
 
+const markOf = (data, key) => data.layers.flatMap((layer) => layer.marks || []).find((mark) => mark[2] === key);
+
 // What is said of a mark stands beside it, and inside the picture's sides.
 function putCard(root, data, own) {
   const card = root.querySelector(".card"), svg = root.querySelector("svg");
-  const shape = data.layers.flatMap((layer) => layer.shapes).find((one) => one.key === own.card);
-  if (shape) own.at = shape.points;
+  const mark = markOf(data, own.card);
+  if (mark) own.at = mark.slice(0, 2);
   card.hidden = !own.card;
   if (card.hidden) return;
   const at = new DOMPoint(...(own.at || [own.view.x, own.view.y])).matrixTransform(svg.getScreenCTM());
@@ -207,11 +210,11 @@ function putCard(root, data, own) {
 // A mark that was tapped is answered at once by what the map knows of it, then by its picture and what it was marked.
 function card(root, data, own, again, send) {
   const { opened } = data.map, node = root.querySelector(".card"), [image, words, acts] = ["img", "p", ".chips"].map((name) => node.querySelector(name));
-  const shape = data.layers.flatMap((layer) => layer.shapes).find((one) => one.key === own.card);
+  const mark = markOf(data, own.card);
   const isKnown = opened && opened.key === own.card;
   image.hidden = !(isKnown && opened.picture);
   if (!image.hidden) image.src = opened.picture;
-  words.textContent = isKnown ? opened.says : shape?.says || "";
+  words.textContent = isKnown ? opened.says : mark ? says(data, mark[3]) : "";
   const judge = (act) => () => send("judged", { key: own.card, act });
   const close = () => { own.card = null; again(); send("tapped", ""); };
   place(acts, [
@@ -293,7 +296,7 @@ export default function (component) {
   const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
   own.redraw = redraw;
   // It tells of the first size too, at which all is drawn already.
-  if (!own.sized) (own.sized = new ResizeObserver(([{ contentRect: { width, height } }]) => { if (`${width} ${height}` !== own.size) own.redraw(); })).observe(svg);
+  if (!own.sized) (own.sized = new ResizeObserver(([{ contentRect: { width, height } }]) => { if (width && `${width} ${height}` !== own.size) own.redraw(); })).observe(svg);
   const again = () => {
     redraw();
     chips(root, data, own, again);

@@ -215,12 +215,11 @@ def _fruit_days(round_summary: RoundSummary, key: str) -> None:
 
 def _trend(round_summary: RoundSummary, rounds: list[RoundSummary]) -> None:
     """Draw the fruit on the plant by day, when it is asked for: a season takes long to read."""
-    icon = ":material/bar_chart:"
     title = _("All days of this house")
     if house := round_summary.record.house:
         title = _("All days of {house}").format(house=plain(house))
-    section = st.expander(title, icon=icon, key="trend", on_change="rerun")
-    if not section.open:
+    section = page_elements.section(title, "bar_chart", "trend")
+    if section is None:
         return
     spans = {_WEEK: _("Last 7 days"), _SEASON: _("Season")}
     span = section.segmented_control(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from datetime import date
 from typing import TYPE_CHECKING
 
 import streamlit as st
 
 from cucumbervision.agronomy.classes import UNDECIDED, class_of
+from cucumbervision_greenhouse.agronomy.forecast import Forecast
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.forecast_words import (
@@ -19,15 +21,15 @@ from cucumbervision_greenhouse.backend.forecast_words import (
     span_words,
 )
 from cucumbervision_greenhouse.backend.fruit_words import class_words
-from cucumbervision_greenhouse.backend.language import counted
+from cucumbervision_greenhouse.backend.language import counted, language
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.resources import KEPT
 from cucumbervision_greenhouse.backend.round_words import age_words, clock_words, round_day
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 
 if TYPE_CHECKING:
-    from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.store.views import RoundSummary
 
 
@@ -42,11 +44,13 @@ def page(round_summary: RoundSummary) -> None:
         )
         return
     _age(round_summary)
-    days, work = st.tabs([_("Next days"), _("Work and crates")])
+    names = [_("Next days"), _("Work and crates")]
+    days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
         _days(prediction)
-    with work:
-        _work(prediction)
+    if work.open:
+        with work:
+            _work(prediction)
 
 
 def _age(round_summary: RoundSummary) -> None:
@@ -70,9 +74,22 @@ def _age(round_summary: RoundSummary) -> None:
     page_elements.link("today", _("Today's pick list"))
 
 
-def _days(prediction: Forecast) -> None:
+def _drawn(prediction: Forecast) -> tuple[object, ...]:
+    """Return all that the chart of a forecast shows."""
+    house = prediction.house
+    numbers = (x.tobytes() for x in (house.expected, house.low, house.high))
+    return (prediction.today, date.today(), prediction.classes, *numbers)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs={Forecast: _drawn})
+def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # noqa: ARG001, as it is shown
+    """Draw the chart; Altair makes it once, since that takes as long as the rest of the page."""
     from cucumbervision_greenhouse.dashboard import charts
 
+    st.altair_chart(charts.forecast_chart(prediction))
+
+
+def _days(prediction: Forecast) -> None:
     first = [
         f"{class_words(name)} {forecast_day(prediction, day)}"
         for name, day in first_days(prediction).items()
@@ -80,7 +97,7 @@ def _days(prediction: Forecast) -> None:
     if first:
         st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
     st.markdown(_("**Fruit in each class if nothing is picked**, with the likely range"))
-    st.altair_chart(charts.forecast_chart(prediction))
+    _chart(prediction, language(), st.context.theme.type)
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():

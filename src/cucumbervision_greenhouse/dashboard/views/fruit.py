@@ -37,7 +37,6 @@ from cucumbervision_greenhouse.backend.plain_text import plain, sentence
 from cucumbervision_greenhouse.backend.round_tables import GradedRound, figure_lines
 from cucumbervision_greenhouse.backend.round_words import round_day, step_words
 from cucumbervision_greenhouse.dashboard import page_elements
-from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, cloud_ply, point_cloud
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
@@ -205,6 +204,12 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
 
 
 def _cloud(capture: Capture, record: DetectionRecord) -> None:
+    from cucumbervision_greenhouse.dashboard.fruit_cloud import (
+        CLOUD_HEIGHT_PX,
+        cloud_ply,
+        point_cloud,
+    )
+
     deck = point_cloud(capture, record)
     if deck is None:
         st.info(_("There is no depth on this fruit to show in 3D."))

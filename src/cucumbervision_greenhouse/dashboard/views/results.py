@@ -29,17 +29,14 @@ from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.views import fruit as fruit_page
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
-from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
+from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from streamlit.delta_generator import DeltaGenerator
-
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
-_FILTERS = marked("Row"), marked("Class"), marked("Checked"), marked("With")
 _FORMATS = {
     ExportFormat.XLSX: marked("Excel"),
     ExportFormat.CSV: "CSV",
@@ -98,8 +95,10 @@ def page(round_summary: RoundSummary) -> None:
         return
     _list(graded, fruit)
     _chart(graded, fruit)
-    with st.expander(_("Files of this round"), icon=":material/download:"):
-        _files(round_summary)
+    files = page_elements.section(_("Files of this round"), "download", "files")
+    if files is not None:
+        with files:
+            _files(round_summary)
 
 
 def _empty(round_summary: RoundSummary) -> None:
@@ -166,28 +165,29 @@ _ORDERS: dict[str, Callable[[DetectionSummary], float]] = {
 _WALK, _LIST, _PICTURES = next(iter(_ORDERS)), marked("List"), marked("Pictures")
 
 
+_FILTERS: dict[str, Callable[[GradedRound], Iterable[str]]] = {
+    marked("Row"): lambda graded: {view.row or "" for view in graded.fruit},
+    marked("Class"): lambda graded: {grade.label for grade in graded.grades.values()},
+    marked("Checked"): lambda _: Verdict,
+    marked("With"): lambda graded: set().union(*map(_with, graded.fruit)),
+}
+
+
 def _filters(graded: GradedRound) -> None:
     """Draw the filters and the order; both stay while a fruit or another page is open."""
-
-    def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> None:
-        choices = sorted({value for value in values if value})
-        names: dict[str | None, str] = {None: _("all")}
-        names |= {name: label_words(str(name)) for name in choices}
+    part = page_elements.section(_("Filters"), "filter_alt", "filters")
+    columns = [None] * len(_FILTERS) if part is None else part.columns(len(_FILTERS))
+    for column, (label, values_in) in zip(columns, _FILTERS.items(), strict=True):
         key = f"only_{label}"
+        if column is None and st.session_state.get(key) is None:
+            continue
+        names: dict[str | None, str] = {None: _("all")}
+        names |= {name: label_words(name) for name in sorted(filter(None, values_in(graded)))}
         labelled = label_options(key, names)
         if st.session_state.get(key) not in names:
             st.session_state[key] = None  # as in another round
-        column.selectbox(_(label), names, format_func=labelled, key=key)
-
-    with st.expander(_("Filters"), icon=":material/filter_alt:"):
-        values: tuple[Iterable[str | None], ...] = (
-            (view.row for view in graded.fruit),
-            (fruit_grade.label for fruit_grade in graded.grades.values()),
-            Verdict,
-            set().union(*map(_with, graded.fruit)),
-        )
-        for column, label, values_of_filter in zip(st.columns(4), _FILTERS, values, strict=True):
-            choose(column, label, values_of_filter)
+        if column is not None:
+            column.selectbox(_(label), names, format_func=labelled, key=key)
     order, drawn = st.columns([3, 2], vertical_alignment="bottom")
     for name, usual in (("only_order", _WALK), ("only_drawn", _LIST)):
         st.session_state.setdefault(name, usual)
@@ -214,13 +214,12 @@ def _listed(graded: GradedRound) -> list[DetectionSummary]:
 
 def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
-    units = resources.settings().units
-    lines = tables.length_lines(fruit, graded.grades, units)
-    if not lines:
+    if not any(hanging_lengths_m([view]) for view in fruit):
         return
-    icon = ":material/bar_chart:"
-    chart = st.expander(_("Chart of the lengths"), icon=icon, key="chart", on_change="rerun")
-    if chart.open:
+    chart = page_elements.section(_("Chart of the lengths"), "bar_chart", "chart")
+    if chart is not None:
+        units = resources.settings().units
+        lines = tables.length_lines(fruit, graded.grades, units)
         words = _("Fruit on the plant: line at the mean, band of one standard deviation")
         chart.caption(words)
         from cucumbervision_greenhouse.dashboard import charts

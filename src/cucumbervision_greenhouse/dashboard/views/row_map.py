@@ -9,10 +9,10 @@ import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.fruit_words import length_words
-from cucumbervision_greenhouse.backend.language import counted
+from cucumbervision_greenhouse.backend.language import counted, language
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
-from cucumbervision_greenhouse.backend.round_tables import map_lines, map_words, row_and_side
+from cucumbervision_greenhouse.backend.round_tables import map_words, row_and_side
 from cucumbervision_greenhouse.backend.round_words import (
     count_words,
     position_words,
@@ -59,7 +59,7 @@ def page(round_summary: RoundSummary) -> None:
 def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
     units = resources.settings().units
     graded = round_caches.graded_round(round_summary)
-    lines = map_lines(graded, units)
+    lines = round_caches.map_lines_of(round_summary, units, language())
     if not lines:
         st.info(
             _("No fruit of this round has a position yet. Enter row and position when capturing."),
@@ -100,7 +100,11 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
                 round_summary,
                 row,
                 layers,
-                {"grid": grid, "opened": opened_here and _answer(graded, opened_here)},
+                {
+                    "row": row,
+                    "grid": grid,
+                    "opened": opened_here and _answer(graded, opened_here),
+                },
             )
     st.caption(
         _(

@@ -11,6 +11,7 @@ from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.round_words import side_words, stop_name
+from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.callbacks import label_options
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, say_missing
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
@@ -37,9 +38,11 @@ def list_stops(round_summary: RoundSummary) -> None:
     say_missing("stop", stops, _("There is no such stop in this round (any more)."))
     if named in stops:
         st.session_state.setdefault(key, named)
-    with st.expander(
-        _("Stops: move, rename, delete"), expanded=named in stops, icon=":material/place:"
-    ):
+    title = _("Stops: move, rename, delete")
+    part = page_elements.section(title, "place", "stops", opened=named in stops)
+    if part is None:
+        return
+    with part:
         chosen = st.selectbox(
             _("Stop"),
             list(stops),

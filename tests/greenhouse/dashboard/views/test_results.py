@@ -28,14 +28,23 @@ def test_results_count_the_round_and_show_its_fruit(house: Path) -> None:
 
 
 def test_filters_leave_fruit_out(house: Path) -> None:
-    test = app("results")
+    test = app("results", filters=True)
     chosen = next(box for box in test.selectbox if box.label == "Class")
     chosen.select("class I").run()
     assert classes(test) == {"class I"}
 
 
+def test_closed_filters_and_files_are_not_drawn_and_still_count(house: Path) -> None:
+    test = app("results", only_Class="class I")
+    assert {box.label for box in test.selectbox} & {"Row", "Class", "Checked", "With"} == set()
+    assert not [x for x in test.get("html") if "/api/files/" in x.proto.body]
+    assert classes(test) == {"class I"}
+    test.session_state["only_Class"] = "class of another round"
+    assert len(listed(test.run())) == 8
+
+
 def test_filters_and_order_stay_while_a_fruit_is_open(house: Path) -> None:
-    test = app("results")
+    test = app("results", filters=True)
     next(box for box in test.selectbox if box.label == "Class").select("too short").run()
     next(box for box in test.selectbox if box.label == "Order").select("Shortest first").run()
     lengths_cm = [float(says[0].split()[0]) for says in listed(test)]
@@ -54,7 +63,7 @@ def test_fruit_with_something_to_look_at_are_listed_alone(house: Path) -> None:
     with open_store(house) as store:
         judged = [view.key for view in store.detections(WALK)][:2]
         store.set_verdict(judged, Verdict.ACCEPTED)
-    test = app("results")
+    test = app("results", filters=True)
     next(x for x in test.selectbox if x.label == "With").select("one view, not checked").run()
     assert len(listed(test)) == 6  # of eight fruit, each seen once
     assert not set(judged) & set(keys(test))

@@ -24,7 +24,7 @@ def test_a_stop_is_moved_deleted_and_both_are_undone(house: Path) -> None:
     before = places()
     with open_store(house) as store:
         first = store.stops(WALK)[0]
-    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+    test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": first.key})
     next(box for box in test.text_input if box.label == "Row").set_value("12").run()
     next(box for box in test.number_input if box.label == "At [m]").set_value(7.5).run()
     tap(test, "Save")
@@ -43,12 +43,14 @@ def test_a_stop_that_the_address_names_is_opened(house: Path) -> None:
         stop = store.stops(WALK)[1]
     test = app("row_map", round=WALK, stop=stop.key)
     assert field(test, "number_input", "At [m]").value == stop.position_m
+    closed = app("row_map", round=WALK)
+    assert "Stop" not in {box.label for box in closed.selectbox}  # hundreds of names
 
 
 def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
     with open_store(house) as store:
         first = store.stops(WALK)[0]
-    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+    test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": first.key})
     # No run between: the page was drawn before anything was typed.
     field(test, "text_input", "Row").set_value("12")
     field(test, "text_input", "Name").set_value("long leaf")
@@ -93,7 +95,7 @@ def test_what_is_typed_stays_while_somebody_else_judges_fruit(house: Path) -> No
 def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:
     with open_store(house) as store:
         first = store.stops(WALK)[0]
-        test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+        test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": first.key})
         field(test, "text_input", "Name").set_value("long leaf")
         tap(test, "Save")
         # Somebody else changes it too: undone after that, and not forgotten.
@@ -117,7 +119,7 @@ def test_a_third_side_of_a_row_is_put_right_where_it_is_seen(house: Path) -> Non
         keys = [one.key for one in store.stops(WALK)]
         for at, (key, side) in enumerate(zip(keys, ("A", "B", "left"), strict=True)):
             store.place_stop(key, StopPlace("1", side, float(at), at))
-    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": keys[2]})
+    test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": keys[2]})
     assert "row '1' has 3 sides: A, B, left" in test.exception[0].message
     side = field(test, "selectbox", "Side")
     assert (side.options, side.value) == (["A", "B", "left"], "left")

@@ -35,7 +35,8 @@ TIME_TO_AIM_S = 1.0  # from the choice of a tool to the tap into the picture
 OUTLINE, MEASURED = "svg.view polygon[stroke-dasharray]", "text=Saved: measured with this outline"
 SHOWN = {
     "results": ".fruit button",
-    "map": "text=One mark per fruit",
+    # By its element: a search of the whole page would read the words of every mark each time.
+    "map": "[data-testid=stCaptionContainer]:has-text('One mark per fruit')",
     "forecast": "text=fruit too small to be detected today",
     "accuracy": "text=Save these lengths",
 }

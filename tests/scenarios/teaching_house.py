@@ -164,7 +164,7 @@ class User:
                     self.store.set_verdict([added], Verdict.ACCEPTED)
                 else:
                     detail = self.store.detection(view.key)
-                    self.measurer.correct(self.store, detail, drawn, OPTIONS)
+                    self.measurer.correct(self.store, detail, capture, drawn, OPTIONS)
             except InstancesError:  # SAM draws a neighbour that is there already
                 continue
             self.corrections += 1

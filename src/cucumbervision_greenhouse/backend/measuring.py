@@ -33,11 +33,7 @@ from cucumbervision_greenhouse.rounds.adding import (
     require_store,
 )
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
-from cucumbervision_greenhouse.rounds.stop_records import (
-    fruit_record,
-    stored_calibration,
-    stored_capture,
-)
+from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_calibration
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -214,18 +210,20 @@ class SharedMeasurer:
         self,
         store: Store,
         detail: DetectionDetail,
+        capture: Capture,
         mask: NDArray[np.bool_],
         options: MeasureOptions,
         drawn_by: MaskSource = MaskSource.SAM,
     ) -> int:
         """Measure a stored fruit again with this mask, and save the result as a correction; logged.
 
+        `capture` is the fruit's, as `stored_capture` gives it.
+
         Raises
         ------
         InstancesError
             If the mask is another fruit's.
         """
-        capture = stored_capture(store.images, detail.capture, detail.stop)
         record = detail.view.record
         _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
         keypoints = _kept_keypoints(record.keypoints, mask)

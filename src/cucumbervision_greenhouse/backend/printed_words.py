@@ -14,12 +14,12 @@ from cucumbervision_greenhouse.backend.language import (
     marked,
 )
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.resources import crop_titles
+from cucumbervision_greenhouse.backend.resources import crop_titles, settings
 from cucumbervision_greenhouse.exports.page_words import PageWords
 
 # What a cell joins of the core's words: remarks, reasons in brackets, classes that are possible.
 _JOINTS = re.compile(r"(; |: |, | \(|\)| or )")
-_LEAST = "at least "
+_LEAST = re.compile(r"at least (\d+\.\d) cm")
 _IN_CELLS = (
     *(marked("picked"), marked("drawn, not grown"), marked("partly hidden")),
     *(marked("ready"), marked("may be ready"), marked("no crop profile was named")),
@@ -28,7 +28,7 @@ _IN_CELLS = (
 
 def printed_words() -> PageWords:
     """Return how the printed page writes in the language that is shown."""
-    titles = crop_titles()
+    titles, inches = crop_titles(), settings().unit == "in"
     return PageWords(
         language(),
         printed_text,
@@ -36,6 +36,7 @@ def printed_words() -> PageWords:
         _day,
         hours_words,
         crop=lambda name: titles.get(name, name),
+        inches=inches,
     )
 
 
@@ -47,16 +48,17 @@ def printed_text(text: str) -> str:
     >>> printed_text("class II (by length)"), printed_text("an end is hidden: at least 24.1 cm")
     ('class II (by length)', 'an end is hidden: at least 24.1 cm')
     """
-    if language() == "en" or (whole := _(text)) != text:
-        return text if language() == "en" else whole
+    if (whole := _(text)) != text:
+        return whole
     if "; " in text:
         return "; ".join(map(printed_text, text.split("; ")))
     return "".join(map(_part, _JOINTS.split(text)))
 
 
 def _part(text: str) -> str:
-    if text.startswith(_LEAST):
-        return _("at least {length}").format(length=decimal_words(text.removeprefix(_LEAST)))
+    if bound := _LEAST.fullmatch(text):
+        length = settings().units.text(float(bound[1]) / 100)
+        return _("at least {length}").format(length=length)
     if text.startswith("class "):
         return label_words(text)
     return _(text)

@@ -10,6 +10,7 @@ from typing import Any
 import streamlit as st
 
 from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.frames import Capture
 from cucumbervision_greenhouse.agronomy.forecast import Forecast
 from cucumbervision_greenhouse.backend.fruit_pictures import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision_greenhouse.backend.resources import (
@@ -44,7 +45,13 @@ from cucumbervision_greenhouse.rounds.merge_and_link import (
     earlier_rounds,
     row_counts,
 )
-from cucumbervision_greenhouse.store.records import JointRecord, MethodRecord
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.store.records import (
+    CaptureRecord,
+    JointRecord,
+    MethodRecord,
+    StopRecord,
+)
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionSummary, RoundSummary
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
@@ -207,6 +214,18 @@ def fruit_detail(round_summary: RoundSummary, fruit_key: str) -> DetectionDetail
 @st.cache_resource(show_spinner=False, max_entries=2000)
 def _capture_widths(stop_key: str) -> dict[str, int]:
     return {capture.name: capture.width_px for capture in store().stop(stop_key).captures}
+
+
+_HASH_OF_PICTURE: dict[str | type[Any], Callable[[Any], Any]] = {
+    StopRecord: lambda stop: (stop.key, stop.row, stop.side, stop.position_m, stop.step),
+    CaptureRecord: lambda taken: (taken.name, taken.color, taken.depth),
+}
+
+
+@st.cache_resource(show_spinner=False, max_entries=6, hash_funcs=_HASH_OF_PICTURE)
+def capture_of(stop: StopRecord, taken: CaptureRecord) -> Capture:
+    """Return a capture of a stop with its pictures; the last ones are held."""
+    return stored_capture(store().images, taken, stop)
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_HASH_OF_FRUIT)

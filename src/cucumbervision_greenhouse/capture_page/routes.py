@@ -93,7 +93,12 @@ class SentPicture(Sent):
 
 
 class SentFruit(SentPicture):
-    """A point in a missed fruit, or a box around it, in pixels of its capture."""
+    """A point in a fruit, or a box around it, in pixels of its capture.
+
+    `fruit` names the one that is outlined anew; without it one was missed.
+    """
+
+    fruit: Key | None = None
 
     point: tuple[float, float] | None = None
     box: tuple[float, float, float, float] | None = None
@@ -165,6 +170,8 @@ def _undo(request: Request, content: bytes) -> Any:
 @answer
 def _add_fruit(request: Request, content: bytes) -> Any:
     sent = SentFruit.model_validate_json(content)
+    if sent.fruit is not None:
+        return state.correct_fruit(store_of(request), sent, sent.fruit)
     return state.add_fruit(store_of(request), sent)
 
 

@@ -23,7 +23,6 @@ from cucumbervision_greenhouse.backend.round_words import (
     taken_back,
 )
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
 from cucumbervision_greenhouse.store.corrections import TAKE_BACK
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
@@ -82,7 +81,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
         "work": progress.told,
-        "first": progress.first_words,
+        "first": progress.first_words or _no_photo(home, round_summary),
         "doubts": [
             said(line) for x in rounds if x.key == home for line in round_caches.doubts_of(x)
         ],
@@ -99,6 +98,13 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "last": _last_stop(round_summary, last) if round_summary and last else None,
         "done": _done(store, home),
     }
+
+
+def _no_photo(home: str, round_summary: RoundSummary | None) -> str:
+    """Return what is said where a photo goes into another round than the open one: it has stops."""
+    if round_summary is None or home == round_summary.key:
+        return ""
+    return _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
 
 
 def _rows(stops: Sequence[Stop | StopSummary]) -> dict[str, dict[str, Any]]:
@@ -303,10 +309,32 @@ def add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
 
 
+def correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
+    """Outline a fruit anew by a point or a box, and measure it; return the job and the action.
+
+    Raises
+    ------
+    InstancesError
+        If there is no fruit, or it is another one.
+    """
+    detail = store.detection(key)
+    capture = round_caches.capture_of(detail.stop, detail.capture)
+    options, measurer = resources.settings().options, resources.measurer()
+
+    def work(_: Job) -> int:
+        mask = measurer.mask_of(capture, asked.point, asked.box)
+        return measurer.correct(store, detail, capture, mask, options)
+
+    title = marked("Measuring with the new outline")
+    job = resources.worker().submit(title, work, detail.view.round_key)
+    job.wait()
+    return {"job": job.number, "action": job.result}
+
+
 def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:
     store = resources.store()
     record = store.stop(asked.stop)
     taken = next((capture for capture in record.captures if capture.name == asked.capture), None)
     if taken is None:
         raise StoreError("this picture is not there any more", remedy="reload the page")
-    return record, stored_capture(store.images, taken, record)
+    return record, round_caches.capture_of(record, taken)

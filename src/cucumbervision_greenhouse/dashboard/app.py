@@ -37,12 +37,13 @@ if TYPE_CHECKING:
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
+_ICON = Path(__file__).parents[1] / "capture_page/static/icon.svg"
 _STYLE, _HEAD = (Path(__file__).with_name("static") / name for name in ("pages.css", "head.html"))
 
 
 def main() -> None:
     """Draw the page that the viewer chose."""
-    st.set_page_config(page_title="CucumberVision", layout="wide")
+    st.set_page_config(page_title="CucumberVision", page_icon=_ICON, layout="wide")
     st.html(_STYLE)
     try:
         _check_guard()

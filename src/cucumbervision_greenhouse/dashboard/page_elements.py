@@ -414,7 +414,7 @@ def go(address: str) -> None:
     component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)
 
 
-_MARKS = ("ruler", "point", "box", "stroke")
+_MARKS = ("ruler", "stroke")
 
 
 def component(name: str) -> Any:
@@ -473,21 +473,22 @@ def picture(
     focus_px : tuple of float, optional
         Box that the picture opens on.
     place : mapping of str to str
-        'stop' and 'capture' of the picture, for what is outlined in it.
+        'stop', 'capture' and 'fruit' of the picture, for what is outlined in it.
     adds : bool
-        Whether a point or box adds a fruit; else it is returned.
+        Whether a point or box adds a fruit; else it is the outline of `place`'s.
     outcome : tuple of object and str
         The last correction and its outcome, which is shown over the picture.
     content : dict, optional
         'grid' and 'opened' of a row's map, which has marks instead of a picture.
     on : mapping of str to callable, optional
-        What is called for 'tapped' and 'judged' of a map.
+        What is called for 'tapped' and 'judged' of a map, and for 'corrected', which holds the
+        number of the job that measured a new outline.
 
     Returns
     -------
     ComponentResult
-        `ruler`, `point` and `box`: the numbers that were drawn, once; `stroke`: the 'points' of a
-        brush, its 'radius', and whether it takes away ('erase').
+        `ruler`: the numbers that were drawn, once; `stroke`: the 'points' of a brush, its 'radius',
+        and whether it takes away ('erase').
     """
     width, height = size_px
     data = {

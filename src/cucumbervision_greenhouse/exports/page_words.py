@@ -27,6 +27,8 @@ class PageWords:
         Writes hours of work.
     crop : callable
         Gives the title of a crop profile by its name.
+    inches : bool
+        Lengths are in inches and positions in feet, instead of in centimetres and metres.
 
     Examples
     --------
@@ -40,6 +42,7 @@ class PageWords:
     day: Callable[[str], str] = str
     hours: Callable[[float], str] = hours_words
     crop: Callable[[str], str] = str
+    inches: bool = False
 
     def class_name(self, name: str) -> str:
         """Return the name of a class for people."""

@@ -178,6 +178,8 @@ def _printed(table: ExportTable) -> int:
 _FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
+_IN_INCHES = {"cm": ("in", 2.54, 2), "m": ("ft", 0.3048, 2)}
+"""Unit that is shown, its size in the column's unit, and its decimals."""
 _NUMBERS = (
     *(
         "ready_today",
@@ -255,11 +257,17 @@ def _template(words: PageWords) -> Template:
     environment.filters.update(
         figure=partial(_figure, words),
         hours=partial(_hours, words),
+        unit=partial(_unit, words),
         day=words.day,
         words=lambda cell: "–" if cell is None else words.text(str(cell)),
         class_name=words.class_name,
     )
     return environment.get_template("round.html")
+
+
+def _unit(words: PageWords, unit: str) -> str:
+    """Return the unit that the page shows for a column's."""
+    return _IN_INCHES[unit][0] if words.inches and unit in _IN_INCHES else unit
 
 
 def _hours(words: PageWords, low: float, high: float) -> str:
@@ -275,6 +283,9 @@ def _figure(words: PageWords, cell: Cell, unit: str = "") -> Any:
         return words.text("yes" if cell else "no")
     if isinstance(cell, str) and _TIME.fullmatch(cell):
         return cell.replace("T", " ").removesuffix("Z")
+    if words.inches and unit in _IN_INCHES and isinstance(cell, int | float):
+        _, size, digits = _IN_INCHES[unit]
+        return words.decimals(f"{(max(cell, 0.0) if unit == 'm' else cell) / size:.{digits}f}")
     if isinstance(cell, float):
         # A row begins at 0, as the pages show it, also where a fruit hangs before the first stop.
         cell = max(cell, 0.0) if unit == "m" else cell

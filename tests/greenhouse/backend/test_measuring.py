@@ -128,7 +128,7 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
     boxed = measurer.mask_from_box(capture, box)
     for mask in (tapped, boxed):
         assert (mask & true).sum() / (mask | true).sum() > 0.9
-    measurer.correct(store, detail, boxed, OPTIONS)
+    measurer.correct(store, detail, capture, boxed, OPTIONS)
     (now,) = [v for v in store.detections(WALK) if v.key == detail.view.key]
     assert now.corrected
     assert now.record.mask_source == MaskSource.SAM
@@ -180,7 +180,8 @@ def test_a_corrected_outline_has_the_calibration_that_its_depth_has(
     detail = store.detection(store.detections(one.key)[0].key)
     record = detail.view.record
     mask = decode_rle(record.mask or "", capture.height, capture.width)
-    measurer.correct(store, detail, mask, after)
+    capture = stored_capture(store.images, detail.capture, detail.stop)
+    measurer.correct(store, detail, capture, mask, after)
     corrected = store.detection(detail.view.key).view.record
     assert calibrated == (record.raw_length is not None) == (corrected.raw_length is not None)
     assert corrected.length_m == pytest.approx(record.length_m, rel=0.01)
@@ -257,13 +258,13 @@ def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted
     mask = decode_rle(
         second.view.record.mask or "", second.capture.height_px, second.capture.width_px
     )
-    with pytest.raises(InstancesError, match=f"that is fruit {second.view.record.number}"):
-        measurer.correct(store, first, mask, OPTIONS)
     capture = stored_capture(store.images, first.capture, first.stop)
+    with pytest.raises(InstancesError, match=f"that is fruit {second.view.record.number}"):
+        measurer.correct(store, first, capture, mask, OPTIONS)
     with pytest.raises(InstancesError, match="there already"):
         measurer.add(store, first.stop, capture, mask, OPTIONS)
     store.set_verdict([second.view.key], Verdict.REJECTED)
-    measurer.correct(store, first, mask, OPTIONS)
+    measurer.correct(store, first, capture, mask, OPTIONS)
     now = store.detection(first.view.key).view.record
     assert now.mask == second.view.record.mask
     assert not now.keypoints  # they were another outline's

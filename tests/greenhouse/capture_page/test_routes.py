@@ -26,6 +26,7 @@ from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.access import DEVICE, AccessGuard
 from cucumbervision_greenhouse.backend.camera_feed import CameraFeed
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.views import Verdict
@@ -59,6 +60,11 @@ def test_a_press_sent_again_is_the_same_stop_and_is_measured(
 ) -> None:
     resources.change_settings(fruit_from="dataset")
     cameras.feed("replay").preview()
+    shown = {"round": WALK, "source": "replay"}
+    while (walk := asked.get("/api/walk", params=shown).json())["home"] == WALK:
+        time.sleep(0.05)  # the first picture is being read
+    assert walk["last"] is None  # the open round has stops: that there are none would be wrong
+    assert walk["first"].startswith("No photo in the round 'Demonstration' yet")
     first = sent("a", time.time() + 0.01)
     (saved,) = press(asked, first)
     assert saved["state"] == "saved"
@@ -372,3 +378,35 @@ def test_each_of_1000_presses_is_one_stop_with_its_own_picture(
 def block_m(capture: Capture) -> float:
     """How far the recording's block is: 1 mm farther in each frame."""
     return float(capture.depth_m[90, 150])
+
+
+def test_a_fruit_is_outlined_anew_and_its_picture_read_once(
+    asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[object] = []
+    read = ImageStore.read_depth
+
+    def reading(images: ImageStore, *given: Any) -> Any:
+        reads.append(given)
+        return read(images, *given)
+
+    monkeypatch.setattr(ImageStore, "read_depth", reading)
+    view = store.detections(WALK)[0]
+    box = view.record
+    sent = {
+        "stop": view.stop_key,
+        "capture": view.capture,
+        "point": [(box.box_x1_px + box.box_x2_px) / 2, (box.box_y1_px + box.box_y2_px) / 2],
+    }
+    assert asked.post("/api/outline", json=sent).status_code == 200
+    done = asked.post("/api/fruit", json={**sent, "fruit": view.key}).json()
+    job = resources.worker().get(done["job"])
+    assert job is not None
+    assert job.finished
+    assert store.detection(view.key).view.corrected
+    assert store.log(WALK)[0].kind == "correct"
+    assert len(store.detections(WALK)) == 8
+    assert len(reads) == 1
+    other = store.detections(WALK)[1].key
+    refused = asked.post("/api/fruit", json={**sent, "fruit": other})
+    assert "there already" in refused.json()["error"]

@@ -201,6 +201,11 @@ def test_a_tap_on_the_map_is_answered_beside_the_finger(
     marks.first.wait_for()
     before, size = marks.count(), marks.first.bounding_box()
     assert min(size["width"], size["height"]) >= 24
+    scales = page.locator("svg.map text")
+    assert scales.count() > 2
+    above = "words => words.every(one => one.closest('svg').querySelector('path')"
+    above += ".compareDocumentPosition(one) & Node.DOCUMENT_POSITION_FOLLOWING)"
+    assert scales.evaluate_all(above)
     marks.first.tap()
     card.locator("img").wait_for()
     x, y = middle(marks.first)

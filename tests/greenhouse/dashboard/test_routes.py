@@ -15,8 +15,10 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from tests.greenhouse.capture_page.test_routes import WALK, wait_for_jobs
 
+from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.backend import language, resources
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import DetectionRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store
 
 
 def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
@@ -102,3 +104,22 @@ def test_the_pages_have_the_program_s_icon(asked: TestClient) -> None:
     first = asked.get("/results").text
     assert re.findall(r'<link rel="[^"]*icon"[^>]*href="([^"]+)"', first) == ["/capture/icon.svg"]
     assert asked.get("/capture/icon.svg").headers["content-type"].startswith("image/svg")
+
+
+def test_the_printed_page_is_in_inches_where_they_are_chosen(
+    asked: TestClient, store: Store
+) -> None:
+    store.correct(
+        store.detections(WALK)[0].key,
+        DetectionRecord(1, length=Length(0.241), flags="end-hidden", offset_m=0.0),
+    )
+    in_cm = asked.get(f"/api/print/{WALK}").text
+    resources.change_settings(unit="in")
+    page = asked.get(f"/api/print/{WALK}").text
+    assert "at least 24.1 cm" in in_cm
+    assert "at least 9.49 in" in page
+    assert not re.findall(r"\bcm\b|\[m\]", re.sub(r"(?s)<style>.*</style>", "", page))
+    figures = [re.findall(r"<b>([\d.]+) (?:cm|in)</b>", text) for text in (in_cm, page)]
+    for length_cm, length_in in zip(*figures, strict=True):
+        assert float(length_in) == pytest.approx(float(length_cm) / 2.54, abs=0.026)
+    assert len(figures[0]) == 4  # mean, spread, shortest, longest

@@ -30,7 +30,7 @@ function prepare(data, own) {
   post("/api/prepare", asked).catch(() => { own.prepared = ""; });
 }
 
-// What was tapped is outlined at once, and measured then: added here, or by whom it is sent to.
+// What was tapped is outlined at once, and measured then, as the outline of a fruit or as another fruit.
 async function prompt(data, own, kind, value, redraw, send) {
   const asked = { stop: data.stop, capture: data.capture, [kind]: value };
   const tell = (words, draft) => { Object.assign(own, { told: words, draft }); redraw(); };
@@ -38,11 +38,10 @@ async function prompt(data, own, kind, value, redraw, send) {
   try {
     const { outline } = await post("/api/outline", asked);
     tell(_("Measuring …"), outline);
-    if (!data.adds) { send(kind, value); return; }
-    const { words } = await post("/api/fruit", asked);
+    const { words, job } = await post("/api/fruit", data.adds ? asked : { ...asked, fruit: data.fruit });
     own.stale = true; // the next picture has it among its layers
-    tell(words, outline);
-    send("added", words);
+    if (data.adds) { tell(words, outline); send("added", words); }
+    else send("corrected", job); // the page that is drawn then says what became of it
   } catch (fault) { tell(fault.message, []); }
 }
 
@@ -109,14 +108,15 @@ const says = (data, words) => `${data.map.row}, ${words}`;
 
 function drawGrid(svg, grid, { x, y, w, h }, px) {
   const line = { "stroke-width": px };
-  for (const [at, words] of grid.across) {
-    make("line", { x1: at, x2: at, y1: y, y2: y + h, ...line }, svg);
-    text(svg, words, at, y + h - 4 * px, 13 * px, "middle");
-  }
-  for (const [at, words] of grid.up) {
-    make("line", { x1: x, x2: x + w, y1: at, y2: at, ...line }, svg);
-    text(svg, words, x + 3 * px, at - 3 * px, 13 * px);
-  }
+  for (const [at] of grid.across) make("line", { x1: at, x2: at, y1: y, y2: y + h, ...line }, svg);
+  for (const [at] of grid.up) make("line", { x1: x, x2: x + w, y1: at, y2: at, ...line }, svg);
+}
+
+// Over the marks, which are tapped through them.
+function drawScales(svg, grid, { x, y, h }, px) {
+  const group = make("g", { "pointer-events": "none" }, svg);
+  for (const [at, words] of grid.across) text(group, words, at, y + h - 4 * px, 13 * px, "middle");
+  for (const [at, words] of grid.up) text(group, words, x + 3 * px, at - 3 * px, 13 * px);
 }
 
 function drawLayer(svg, layer, unit) {
@@ -176,6 +176,7 @@ function draw(root, data, own) {
   if (data.map) drawGrid(svg, data.map.grid, { x, y, w, h }, own.px);
   else make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
   for (const layer of data.layers) if (own.on[layer.name]) (layer.marks ? drawMarks(svg, layer, data, own) : drawLayer(svg, layer, unit));
+  if (data.map) drawScales(svg, data.map.grid, { x, y, h }, own.px);
   if (own.tool === "ruler") drawRuler(svg, own.ends, data.rulerText, unit);
   if (own.tool === "box" && own.drag) {
     const [x1, y1, x2, y2] = own.drag;

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
@@ -39,11 +38,11 @@ from cucumbervision_greenhouse.backend.round_words import round_day, step_words
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
-from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
+from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
 from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -190,7 +189,7 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
     try:
-        capture = _capture(detail)
+        capture = round_caches.capture_of(detail.stop, detail.capture)
     except CucumberVisionError as error:
         st.warning(plain(said(error)), icon=":material/broken_image:")
         return
@@ -233,15 +232,6 @@ def _cloud(capture: Capture, record: DetectionRecord) -> None:
     )
 
 
-@st.cache_resource(
-    show_spinner=False,
-    max_entries=6,
-    hash_funcs={DetectionDetail: lambda detail: (detail.view.stop_key, detail.capture.color)},
-)
-def _capture(detail: DetectionDetail) -> Capture:
-    return stored_capture(resources.store().images, detail.capture, detail.stop)
-
-
 def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
     record, units = detail.view.record, resources.settings().units
     depth, words = depth_picture(capture.depth_m, units)
@@ -249,8 +239,13 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
     tube = None if joint is None else joint_tube(joint, detail.view.key)
     view = detail.view
     adds = st.session_state.get("adds_fruit", False)
+    key = f"fruit_{view.key}"
+
+    def corrected() -> None:
+        st.session_state[f"correction_{view.key}"] = st.session_state[key].corrected
+
     drawn = picture(
-        f"fruit_{view.key}",
+        key,
         {_("Colour"): as_data_url(capture.color), _("Depth"): as_data_url(depth)},
         (capture.width, capture.height),
         layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
@@ -259,9 +254,10 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         ruler_text=ruler or "",
         title=_("Fruit {number} of {capture}").format(number=record.number, capture=view.capture),
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
-        place={"stop": view.stop_key, "capture": view.capture},
+        place={"stop": view.stop_key, "capture": view.capture, "fruit": view.key},
         adds=adds,
         outcome=_outcome(view.key),
+        on={"corrected": corrected},
     )
     name = plain(view.capture)
     if capture.simulated:
@@ -280,12 +276,8 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         key="adds_fruit",
         help=_("Off: this corrects the outline of this fruit."),
     )
-    if drawn.point or drawn.box:
-        prompted = partial(resources.measurer().mask_of, capture, drawn.point, drawn.box)
-        _correct(detail, prompted, MaskSource.SAM)
-    elif drawn.stroke:
-        painted = partial(painted_now, view.key, capture, drawn.stroke)
-        _correct(detail, painted, MaskSource.HAND)
+    if drawn.stroke:
+        _paint(detail, capture, drawn.stroke)
     _accept_others(detail)
 
 
@@ -344,17 +336,16 @@ def painted_now(key: str, capture: Capture, stroke: dict[str, Any]) -> NDArray[n
     return painted_mask(mask, points, float(stroke["radius"]), erase=bool(stroke["erase"]))
 
 
-def _correct(
-    detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]], drawn_by: MaskSource
-) -> None:
+def _paint(detail: DetectionDetail, capture: Capture, stroke: dict[str, Any]) -> None:
+    """Measure a fruit with an outline that was painted; `live` redraws the page then."""
     options, measurer = resources.settings().options, resources.measurer()
     store = resources.store()
 
     def work(job: Job) -> int:
         job.total = 2
-        mask = draw()
+        mask = painted_now(detail.view.key, capture, stroke)
         job.step()
-        return measurer.correct(store, detail, mask, options, drawn_by)
+        return measurer.correct(store, detail, capture, mask, options, MaskSource.HAND)
 
     view = detail.view
     title = marked("Measuring with the new outline")

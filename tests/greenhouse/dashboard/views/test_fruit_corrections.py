@@ -111,6 +111,16 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     assert not mask_of(before)[v, u]
     assert after.view.record.length_m is not None
 
+    # Its outline is drawn anew by a tap, and what became of it is said with the new length.
+    page.get_by_role("button", name="Redraw by tap").click()
+    page.mouse.click(*on_screen(page, axis[len(axis) // 2]))
+    until = time.monotonic() + PATIENCE_S
+    while opened().view.record.mask_source != "sam":
+        assert time.monotonic() < until
+        time.sleep(0.2)
+    page.get_by_text("Saved: measured with this outline").wait_for()
+    page.get_by_role("button", name="Redraw by tap").click()  # it is put away
+
     # A fruit that was missed is added by a tap on its middle.
     page.get_by_text("Tap or draw a box to add a missed fruit").click()
     page.get_by_role("button", name="Whole").click()
@@ -132,6 +142,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     with open_store(path) as store:
         log = [one for one in store.log(WALK) if one.by != "nobody"]
     assert [(one.kind, one.by) for one in log[::-1]] == [
-        *(("correct", "dashboard"), ("add", "dashboard"), ("reject", "dashboard"))
+        *(("correct", "dashboard"), ("correct", "dashboard")),
+        *(("add", "dashboard"), ("reject", "dashboard")),
     ]
     assert all(begun_s <= one.at_s <= time.time() for one in log)

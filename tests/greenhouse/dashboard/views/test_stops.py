@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -66,7 +67,7 @@ def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
 def test_what_another_viewer_saved_meanwhile_is_not_overwritten(house: Path) -> None:
     with open_store(house) as store:
         stop = store.stops(WALK)[0]
-    state = {f"stop_of_{WALK}": stop.key}
+    state: dict[str, Any] = {"stops": True, f"stop_of_{WALK}": stop.key}
     first, second = (app("row_map", round=WALK, **state) for _ in range(2))
     field(first, "number_input", "At [m]").set_value(7.5)
     field(second, "text_input", "Name").set_value("long leaf")

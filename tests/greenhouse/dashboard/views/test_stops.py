@@ -85,7 +85,7 @@ def test_what_another_viewer_saved_meanwhile_is_not_overwritten(house: Path) -> 
 def test_what_is_typed_stays_while_somebody_else_judges_fruit(house: Path) -> None:
     with open_store(house) as store:
         first, fruit = store.stops(WALK)[0], store.detections(WALK)[0].key
-        test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+        test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": first.key})
         field(test, "text_input", "Name").set_value("long leaf")
         store.set_verdict([fruit], Verdict.ACCEPTED)
         store.pick([fruit])

@@ -115,7 +115,8 @@ def camera_file(folder: Path) -> None:
     size = {"width": _WIDTH, "height": _HEIGHT}
     columns = [60.0, 0, 0, 0, 60.0, 0, 31.0, 23.0, 1]
     _json(folder / "open3d.json", {**size, "intrinsic_matrix": columns})
-    realsense = {"fx": 60, "fy": 60, "ppx": 31, "ppy": 23, "coeffs": [0.1, 0, 0, 0, 0]}
+    realsense = {"fx": 60, "fy": 60, "ppx": 31, "ppy": 23, "model": "brown_conrady"}
+    realsense |= {"coeffs": [0.1, 0, 0, 0, 0]}
     _json(folder / "realsense.json", {**size, **realsense, "stream": "color"})
     rows = [60.0, 0, 31.0, 0, 60.0, 23.0, 0, 0, 1]
     ros = f"height: {_HEIGHT}\nwidth: {_WIDTH}\nD: [0.1, 0.0, 0.0, 0.0, 0.0]\nK: {rows}\n"

@@ -6,7 +6,7 @@ import json
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -436,9 +436,17 @@ def record_json(record: Any) -> dict[str, Any]:
     0.21
     """
     try:
-        values: dict[str, Any] = json.loads(json.dumps(asdict(record), allow_nan=False))
+        text = json.dumps(record, default=_values_of, allow_nan=False)
+        values: dict[str, Any] = json.loads(text)
     except (ValueError, TypeError) as error:
         raise StoreError(
             f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
         ) from None
     return values
+
+
+def _values_of(value: object) -> dict[str, Any]:
+    """Return the fields of a record; `asdict` would copy every value inside them first."""
+    if not is_dataclass(value):
+        raise TypeError(f"{type(value).__name__} has no form in JSON")
+    return {column.name: getattr(value, column.name) for column in fields(value)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
@@ -35,6 +36,12 @@ _LATER_USED = ("cucumbervision_greenhouse.dashboard.charts", "pandas")
 _FIRST_PAGE_S = 2.0
 """The first viewer comes at once, and networks that load meanwhile would take the processor."""
 
+_READING_AHEAD = "preparing"
+# Streamlit warns that a thread without a page cannot show that it is busy.
+logging.getLogger("streamlit.runtime.scriptrunner_utils.script_run_context").addFilter(
+    lambda record: record.threadName != _READING_AHEAD
+)
+
 
 @asynccontextmanager
 async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
@@ -50,7 +57,7 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
             for name in _LATER_USED:
                 import_module(name)
 
-    threading.Thread(target=prepare, name="preparing", daemon=True).start()
+    threading.Thread(target=prepare, name=_READING_AHEAD, daemon=True).start()
     yield {}
 
 

@@ -173,6 +173,9 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     with open_store(house.store) as store:
         one = next(x for x in store.rounds() if x.record.name == "Monday")
         assert len(store.picked(one.key)) == 1
+    # What the program says where it was started: its address, twice.
+    printed = (house.folder / "server.log").read_text().splitlines()
+    assert [line for line in printed if "(Ctrl-C ends)" not in line] == []
 
     # Own truth: three fruit by a tape, one tenth longer than the program says; then as it says.
     tablet.goto(f"{address}/accuracy")

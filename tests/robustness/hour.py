@@ -191,6 +191,7 @@ class Stream:
             self.process.wait(60)
         except subprocess.TimeoutExpired:
             self.process.kill()
+            self.process.wait()
         self._hearing.join()
 
     def _catch_up(self) -> None:

@@ -185,7 +185,6 @@ SENTENCES = (
     marked("cannot be kept ({reason})"),
     marked("uploads cannot be kept ({reason})"),
     marked("make room on the disk"),
-    marked("make room on the disk, or choose another folder"),
     marked("free some space on the disk"),
     marked("check the disk and its permissions"),
     marked("check who may read it"),

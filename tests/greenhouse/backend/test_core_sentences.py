@@ -157,6 +157,7 @@ COMPOSED = {
     "has no colour picture of a matching name",
     "has no depth picture of a matching name",
     "cannot be written ({reason})",
+    "uploads cannot be kept ({reason})",
     "{words} (row {row}, {side}, {position} m; computer-made, so in the round 'Demonstration')",
     "a stop is at {position} m of that row and side",
     "{count} of {fruit} fruit are too large (median {size} cm)",

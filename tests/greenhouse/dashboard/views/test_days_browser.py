@@ -142,6 +142,8 @@ def test_two_days_from_upload_to_export(
     shot(page, "fruit")
     assert "fruit=" in page.url
     page.get_by_role("button", name="All fruit").click()
+    page.get_by_text("Compare with").wait_for()
+    page.locator("[data-test-script-state=notRunning]").wait_for()
     page.get_by_text("All days of this house").click()
     page.get_by_text("Fruit that the last round of each day showed").wait_for()
     page.locator(".vega-embed canvas, .vega-embed svg").first.wait_for()

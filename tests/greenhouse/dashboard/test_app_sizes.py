@@ -302,5 +302,7 @@ def test_a_page_is_for_everybody(
     seen = page.evaluate(LOOK, LEAST_PX)
     page.context.close()
     assert faults == []
-    assert said == []
+    # Chromium says so of a line that the page closes for another round's before it is open.
+    early = "WebSocket is closed before the connection is established"
+    assert [line for line in said if early not in line] == []
     assert seen == {"cut": [], "small": []}

@@ -99,7 +99,6 @@ class SentFruit(SentPicture):
     """
 
     fruit: Key | None = None
-
     point: tuple[float, float] | None = None
     box: tuple[float, float, float, float] | None = None
 

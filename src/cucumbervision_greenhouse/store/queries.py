@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING, Any
@@ -106,10 +105,11 @@ class Queries(Database):
 
         Much faster than `rounds`, which counts the fruit of all.
         """
-        with suppress(StoreError):  # no such key
+        try:
             key = checked_key(key, "round")
-            return next(iter(self._summaries(~RoundLine.deleted, RoundLine.key == key)), None)
-        return None
+        except StoreError:  # no round has such a key
+            return None
+        return next(iter(self._summaries(~RoundLine.deleted, RoundLine.key == key)), None)
 
     def _summaries(self, *only: ColumnElement[bool]) -> list[RoundSummary]:
         of_round = and_(StopLine.round_id == RoundLine.id, ~StopLine.deleted)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sqlite3
 from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING, Any
@@ -16,11 +17,13 @@ from cucumbervision_greenhouse.store.records import (
     key_of,
     new_key,
 )
-from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.schema import Base
 from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.greenhouse.store.conftest import MakeStop
 
 
@@ -192,3 +195,14 @@ def test_cameras_and_what_they_were_measured_with_are_by_stop(
     assert list(cameras[first.key].captures) == ["a"]
     assert set(cameras) == {first.key, second.key}
     assert store.artifacts(WALK) == {first.key: first.artifacts}
+
+
+def test_a_round_that_cannot_be_read_is_not_taken_for_a_missing_one(tmp_path: Path) -> None:
+    with open_store(tmp_path / "house.db") as store:
+        assert store.round("no key") is None
+        assert store.round(new_key()) is None
+        with sqlite3.connect(tmp_path / "house.db") as database:
+            database.execute("ALTER TABLE rounds RENAME TO elsewhere")
+        database.close()
+        with pytest.raises(StoreError, match="no such table"):
+            store.round(new_key())

@@ -179,18 +179,18 @@ def accept_uploads(
     batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
     intake = _Intake(AcceptedUploads(batch), limits)
     try:
-        intake.loose.mkdir(parents=True)
-        for number, (name, content) in enumerate(files):
-            intake.receive(number, name, content)
-        intake.sort(intake.loose, LOOSE)
-        if not intake.out.sources:
-            shutil.rmtree(batch)
-        elif not any(intake.loose.iterdir()):
-            intake.loose.rmdir()
-    except BaseException as error:
-        shutil.rmtree(batch, ignore_errors=True)
         with wrap_os_errors("uploads cannot be kept", folder, "choose another folder", UploadError):
-            raise error from None
+            intake.loose.mkdir(parents=True)
+            for number, (name, content) in enumerate(files):
+                intake.receive(number, name, content)
+            intake.sort(intake.loose, LOOSE)
+            if not intake.out.sources:
+                shutil.rmtree(batch)
+            elif not any(intake.loose.iterdir()):
+                intake.loose.rmdir()
+    except BaseException:
+        shutil.rmtree(batch, ignore_errors=True)
+        raise
     return intake.out
 
 

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
-collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/dashboard/*"]
+collect_ignore_glob = (
+    [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/dashboard/*"]
+)
 # The examples of these compute with torch.
 _WITH_TORCH = [f"src/cucumbervision_lab/training/{name}.py" for name in ("ends", "losses")]
 if not find_spec("torch"):

@@ -133,6 +133,14 @@ def test_an_interval_from_elsewhere_does_not_outlive_a_correction() -> None:
     assert own.basis is IntervalBasis.OWN_TRUTH
 
 
+def test_hardly_any_depth_has_no_interval_after_a_correction_either() -> None:
+    before = fruit().flagged(Flag.DEPTH_SPARSE)
+    done = calibrated_fruit(before, site(entry())).length
+    assert done is not None
+    assert done.value_m == pytest.approx(0.23)
+    assert done.low_m is None
+
+
 def test_no_correction_but_an_interval() -> None:
     done = calibrated_fruit(fruit(), site(entry(Form.NONE))).length
     assert done is not None

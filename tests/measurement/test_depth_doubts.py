@@ -56,6 +56,36 @@ def test_a_unit_that_brings_fruit_too_near_is_doubted_however_near() -> None:
         assert not fruit.at_least
 
 
+def with_depth_on(capture: Capture, share: float) -> Capture:
+    """Return a capture whose fruit has depth on this share of its pixels, nearest to its outline.
+
+    As before a camera that is too near: it reads a little of the rim, and all of the wall.
+    """
+    inside = cv2.distanceTransform(capture.masks[0].astype(np.uint8), cv2.DIST_L2, 5)
+    limit = np.quantile(inside[capture.masks[0]], share)
+    return with_depth(capture, np.where(inside > limit, 0, capture.depth_m))
+
+
+def test_a_fruit_with_depth_on_less_than_half_of_it_is_flagged_and_has_no_interval() -> None:
+    capture = capsule_capture(lying(0.16, distance_m=0.3))
+    (fruit,) = measure(with_depth_on(capture, 0.45), instances="dataset").fruit
+    assert Flag.DEPTH_SPARSE in fruit.flags
+    assert fruit.length is not None
+    assert (fruit.length.low_m, fruit.length.high_m) == (None, None)
+    assert Flag.INTERVAL_TOO_WIDE not in fruit.flags
+    (enough,) = measure(with_depth_on(capture, 0.55), instances="dataset").fruit
+    assert Flag.DEPTH_SPARSE not in enough.flags
+    assert enough.length is not None
+    assert enough.length.low_m is not None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.2])
+def test_a_hidden_end_of_a_fruit_with_hardly_any_depth_gives_no_lower_bound(share: float) -> None:
+    flags = doubts(with_depth_on(capsule_capture(lying(0.16, distance_m=0.3)), share))
+    assert Flag.DEPTH_SPARSE in flags
+    assert not is_lower_bound([Flag.END_HIDDEN, *flags])
+
+
 @pytest.mark.parametrize("gap_m", [0.03, 0.06])
 def test_two_fruit_in_one_outline_are_no_fruit_with_a_hidden_part(gap_m: float) -> None:
     across_m = 0.06 + gap_m / 2
@@ -161,7 +191,12 @@ def test_fruit_on_the_plant_are_not_doubted() -> None:
         pytest.skip("CUCUMBERVISION_DATA names no folder of real captures")
     folder = Path(data, "rgbd", "cucumber_d435")
     reading = ReadOptions(intrinsics=folder / "intrinsics.json")
-    fruit = measure(folder / "on_plant", options=MeasureOptions("models", reading=reading)).fruit
-    assert len(fruit) >= 17
+    results = measure(folder / "on_plant", options=MeasureOptions("models", reading=reading))
+    assert len(results.fruit) >= 17
     # One detection is no fruit: an outline beside anything at its depth.
-    assert sum(not NO_DEPTH.isdisjoint(item.flags) for item in fruit) <= 1
+    others = NO_DEPTH - {Flag.DEPTH_SPARSE}
+    assert sum(not others.isdisjoint(item.flags) for item in results.fruit) <= 1
+    # Two at the edge of one picture have depth on a fifth of them, and on nothing.
+    sparse = [item for item in results.fruit if Flag.DEPTH_SPARSE in item.flags]
+    assert len(sparse) <= 2
+    assert all((item.fill or 0.0) < 0.25 for item in sparse)

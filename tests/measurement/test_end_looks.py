@@ -123,12 +123,12 @@ def test_the_interval_depends_on_the_look(capture: tuple[Capture, Instance, Inst
         assert after.length.low_m <= value
 
 
-def test_where_depth_shows_both_ends_open_the_look_is_not_asked() -> None:
-    features = {"perceived": 1.0, "closed": 0.49, **look_features((TRUE, COVERED))}
-    open_ends = MODELS.interval("M6", 0.2, features)
-    assert open_ends == pytest.approx((0.2 * np.exp(0.1 - 0.2), 0.2 * np.exp(0.1 + 0.2)))
-    doubtful = MODELS.interval("M6", 0.2, {**features, "closed": 0.5})
-    assert doubtful == pytest.approx((0.2 * np.exp(0.1 - 0.02), 0.2 * np.exp(0.1 + 0.4)))
+def test_the_look_counts_though_depth_shows_both_ends_open() -> None:
+    features = {"perceived": 1.0, "closed": 0.1}
+    unseen = MODELS.interval("M6", 0.2, features)
+    assert unseen == pytest.approx((0.2 * np.exp(-0.2), 0.2 * np.exp(0.2)))
+    looked_at = MODELS.interval("M6", 0.2, {**features, **look_features((TRUE, COVERED))})
+    assert looked_at == pytest.approx((0.2 * np.exp(0.1 - 0.02), 0.2 * np.exp(0.1 + 0.4)))
 
 
 def test_a_doubtful_end_is_named_by_its_place(capture: tuple[Capture, Instance, Instance]) -> None:

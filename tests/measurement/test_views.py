@@ -83,6 +83,20 @@ def test_views_from_one_place_are_one_view() -> None:
     assert joint.fruit.length == alone_of(view).length
 
 
+@pytest.mark.parametrize("nearer_first", [True, False])
+def test_a_view_with_hardly_any_depth_is_left_out_beside_another(nearer_first: bool) -> None:
+    tube = arc_tube(0.22, 0.018).moved(rotation(75, 30), (0.0, 0.0, 0.6))
+    sound, near = seen_from(tube, 0.0), seen_from(tube, 0.25, seed=1)
+    depth_m = near.capture.depth_m.copy()
+    depth_m[np.array(near.instance.mask) & (np.indices(depth_m.shape).sum(axis=0) % 5 > 0)] = 0
+    sparse = view_of(depth_m, np.array(near.instance.mask), near.pose)
+    views = [sparse, sound] if nearer_first else [sound, sparse]
+    joint = measure_views(views)
+    assert joint is not None
+    assert list(joint.poses) == [int(nearer_first)]
+    assert joint.fruit.length == alone_of(sound).length
+
+
 def with_rows_hidden(view: FruitView, rows: slice) -> FruitView:
     """Return a view of which a leaf at 45 cm covers some rows."""
     mask, depth_m = np.array(view.instance.mask), view.capture.depth_m.copy()

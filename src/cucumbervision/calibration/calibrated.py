@@ -107,7 +107,7 @@ def calibrated_fruit(
     if not (1 - _RANGE_MARGIN) * low_m <= raw.value_m <= (1 + _RANGE_MARGIN) * high_m:
         return done.flagged(Flag.OUTSIDE_RANGE)
     half = entry.interval.half_width
-    if half is None:
+    if half is None or Flag.DEPTH_SPARSE in fruit.flags:
         return done
     kind = entry.truth_kind
     limits = value_m * (1 - half), value_m * (1 + half)

@@ -15,6 +15,12 @@ from cucumbervision.measurement.flags import Flag
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+LEAST_FILL = 0.5
+"""Share of a fruit's pixels with depth below which its length is doubtful.
+
+Nearer than its range a camera reads a few pixels of the rim, which are wrong.
+"""
+
 _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
 _MIN_READINGS = 30
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
@@ -59,6 +65,7 @@ def depth_doubts(
     -------
     tuple of Flag
         'depth-too-near': the fruit is nearer than the minimum distance of any camera.
+        'depth-sparse': less than half of its pixels have a reading.
         'depth-hollow': its middle lies behind its flanks, and the fruit behind its surroundings,
         as in inverted depth. 'depth-gap': the mask has several parts, and the background between
         them is clearly farther away, so that they are different fruit. 'depth-unaligned': the fruit
@@ -71,16 +78,22 @@ def depth_doubts(
     >>> mask[10:30, 10:110] = True
     >>> depth_doubts(np.where(mask, 0.1, 0.4).astype(np.float32), mask, 600.0)
     (<Flag.DEPTH_TOO_NEAR: 'depth-too-near'>,)
+    >>> rim = np.where(mask, 0.5, 0.7).astype(np.float32)
+    >>> rim[13:27, 13:107] = 0  # nearer than the camera's range
+    >>> depth_doubts(rim, mask, 600.0)
+    (<Flag.DEPTH_SPARSE: 'depth-sparse'>,)
     """
     window = mask_window(mask)
     if window is None:
         return ()
     readings = depth_m[window][mask[window] & (depth_m[window] > 0)]
+    is_sparse = readings.size < LEAST_FILL * np.count_nonzero(mask[window])
     if readings.size < _MIN_READINGS:
-        return ()
+        return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     body = _Body.of(depth_m, mask, float(quick_median(readings)), focal_px)
     doubts = {
         Flag.DEPTH_TOO_NEAR: body.distance_m < _NEAREST_M,
+        Flag.DEPTH_SPARSE: is_sparse,
         Flag.DEPTH_HOLLOW: _is_hollow(body),
         Flag.DEPTH_GAP: _has_gap(body),
         Flag.DEPTH_UNALIGNED: _is_flat(body) or _is_beside(depth_m, mask, body),

@@ -37,6 +37,7 @@ class Flag(StrEnum):
     OUTSIDE_RANGE = "outside-calibrated-range"
     DEPTH_UNIT = "depth-unit"
     DEPTH_TOO_NEAR = "depth-too-near"
+    DEPTH_SPARSE = "depth-sparse"
     DEPTH_HOLLOW = "depth-hollow"
     DEPTH_GAP = "depth-gap"
     DEPTH_UNALIGNED = "depth-unaligned"
@@ -184,6 +185,15 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         effect=Effect.NO_DEPTH,
         data_fault="nearer than 12 cm, where no camera reads",
         remedy="check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
+    ),
+    Flag.DEPTH_SPARSE: FlagMeaning(
+        "less than half of the fruit has a depth reading, as where it is nearer than the camera "
+        "reads: the length may be wrong by half, has no interval, and is no lower bound",
+        remark="hardly any depth on it: hold the camera farther away",
+        effect=Effect.NO_DEPTH,
+        shows_less=True,
+        data_fault="less than half of their pixels have depth",
+        remedy="hold the camera at least 30 cm away",
     ),
     Flag.DEPTH_HOLLOW: FlagMeaning(
         "its middle lies behind its flanks, and what surrounds it before it: the picture holds no "

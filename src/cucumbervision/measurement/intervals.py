@@ -155,7 +155,6 @@ def _normal_quantile(level: float) -> float:
 
 
 _STEEP_DEG = 35.0
-_ENDS_OPEN = 0.5  # of `closed`: below it most of what lies beyond both ends is behind the fruit
 _LEAST_MEASURED = 0.1  # minimum measured share of a fruit's length, by the evaluation of its ends
 
 
@@ -200,20 +199,6 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         **raw_features(tube.centreline_m, distance, fit.fill),
         **({} if fit.looks is None else look_features(fit.looks)),
     }
-
-
-def asks_the_look(features: Mapping[str, float]) -> bool:
-    """Return whether a fruit's interval depends on the evaluation of its ends.
-
-    If depth shows the background beyond both ends, the ends are true, and the network is not
-    needed.
-
-    Examples
-    --------
-    >>> asks_the_look({"looked": 1.0, "closed": 0.9}), asks_the_look({"looked": 1.0, "closed": 0.2})
-    (True, False)
-    """
-    return bool(features.get("looked")) and features.get("closed", 1.0) >= _ENDS_OPEN
 
 
 def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
@@ -292,6 +277,7 @@ def mask_features(
         "certainty": 0.0 if is_labelled else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
         "cut": float(Flag.CUT_BY_FRAME in flags),
+        "sparse": float(Flag.DEPTH_SPARSE in flags),
         "goes_on": float(goes_on),
         # The end keypoints of a fruit that continues out of sight are guesses.
         "ends_disagree": float(not (is_labelled or goes_on) and Flag.ENDS_DISAGREE in flags),
@@ -319,7 +305,7 @@ class IntervalModels:
     models : dict of str to IntervalModel
         Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord', for masks of a data
         set. With the suffix ' perceived': for masks of networks, which have other errors; with
-        ' perceived looked': for fruit whose ends a network evaluated (`asks_the_look`).
+        ' perceived looked': for fruit whose ends a network evaluated.
     fruit : int
         Number of simulated calibration fruit.
     """
@@ -345,7 +331,7 @@ class IntervalModels:
             As in `IntervalModel.interval`.
         """
         perceived = key + PERCEIVED if features.get("perceived") else key
-        looked = self.models.get(perceived + LOOKED) if asks_the_look(features) else None
+        looked = self.models.get(perceived + LOOKED) if features.get("looked") else None
         model = looked or self.models.get(perceived) or self.models.get(key)
         if model is None:
             return None
@@ -404,12 +390,12 @@ def with_interval(
     Returns
     -------
     length : Length
-        The length with its interval, if there is a model for it; a fruit cut by the edge of the
-        picture has none, because only a lower bound is known.
+        The length with its interval, if there is a model for it. A fruit cut by the edge of the
+        picture has none, because only a lower bound is known; nor has one with hardly any depth.
     narrow : bool
         False if the interval would span more than a factor of four and is therefore omitted.
     """
-    if mask["cut"]:
+    if mask["cut"] or mask["sparse"]:
         return length, True
     if measurement.fit is not None:
         interval_kind, features = LengthDefinition(length.kind), tube_features(measurement)

@@ -22,6 +22,7 @@ from cucumbervision.geometry.tube_guess import (
 )
 from cucumbervision.geometry.tube_lengths import with_tips
 from cucumbervision.instances.masks import distances_inside, mask_window
+from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.hidden_end import (
@@ -94,7 +95,7 @@ class TubeView:
     @property
     def sparse(self) -> bool:
         """Whether most of the mask has no depth."""
-        return self.fill < _SPARSE_FILL
+        return self.fill < LEAST_FILL
 
     @property
     def surface_m(self) -> NDArray[np.float64]:
@@ -254,9 +255,8 @@ _GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = (
 )  # outside these limits, other initial shapes are tried
 _FULL_OVERLAP = 0.97  # below it, with a middle line longer than the fit, a hook may be cut short
 _LEAST_SEEN = 6  # readings needed for these initial shapes
-_SPARSE_FILL = 0.5  # below it, most depth is missing: the fruit is nearer than the sensor's range
-
-# Then few wrong readings dominate the misfit, and count less: tolerances of misfit and silhouette.
+# Tolerances of misfit and silhouette where most depth is missing: there a few wrong readings
+# dominate the misfit, so it counts less.
 _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and too long for the girth

@@ -103,7 +103,8 @@ def measure_views(
     """Fit one swept tube to a fruit's depth and outlines in all views.
 
     Poses are refined simultaneously. Of views from one place (closer together than a tenth of the
-    distance), only the best is used, since they share their errors. An end that is visible in any
+    distance), only the best is used, since they share their errors. Views with hardly any depth are
+    left out if there are others. An end that is visible in any
     view counts as visible.
 
     Parameters
@@ -149,11 +150,15 @@ def measure_views(
     if not fitted_views:
         return None
     fitted_views.sort(
-        key=lambda fitted: (not all(fitted.fitting.ends_seen), _relative_sd(fitted.fitting))
+        key=lambda fitted: (
+            fitted.tube.sparse,
+            not all(fitted.fitting.ends_seen),
+            _relative_sd(fitted.fitting),
+        )
     )
     chosen = fitted_views[:1]
     for candidate in fitted_views[1:]:
-        if all(_is_elsewhere(candidate, member) for member in chosen):
+        if not candidate.tube.sparse and all(_is_elsewhere(candidate, member) for member in chosen):
             chosen.append(candidate)
     first = chosen[0]
     joint = _joint(chosen) if len(chosen) > 1 else None

@@ -356,6 +356,8 @@ SENTENCES = (
     marked("{count} of {fruit} fruit: {fault}"),
     marked("nearer than 12 cm, where no camera reads"),
     marked("check the unit of depth (depth_unit_m: 0.001 in the camera file is 1 mm a step)"),
+    marked("less than half of their pixels have depth"),
+    marked("hold the camera at least 30 cm away"),
     marked("the depth of their middle lies behind that of their flanks"),
     marked("check that the depth picture holds distances, and not their inverse or relative depth"),
     marked("their outline has pieces with a gap between them that lies behind"),

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.instances.end_crops import EndCrop
+from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
     IntervalModel,
     IntervalModels,
-    asks_the_look,
     look_features,
 )
 from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
@@ -30,8 +30,14 @@ LOOK_FEATURES = (
     *("covered", "running_on", "log_missing", "log_above", "log_below"),
 )
 
-LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("covered", (0.1, 0.5)),)
-"""Fruit are grouped by how likely the look says that they go on out of sight."""
+LOOK_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (
+    ("covered", (0.1, 0.5)),
+    ("distance_m", (1.2,)),
+)
+"""Groups: by how likely the look says that fruit go on out of sight, and by distance.
+
+Farther away a pixel of an outline is a larger part of the length.
+"""
 
 SMALLEST_GROUP = 100
 """Fruit of a group that has quantiles of its own."""
@@ -78,7 +84,7 @@ def fit_look_intervals(
     ----------
     fruit : sequence of MeasuredFruit
         Measured on masks that networks drew, of scenes that the network did not learn from. Those
-        that the picture's edge cuts are left out, and those whose ends depth shows to be open.
+        that the picture's edge cuts are left out, and those with hardly any depth.
     looks : sequence of (EndLook, EndLook)
         What their ends look like.
     level : float
@@ -96,7 +102,7 @@ def fit_look_intervals(
     chosen = [
         (measured, row)
         for measured, row in candidates
-        if not (measured.given or measured.features.get("cut")) and asks_the_look(row)
+        if not (measured.given or row.get("cut") or row["holes"] > 1 - LEAST_FILL)
     ]
     features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
     names = [measured.picture for measured, _ in chosen]

@@ -28,10 +28,9 @@ COVERED = EndLook(0.1, 0.89, 0.01, (0.0, 0.1, 0.2, 0.3, 0.5), 0.5)
 M6 = "M6" + PERCEIVED + LOOKED
 
 
-def fruit(
-    number: int, share: float, *, given: bool = False, cut: float = 0.0, closed: float = 0.9
-) -> MeasuredFruit:
+def fruit(number: int, share: float, *, given: bool = False, **features: float) -> MeasuredFruit:
     """A fruit of 20 cm of which a share was measured."""
+    known = {"perceived": 1.0, "closed": 0.9, "holes": 0.1, "distance_m": 0.5}
     end = EndTruth(0.0, True)
     return MeasuredFruit(
         f"{number // 3}.jpg",
@@ -45,7 +44,7 @@ def fruit(
         (end, replace(end, is_stem=False)),
         0.0,
         cut=False,
-        features={"cut": cut, "perceived": 1.0, "closed": closed},
+        features={**known, **features},
     )
 
 
@@ -86,14 +85,26 @@ def test_a_group_of_too_few_has_no_quantiles_of_its_own(
     assert "2" not in bands
 
 
-def test_cut_fruit_given_masks_and_ends_that_depth_shows_open_teach_nothing(
+def test_fruit_far_away_have_quantiles_of_their_own(
+    learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
+) -> None:
+    rng = np.random.default_rng(1)
+    far = [fruit(6000 + k, float(np.exp(rng.normal(0, 0.04))), distance_m=1.5) for k in range(600)]
+    model = fit_look_intervals([*learnt[0], *far], [*learnt[1], *[(TRUE, TRUE)] * 600])[M6]
+    seen = look_features((TRUE, TRUE))
+    near, away = (model.interval(1.0, {**seen, "distance_m": z}) for z in (0.5, 1.5))
+    assert near[1] - near[0] == pytest.approx(2 * 1.645 * 0.01, rel=0.2)
+    assert away[1] - away[0] == pytest.approx(2 * 1.645 * 0.04, rel=0.2)
+
+
+def test_cut_fruit_given_masks_and_hardly_any_depth_teach_nothing(
     learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
 ) -> None:
     wrong = [
         fruit(5000, 0.01, given=True),
         fruit(5001, 0.01, cut=1.0),
-        fruit(5002, 0.01, closed=0.4),
-    ] * 200
+        fruit(5002, 0.01, holes=0.6),
+    ] * 300
     looks = [(TRUE, TRUE)] * len(wrong)
     plain = fit_look_intervals(*learnt)
     assert fit_look_intervals([*learnt[0], *wrong], [*learnt[1], *looks]) == plain

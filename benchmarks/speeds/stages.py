@@ -27,6 +27,7 @@ STAGES = {
     "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
     "each fruit once": ("perception.networks:each_fruit_once",),
     "SAM's prompts and masks": ("perception.sam:Sam.segment",),
+    "flower": ("instances.masks:without_flower",),
     "keypoints placed": ("perception.keypoint_axis:place_keypoints",),
     "M6": ("measurement.m6:measure_m6",),
     "M1 to M5": ("measurement.methods:run_methods",),

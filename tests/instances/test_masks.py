@@ -23,6 +23,7 @@ from cucumbervision.instances.masks import (
     mask_iou,
     mask_pixels,
     mask_window,
+    without_flower,
     without_spurs,
 )
 
@@ -236,6 +237,33 @@ def test_any_mask_of_yes_and_no_is_taken(dtype: str, yes: float) -> None:
 def test_what_is_no_mask_is_refused(mask: NDArray[Any], fault: str) -> None:
     with pytest.raises(InstancesError, match=fault):
         Instance(np.array([0.0, 0, 2, 1]), mask=mask)
+
+
+def test_only_a_flower_leaves_the_mask() -> None:
+    rows, columns = np.mgrid[:120, :400]
+    fruit = ((columns - 180) / 150) ** 2 + ((rows - 60) / 25) ** 2 <= 1
+    flower = (abs(columns - 338) < 14) & (abs(rows - 60) < 10)
+    color = np.full((120, 400, 3), 90, np.uint8)
+    color[fruit] = (70, 110, 50)
+    color[fruit & (rows > 70)] = (95, 130, 60)  # a lighter side
+    color[flower & ~fruit] = (200, 140, 60)
+    cleaned = without_flower(fruit | flower, color)
+    assert mask_iou(cleaned, fruit) > 0.98
+    # Beside an outline that leaves it out; one that holds it says that it is the fruit's tip.
+    assert mask_iou(without_flower(fruit | flower, color, fruit), fruit) > 0.98
+    assert np.array_equal(without_flower(fruit | flower, color, fruit | flower), fruit | flower)
+    assert np.array_equal(without_flower(fruit, color), fruit)
+    # A part as large as a third of the fruit is no flower, and a speck is none.
+    color[fruit & (columns > 230)] = (200, 140, 60)
+    assert np.array_equal(without_flower(fruit, color), fruit)
+    color[fruit] = (70, 110, 50)
+    color[58:60, 180:182] = (200, 140, 60)
+    assert np.array_equal(without_flower(fruit, color), fruit)
+
+
+def test_an_empty_mask_has_no_flower() -> None:
+    empty = np.zeros((4, 5), bool)
+    assert not without_flower(empty, np.zeros((4, 5, 3), np.uint8)).any()
 
 
 @pytest.mark.parametrize("turn_deg", [0, 17, 45, 90])

@@ -1,4 +1,4 @@
-"""Masks: their window and box, distances inside, overlaps, strokes."""
+"""Masks: their window and box, distances inside, overlaps, strokes, withered flowers."""
 
 from __future__ import annotations
 
@@ -330,6 +330,75 @@ def _distances(
 
 _SPUR = 0.2  # of the largest radius: what is thinner is no part of a fruit
 _SPUR_LEFT_PX = 2
+_FLOWER_REDNESS = 18.0
+"""How much redder than the fruit a withered flower is, in CIELAB a*; skin varies by half of it."""
+
+_FLOWER_SHARE = 0.002, 0.15  # of the mask's area: a smaller part is noise, a larger one no flower
+
+
+def without_flower(
+    mask: NDArray[np.bool_],
+    color_rgb: NDArray[np.uint8],
+    outline: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
+    """Return a fruit's mask without the withered flower at its end.
+
+    A flower is a coherent part that is much redder than the fruit's median colour, as pale tips of
+    vivid fruit are, too.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        The fruit, perhaps with its flower.
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    outline : ndarray of bool, shape (H, W), optional
+        Another outline of the fruit, by a network that leaves flowers out: what is in it stays.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The same mask where there is no such part.
+
+    Examples
+    --------
+    >>> color, mask = np.zeros((40, 90, 3), np.uint8), np.zeros((40, 90), bool)
+    >>> mask[10:30, 5:80] = True
+    >>> color[mask] = (60, 120, 50)
+    >>> color[14:26, 72:80] = (220, 150, 60)
+    >>> bool(without_flower(mask, color)[20, 60]), bool(without_flower(mask, color)[20, 76])
+    (True, False)
+    >>> bool(without_flower(mask, color, outline=mask)[20, 76])
+    True
+    """
+    import cv2
+
+    window = mask_window(mask)
+    if window is None:
+        return mask
+    inside = mask[window]
+    scaled = np.ascontiguousarray(color_rgb[window]).astype(np.float32) / 255
+    redness = cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB)[..., 1]
+    redder = inside & (redness > np.median(redness[inside]) + _FLOWER_REDNESS)
+    if outline is not None:
+        redder &= ~outline[window]
+    if not redder.any():
+        return mask
+    square = np.ones((3, 3), np.uint8)
+    opened = cv2.morphologyEx(redder.astype(np.uint8), cv2.MORPH_OPEN, square)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(opened)
+    least_px, most_px = (share * np.count_nonzero(inside) for share in _FLOWER_SHARE)
+    parts = np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= least_px) + 1
+    if parts.size == 0:
+        return mask
+    flower = cv2.dilate(np.isin(labels, parts).astype(np.uint8), square) > 0
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((inside & ~flower).astype(np.uint8))
+    body = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if len(stats) > 1 else flower
+    if np.count_nonzero(inside & ~body) > most_px:
+        return mask
+    cleaned = np.zeros_like(mask)
+    cleaned[window] = inside & body
+    return cleaned
 
 
 def painted_mask(

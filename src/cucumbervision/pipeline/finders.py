@@ -19,7 +19,7 @@ from cucumbervision.instances.instance import (
     in_picture,
     with_keypoints,
 )
-from cucumbervision.instances.masks import box_of_mask, is_box_mask
+from cucumbervision.instances.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.measurement.m6 import fits_well, measure_m6
 from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.keypoint_axis import place_keypoints
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision.protocols import Detector, Segmenter
+
+_MAY_HOLD_FLOWERS = (MaskSource.SAM, MaskSource.SEGMENTER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +205,7 @@ def make_finder(
         drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
         if (painter is None and name == "none") or not drawn:
             file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
-            return _finished(detections, detections.instances, file_stages)
+            return _finished(capture, detections, detections.instances, file_stages)
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         try:
             if painter is None:
@@ -220,7 +222,7 @@ def make_finder(
             masked.get(k, instance) for k, instance in enumerate(detections.instances)
         )
         file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _finished(detections, instances, (*file_stages, Stage.DRAWN))
+        return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN))
 
     parts = (plugin for plugin, _ in filter(None, (detector, painter)))
     # Fruit that a program gives are of no plug-in.
@@ -317,15 +319,22 @@ def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
 
 
 def _finished(
+    capture: Capture,
     detections: Detections,
     instances: tuple[Instance, ...],
     stages: tuple[Stage, ...],
 ) -> Detections:
     """Return detections with final masks and keypoints."""
-    pairs = zip(detections.tubes, detections.instances, instances, strict=False)
+    cleaned = tuple(
+        replace(instance, mask=without_flower(instance.mask, capture.color, instance.detector_mask))
+        if instance.mask is not None and instance.mask_source in _MAY_HOLD_FLOWERS
+        else instance
+        for instance in instances
+    )
+    pairs = zip(detections.tubes, detections.instances, cleaned, strict=False)
     return replace(
         detections,
-        instances=place_keypoints(instances),
+        instances=place_keypoints(cleaned),
         stages=detections.stages + stages,
         tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
     )

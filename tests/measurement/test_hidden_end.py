@@ -92,3 +92,9 @@ def test_a_covered_end_gets_an_interval_and_seen_ends_none() -> None:
     assert fit.hidden_length is not None
     assert fit.hidden_length.seen_m == fit.traits.lengths.centreline_m < 0.20
     assert fit.hidden_length.low_m < 0.24 < fit.hidden_length.high_m
+    # With depth on a third of it there is none.
+    depth[mask & (np.indices(mask.shape)[0] % 3 > 0)] = 0
+    sparse = measure_m6(depth, mask, CAMERA).fit
+    assert sparse is not None
+    assert sparse.ends_seen.count(False) == 1
+    assert sparse.hidden_length is None

@@ -13,6 +13,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import median_of
+from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.depth_noise import depth_noise
 
 if TYPE_CHECKING:
@@ -108,8 +109,9 @@ def with_hidden_end(
 ) -> Measurement:
     """Return an M6 measurement with the distribution of the whole length, if it can be estimated.
 
-    This requires that exactly one end is hidden, by an object in the picture. With two hidden ends,
-    or a fruit cut by the edge of the picture, only the lower bound is known.
+    This requires that exactly one end is hidden, by an object in the picture, and that most of the
+    fruit has depth. With two hidden ends, or a fruit cut by the edge of the picture, only the lower
+    bound is known.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ def with_hidden_end(
         The colour stream's.
     """
     fit = measured.fit
-    if fit is None or sum(fit.ends_seen) != 1:
+    if fit is None or fit.fill < LEAST_FILL or sum(fit.ends_seen) != 1:
         return measured
     end = -1 if fit.ends_seen[0] else 0
     reach_m = covered_reach(depth_m, intrinsics, fit.traits.axis_m, end)

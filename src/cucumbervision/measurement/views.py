@@ -104,8 +104,7 @@ def measure_views(
 
     Poses are refined simultaneously. Of views from one place (closer together than a tenth of the
     distance), only the best is used, since they share their errors. Views with hardly any depth are
-    left out if there are others. An end that is visible in any
-    view counts as visible.
+    left out if there are others. An end that is visible in any view counts as visible.
 
     Parameters
     ----------

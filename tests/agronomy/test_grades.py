@@ -12,7 +12,7 @@ from cucumbervision.agronomy.grades import (
     share_below,
 )
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.flags import LOWER_BOUND, Flag
+from cucumbervision.measurement.flags import LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 LONG = load_profile("long-cucumber")
@@ -170,6 +170,16 @@ def test_an_uncertain_length_decides_nothing() -> None:
     assert (graded.name, graded.possible) == ("undecided", ALL)
     assert graded.words == "undecided (the length is uncertain)"
     assert grade(replace(traits, flags=""), LONG).name == "I"
+
+
+@pytest.mark.parametrize("flag", sorted(NO_DEPTH))
+def test_depth_that_is_not_the_fruits_distance_decides_nothing(flag: str) -> None:
+    kind = LengthDefinition.CENTRELINE
+    length = Length(0.30, kind, 0.295, 0.305, interval_of=kind)
+    graded = grade(replace(SOUND, length=length, flags=f"ends-unsure {flag}"), LONG)
+    assert (graded.name, graded.possible, graded.probabilities) == ("undecided", ALL, {})
+    assert graded.words == "undecided (the length is uncertain)"
+    assert grade(replace(SOUND, length=length, flags="ends-unsure"), LONG).name == "I"
 
 
 @pytest.mark.parametrize(

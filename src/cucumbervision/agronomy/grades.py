@@ -19,7 +19,7 @@ from cucumbervision.agronomy.classes import (
     class_of,
     possible_classes,
 )
-from cucumbervision.measurement.flags import Flag, is_lower_bound
+from cucumbervision.measurement.flags import NO_DEPTH, Flag, is_lower_bound
 from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 if TYPE_CHECKING:
@@ -262,7 +262,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     Grade
         If a rule forbids the class given by the length, the next worse allowed one, or none.
         Undecided if the 90 % interval of the length, or the range above a lower bound, spans
-        several classes; shape, mass and diameter count as exact.
+        several classes, and if the fruit's depth cannot be its distance; shape, mass and diameter
+        count as exact.
 
     Examples
     --------
@@ -289,7 +290,7 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     verdict = GradeStatus.UNDECIDED if name == UNDECIDED else GradeStatus.IN_CLASS
     if name in WITHOUT_CLASS and name != UNDECIDED:
         verdict = GradeStatus.NO_CLASS
-    chances = {} if fruit.at_least else _chances(length, profile, by_bin)
+    chances = {} if math.isinf(range_m[1]) else _chances(length, profile, by_bin)
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances and not fruit.at_least:
         missing += (f"interval of the {profile.length} length: no probabilities",)
@@ -354,14 +355,18 @@ def _checks(
     return shape, weight, width
 
 
+_UNKNOWN = {Flag.INTERVAL_TOO_WIDE, *NO_DEPTH}
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
 def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
-    """Return the range of a fruit's length: its interval, or from a lower bound to infinity."""
+    """Return the range of a fruit's length: its interval, or from a lower bound to infinity.
+
+    Without an interval as too wide, and with depth that cannot be its distance, nothing is known.
+    """
     if fruit.at_least:
         return length.value_m, math.inf
-    if Flag.INTERVAL_TOO_WIDE in fruit.flags.split():
+    if not _UNKNOWN.isdisjoint(fruit.flags.split()):
         return 0.0, math.inf
     measured = fruit.length
     if (

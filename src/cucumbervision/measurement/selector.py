@@ -310,7 +310,7 @@ def measure_fruit(
     >>> str(fruit.method), str(fruit.reason), str(fruit.length.kind)
     ('M1', 'no-mask-box-elongated', 'box-chord')
     >>> round(fruit.length.value_m, 3), [str(flag) for flag in fruit.flags]
-    (0.2, [])
+    (0.2, ['interval-too-wide'])
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(

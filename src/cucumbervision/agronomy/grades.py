@@ -355,18 +355,18 @@ def _checks(
     return shape, weight, width
 
 
-_UNKNOWN = {Flag.INTERVAL_TOO_WIDE, *NO_DEPTH}
+_LENGTH_UNKNOWN = {Flag.INTERVAL_TOO_WIDE, *NO_DEPTH}
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
 def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
     """Return the range of a fruit's length: its interval, or from a lower bound to infinity.
 
-    Without an interval as too wide, and with depth that cannot be its distance, nothing is known.
+    Nothing is known of a length whose interval is too wide, or whose depth cannot be its distance.
     """
     if fruit.at_least:
         return length.value_m, math.inf
-    if not _UNKNOWN.isdisjoint(fruit.flags.split()):
+    if not _LENGTH_UNKNOWN.isdisjoint(fruit.flags.split()):
         return 0.0, math.inf
     measured = fruit.length
     if (

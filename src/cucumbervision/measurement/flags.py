@@ -188,7 +188,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
     ),
     Flag.DEPTH_SPARSE: FlagMeaning(
         "less than half of the fruit has a depth reading, as where it is nearer than the camera "
-        "reads: the length may be wrong by half, has no interval, and is no lower bound",
+        "reads: the length may be far off, has no interval, and is no lower bound",
         remark="hardly any depth on it: hold the camera farther away",
         effect=Effect.NO_DEPTH,
         shows_less=True,

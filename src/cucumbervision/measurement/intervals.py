@@ -284,6 +284,17 @@ def mask_features(
     }
 
 
+def has_no_interval(features: Mapping[str, float]) -> bool:
+    """Return whether the models do not apply: the picture cuts the fruit, or depth is missing.
+
+    Examples
+    --------
+    >>> has_no_interval(mask_features(MaskSource.SAM, [Flag.DEPTH_SPARSE]))
+    True
+    """
+    return bool(features.get("cut") or features.get("sparse"))
+
+
 WIDEST = 4.0  # an interval from half to twice a length is useless
 
 SCALE_SD = 0.01  # of an uncalibrated D4xx: the data sheet allows 2 % at 2 m
@@ -395,7 +406,7 @@ def with_interval(
     narrow : bool
         False if the interval would span more than a factor of four and is therefore omitted.
     """
-    if mask["cut"] or mask["sparse"]:
+    if has_no_interval(mask):
         return length, True
     if measurement.fit is not None:
         interval_kind, features = LengthDefinition(length.kind), tube_features(measurement)

@@ -14,12 +14,12 @@ import pandas as pd
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.intervals import (
     PERCEIVED,
     SCALE_SD,
     IntervalModel,
     IntervalModels,
+    has_no_interval,
     raw_features,
 )
 from cucumbervision.measurement.methods import AVAILABLE
@@ -70,7 +70,7 @@ def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
         return None
     tube, mask = (reading.get(name) for name in ("m6_features", "mask_features"))
     mask = mask if isinstance(mask, dict) else {}
-    if mask.get("cut") or reading["fill"] < LEAST_FILL:
+    if has_no_interval(mask):
         return None
     if reading["method"].startswith("M6"):
         return tube | mask if isinstance(tube, dict) else None

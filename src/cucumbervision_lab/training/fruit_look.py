@@ -184,7 +184,7 @@ def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -
         Options of training.
     """
     learnt = np.flatnonzero(~crops.held_out)
-    has_bfloat16 = cpu_has_bfloat16()  # without it a step takes seven times as long
+    has_bfloat16 = cpu_has_bfloat16()  # emulated, it is slower than float32
 
     def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
         import torch

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.instances.end_crops import EndCrop
-from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
     IntervalModel,
     IntervalModels,
+    has_no_interval,
     look_features,
 )
 from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
@@ -102,7 +102,7 @@ def fit_look_intervals(
     chosen = [
         (measured, row)
         for measured, row in candidates
-        if not (measured.given or row.get("cut") or row["holes"] > 1 - LEAST_FILL)
+        if not (measured.given or has_no_interval(row))
     ]
     features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
     names = [measured.picture for measured, _ in chosen]

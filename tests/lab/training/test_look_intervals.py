@@ -30,7 +30,7 @@ M6 = "M6" + PERCEIVED + LOOKED
 
 def fruit(number: int, share: float, *, given: bool = False, **features: float) -> MeasuredFruit:
     """A fruit of 20 cm of which a share was measured."""
-    known = {"perceived": 1.0, "closed": 0.9, "holes": 0.1, "distance_m": 0.5}
+    known = {"perceived": 1.0, "closed": 0.9, "distance_m": 0.5}
     end = EndTruth(0.0, True)
     return MeasuredFruit(
         f"{number // 3}.jpg",
@@ -103,7 +103,7 @@ def test_cut_fruit_given_masks_and_hardly_any_depth_teach_nothing(
     wrong = [
         fruit(5000, 0.01, given=True),
         fruit(5001, 0.01, cut=1.0),
-        fruit(5002, 0.01, holes=0.6),
+        fruit(5002, 0.01, sparse=1.0),
     ] * 300
     looks = [(TRUE, TRUE)] * len(wrong)
     plain = fit_look_intervals(*learnt)

@@ -129,8 +129,10 @@ def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     assert fruit
     assert all(one.features["distance_m"] > 0 for one in fruit)
     # What is missing at both ends is what the length lacks, but for axes that are far off.
-    off = [one.lengths_m[0] / one.true_m[0] - (1 - sum(one.relative_missing)) for one in fruit]
-    assert np.median(np.abs(off)) < 0.03
+    near = [one for one in fruit if one.features["distance_m"] < 1.2]
+    off = [one.lengths_m[0] / one.true_m[0] - (1 - sum(one.relative_missing)) for one in near]
+    assert len(off) >= 8
+    assert np.median(np.abs(off)) < 0.02
     asked.clear()
     lines = keep.read_text().splitlines()
     keep.write_text("\n".join(lines[:-1]) + "\n" + lines[-1][:40])

@@ -224,6 +224,13 @@ def test_interval_of_another_length_says_nothing() -> None:
     assert graded.missing == ("interval of the centreline length: no probabilities",)
 
 
+def test_an_unknown_length_does_not_ask_for_an_interval_that_it_has() -> None:
+    length = Length(0.30, LengthDefinition.CENTRELINE, 0.29, 0.31)
+    graded = grade(replace(SOUND, length=length, flags="depth-unaligned"), LONG)
+    assert graded.verdict is GradeStatus.UNDECIDED
+    assert (graded.probabilities, graded.missing) == ({}, ())
+
+
 def test_missing_traits_are_named() -> None:
     graded = grade(GradingTraits(centreline_m=0.30), LONG)
     assert graded.name == "I"

@@ -61,3 +61,20 @@ def test_doubts_of_the_data_are_told_once_with_the_remedy() -> None:
     (line,) = summary.doubts()
     assert line.startswith("2 of 3 fruit: the intrinsics' principal point lies off the middle")
     assert "check that" in line
+
+
+def test_bounds_and_unknown_lengths_are_left_out_of_the_statistics() -> None:
+    """Of 18, 20, 9 (in part), 40 and 60 cm (of which nothing is known) the mean is 19 cm."""
+    summary = Summary()
+    flags = ("end-hidden", "depth-sparse", "end-covered interval-too-wide")
+    bound, sparse, wide = (
+        row(length_cm, flags=codes)
+        for length_cm, codes in zip((9.0, 40.0, 60.0), flags, strict=True)
+    )
+    summary.add([SOUND, row(20.0), bound, sparse, wide])
+    provenance = dict.fromkeys(("software", "licence", "source", "started", "config_sha256"), "")
+    lines = dict(summary.lines(0, provenance | {"calibration": None}))
+    assert lines["Fruit measured"] == 5
+    assert lines["of these only in part (lower bounds)"] == 1
+    assert lines["of these uncertain (left out of the statistics)"] == 2
+    assert (lines["Mean length [cm]"], lines["Longest [cm]"]) == (19.0, 20.0)

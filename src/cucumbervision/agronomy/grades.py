@@ -19,7 +19,7 @@ from cucumbervision.agronomy.classes import (
     class_of,
     possible_classes,
 )
-from cucumbervision.measurement.flags import NO_DEPTH, Flag, is_lower_bound
+from cucumbervision.measurement.flags import is_lower_bound, is_unknown
 from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 if TYPE_CHECKING:
@@ -292,7 +292,7 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         verdict = GradeStatus.NO_CLASS
     chances = {} if math.isinf(range_m[1]) else _chances(length, profile, by_bin)
     missing = tuple(c.missing for c in checks if c.missing)
-    if not chances and not fruit.at_least:
+    if not chances and math.isfinite(range_m[1]):
         missing += (f"interval of the {profile.length} length: no probabilities",)
     return Grade(
         verdict=verdict,
@@ -355,7 +355,6 @@ def _checks(
     return shape, weight, width
 
 
-_LENGTH_UNKNOWN = {Flag.INTERVAL_TOO_WIDE, *NO_DEPTH}
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
@@ -366,7 +365,7 @@ def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
     """
     if fruit.at_least:
         return length.value_m, math.inf
-    if not _LENGTH_UNKNOWN.isdisjoint(fruit.flags.split()):
+    if is_unknown(fruit.flags.split()):
         return 0.0, math.inf
     measured = fruit.length
     if (

@@ -319,3 +319,17 @@ def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
         for flag, line in FLAGS.items()
         if line.data_fault and flags.get(flag)
     ]
+
+
+def is_unknown(flags: Iterable[str]) -> bool:
+    """Return whether flags say that nothing is known of a length: it counts in no statistics.
+
+    Its depth cannot be its distance, or its interval would be too wide; it is no lower bound.
+
+    Examples
+    --------
+    >>> is_unknown(["depth-hollow"]), is_unknown(["end-hidden"])
+    (True, False)
+    """
+    codes = {*flags}
+    return not (NO_DEPTH | {Flag.INTERVAL_TOO_WIDE}).isdisjoint(codes) and not is_lower_bound(codes)

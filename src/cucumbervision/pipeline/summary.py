@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound
+from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound, is_unknown
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Choice
 
@@ -37,9 +37,11 @@ class Summary:
     captures, fruit : int
         Number of captures and of fruit, including fruit without a length.
     lengths_cm : array of float
-        Lengths that are not lower bounds.
+        Lengths that are neither lower bounds nor unknown.
     lower_bounds_cm : array of float
         Lower bounds of fruit that continue out of sight.
+    unknown_cm : array of float
+        Lengths of which nothing is known (`flags.is_unknown`).
     refused_cm : list of float
         Lengths of fruit of implausible size.
     too_large : int
@@ -68,6 +70,7 @@ class Summary:
     fruit: int = 0
     lengths_cm: array[float] = field(default_factory=lambda: array("d"))
     lower_bounds_cm: array[float] = field(default_factory=lambda: array("d"))
+    unknown_cm: array[float] = field(default_factory=lambda: array("d"))
     refused_cm: list[float] = field(default_factory=list)
     too_large: int = 0
     methods: Counter[str] = field(default_factory=Counter)
@@ -81,7 +84,7 @@ class Summary:
     @property
     def measured(self) -> int:
         """Number of fruit with a length."""
-        return len(self.lengths_cm) + len(self.lower_bounds_cm)
+        return len(self.lengths_cm) + len(self.lower_bounds_cm) + len(self.unknown_cm)
 
     def add(
         self,
@@ -96,9 +99,7 @@ class Summary:
             self.fruit += 1
             flags = str(row.get("flags") or "").split()
             if row["length_cm"] is not None:
-                is_bound = is_lower_bound(flags)
-                lengths_cm = self.lower_bounds_cm if is_bound else self.lengths_cm
-                lengths_cm.append(float(row["length_cm"]))
+                self._lengths_of_kind(flags).append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
             refused = row.get("reason")
             large = Flag.DEPTH_UNIT in flags
@@ -111,6 +112,11 @@ class Summary:
             self.flags.update(flags)
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
+
+    def _lengths_of_kind(self, flags: list[str]) -> array[float]:
+        if is_lower_bound(flags):
+            return self.lower_bounds_cm
+        return self.unknown_cm if is_unknown(flags) else self.lengths_cm
 
     def doubts(self) -> list[str]:
         """Return one line for each doubt about the data, with the remedy."""
@@ -167,6 +173,7 @@ class Summary:
             ("Fruit", self.fruit),
             ("Fruit measured", self.measured),
             ("of these only in part (lower bounds)", len(self.lower_bounds_cm)),
+            ("of these uncertain (left out of the statistics)", len(self.unknown_cm)),
             ("Inputs that could not be read", failures),
         ]
         if self.simulated:

@@ -73,17 +73,17 @@ class FruitChange:
     def growth_m_per_day(self) -> float | None:
         """Growth of the centreline, thread or chord in a day, metres.
 
-        None where one of the two lengths is missing, is a lower bound, or has another definition.
+        None where one of the two lengths is missing or unknown, is a lower bound, or has another
+        definition.
         """
         if self.before is None or self.after is None:
             return None
-        first, last = self.before.record, self.after.record
-        if first.length is None or last.length is None or first.at_least or last.at_least:
+        first, last = self.before.record.whole_length, self.after.record.whole_length
+        if first is None or last is None:
             return None
-        comparable = first.length.kind == last.length.kind
-        if not comparable or first.length.kind not in set(LengthDefinition):
+        if first.kind != last.kind or first.kind not in set(LengthDefinition):
             return None
-        return (last.length.value_m - first.length.value_m) / self.days
+        return (last.value_m - first.value_m) / self.days
 
 
 @dataclass(frozen=True)

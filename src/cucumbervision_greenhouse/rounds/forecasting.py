@@ -57,7 +57,7 @@ def detection_rates(rows: Sequence[RowCounts], table: Sequence[RoundFruit]) -> D
     """
     merged = [row.count for row in rows if row.merged and row.fruit]
     found_share_of_fruit, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
-    hanging = [line.view.record.length_m for line in table if line.view.picked_s is None]
+    hanging = [line.view.record.known_length for line in table if line.view.picked_s is None]
     measured = sum(length is not None for length in hanging)
     share = measured / len(hanging) if measured else 1.0
     return DetectionRates(found_share_of_fruit * share, found_sd * share, false)
@@ -106,7 +106,7 @@ def fruit_states(
     """
     states = []
     for view in (line.view for line in table):
-        length = view.record.length
+        length = view.record.known_length
         if view.doubtful or length is None or not length.value_m > 0:
             continue
         length_m, sd_m = _median_and_sd(length)
@@ -177,7 +177,7 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
             for key in rounds[home].same_fruit(link.first):
                 names.setdefault(key, name)
             first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
-            before_m, after_m = first.record.length, last.record.length
+            before_m, after_m = first.record.whole_length, last.record.whole_length
             if before_m is not None and after_m is not None and days[home] < days[later]:
                 ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
                 links.append(Link(name, last.row or "", days[home], *ends))

@@ -315,8 +315,8 @@ def _row_views(
 
 
 def _length(record: DetectionRecord) -> tuple[float, float]:
-    """Return the length and its relative standard deviation."""
-    length = record.length
+    """Return the length, NaN where nothing is known of it, and its relative SD."""
+    length = record.known_length
     if length is None or not length.value_m > 0:
         return np.nan, _UNKNOWN_SD
     # Lengths of another kind may differ by more than any of them errs.

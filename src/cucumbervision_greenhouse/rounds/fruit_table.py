@@ -74,7 +74,8 @@ class RoundFigures:
     detections : int
         Number of their detections.
     mean_m, sd_m, shortest_m, longest_m : float, optional
-        Of the lengths of the fruit on the plant, metres; lower bounds are left out.
+        Of the lengths of the fruit on the plant, metres; lower bounds and lengths of which
+        nothing is known are left out.
     """
 
     fruit: int
@@ -97,12 +98,9 @@ def on_the_plant(fruit: Iterable[DetectionSummary]) -> list[DetectionSummary]:
 
 
 def hanging_lengths_m(fruit: Iterable[DetectionSummary]) -> list[float]:
-    """Return the lengths of the fruit on the plant, metres; lower bounds are left out."""
-    return [
-        view.record.length_m
-        for view in on_the_plant(fruit)
-        if view.record.length_m is not None and not view.record.at_least
-    ]
+    """Return the lengths of the fruit on the plant, metres, that count (`whole_length`)."""
+    lengths = (view.record.whole_length for view in on_the_plant(fruit))
+    return [length.value_m for length in lengths if length is not None]
 
 
 def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFigures:

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.flags import is_lower_bound
+from cucumbervision.measurement.flags import is_lower_bound, is_unknown
 from cucumbervision.measurement.result import Choice, Length
 
 Point: TypeAlias = tuple[float, ...]
@@ -266,6 +266,23 @@ class DetectionRecord:
     def length_m(self) -> float | None:
         """The length's value, metres; None where nothing was measured."""
         return None if self.length is None else self.length.value_m
+
+    @property
+    def known_length(self) -> Length | None:
+        """The length, which may be a lower bound; None where nothing is known of it.
+
+        Examples
+        --------
+        >>> from cucumbervision.measurement.result import Length
+        >>> DetectionRecord(1, length=Length(0.3), flags="depth-hollow").known_length is None
+        True
+        """
+        return None if is_unknown(self.flags.split()) else self.length
+
+    @property
+    def whole_length(self) -> Length | None:
+        """The length that counts in statistics: known, and no lower bound."""
+        return None if self.at_least else self.known_length
 
     @property
     def inner_arc_mm_per_10cm(self) -> float | None:

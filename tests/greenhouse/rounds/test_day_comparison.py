@@ -176,8 +176,9 @@ def test_lengths_that_mean_different_things_give_no_growth(
     assert (fruit.change, fruit.growth_m_per_day) == (Change.STAYED, None)
 
 
-def test_a_lower_bound_gives_no_growth(store: Store) -> None:
-    [first] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)}, flags="end-hidden")
+@pytest.mark.parametrize("flags", ["end-hidden", "depth-sparse", "interval-too-wide"])
+def test_a_length_that_is_a_bound_or_unknown_gives_no_growth(store: Store, flags: str) -> None:
+    [first] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)}, flags=flags)
     [last] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
     store.link_growth(first, last)
     assert compare(store, MONDAY, TUESDAY).counts().growth_m_per_day is None

@@ -5,9 +5,16 @@ from pathlib import Path
 
 import pytest
 
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.measurement.result import Length
+from cucumbervision_greenhouse.rounds.forecasting import detection_rates, fruit_states
 from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first
+from cucumbervision_greenhouse.rounds.fruit_table import (
+    around,
+    fruit_table,
+    least_sure_first,
+    round_figures,
+)
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.rounds.row_fruit import FalseShare
 from cucumbervision_greenhouse.store.records import (
@@ -111,3 +118,25 @@ def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store:
     assert row.count.real.max() == 1.0  # the accepted one is a fruit
     low, high = row.count.interval()
     assert low <= row.count.expected <= high
+
+
+def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path: Path) -> None:
+    """Of 0.30, 0.32, 0.60 (outline and depth apart) and 0.10 m (in part), the first two count."""
+    flagged = {0.30: "", 0.32: "", 0.60: "depth-unaligned", 0.10: "end-hidden"}
+    fruit = tuple(
+        DetectionRecord(n, score=0.9, length=Length(length_m), centreline_m=length_m, flags=flags)
+        for n, (length_m, flags) in enumerate(flagged.items(), 1)
+    )
+    with open_store(tmp_path / "figures.db") as opened:
+        opened.save_round(MONDAY)
+        captures = (CaptureRecord("a", fruit=fruit),)
+        opened.save_stop(StopRecord(key_of("stop"), MONDAY.key, "1", captures=captures))
+        content = read_round(opened, MONDAY.key)
+    table = fruit_table(content)
+    figures = round_figures(content, table)
+    assert (figures.fruit, figures.measured) == (4, 4)
+    assert (figures.shortest_m, figures.longest_m) == (0.30, 0.32)
+    assert figures.mean_m == pytest.approx(0.31)
+    states = fruit_states(table, 0.0, load_profile("long-cucumber"))
+    assert sorted(state.length_m for state in states) == [0.10, 0.30, 0.32]
+    assert detection_rates((), table).found == 0.75

@@ -25,6 +25,7 @@ from cucumbervision.measurement.intervals import (
 )
 from cucumbervision.measurement.result import FruitMeasurement, MethodName, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.measurement.trees import Trees
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -38,14 +39,11 @@ STEM = replace(TRUE, stem=1.0)
 _M6 = "M6" + PERCEIVED
 
 
-def model(key: str, sigma: float, high: float = 1.0) -> IntervalModel:
+def model(key: str, spread: float, low: float = 1.0) -> IntervalModel:
     """An interval that is narrow below and wide above where an end is covered."""
-    bands = {
-        "": Band(0.0, 1.0, 1.0, 500),
-        "0": Band(0.0, 1.0, 1.0, 500),
-        "1": Band(-0.1, high, 1, 9),
-    }
-    return IntervalModel(key, 0.9, (), (np.log(sigma),), bands, (("covered", (0.5,)),))
+    bands = {"": Band(1.0, 1.0, 500), "0": Band(1.0, 1.0, 500), "1": Band(low, 1.0, 9)}
+    trees = Trees(np.log(spread))
+    return IntervalModel(key, 0.9, (), trees, trees, bands, (("covered", (0.5,)),))
 
 
 MODELS = IntervalModels(
@@ -110,17 +108,16 @@ def test_the_interval_depends_on_the_look(capture: tuple[Capture, Instance, Inst
     assert before[0].length is not None
     value = before[0].length.value_m
     assert before[0].length.high_m == pytest.approx(value * np.exp(np.hypot(0.2, 1.6449 * REAL_SD)))
-    for end, high in ((TRUE, np.hypot(0.02, 1.6449 * REAL_SD)), (COVERED, 0.5)):
+    for end, spread in ((TRUE, 0.02), (COVERED, 20 * 0.02)):
         (after,) = with_end_looks(
             picture, before, Looker(TRUE, end), scale_known=True, models=MODELS
         )
         assert after.length is not None
         assert after.length.value_m == value
-        expected = high if end is TRUE else 0.1 + np.hypot(0.4, 1.6449 * REAL_SD)
+        expected = np.hypot(spread, 1.6449 * REAL_SD)
         assert after.length.high_m == pytest.approx(value * np.exp(expected), rel=1e-3)
-        # The bias of a covered end says that the fruit is longer: the length still bounds it.
-        assert after.length.low_m is not None
-        assert after.length.low_m <= value
+        narrow = np.hypot(0.02, 1.6449 * REAL_SD)
+        assert after.length.low_m == pytest.approx(value * np.exp(-narrow), rel=1e-3)
 
 
 def test_the_look_counts_though_depth_shows_both_ends_open() -> None:
@@ -128,7 +125,7 @@ def test_the_look_counts_though_depth_shows_both_ends_open() -> None:
     unseen = MODELS.interval("M6", 0.2, features)
     assert unseen == pytest.approx((0.2 * np.exp(-0.2), 0.2 * np.exp(0.2)))
     looked_at = MODELS.interval("M6", 0.2, {**features, **look_features((TRUE, COVERED))})
-    assert looked_at == pytest.approx((0.2 * np.exp(0.1 - 0.02), 0.2 * np.exp(0.1 + 0.4)))
+    assert looked_at == pytest.approx((0.2 * np.exp(-0.02), 0.2 * np.exp(0.4)))
 
 
 def test_a_doubtful_end_is_named_by_its_place(capture: tuple[Capture, Instance, Instance]) -> None:

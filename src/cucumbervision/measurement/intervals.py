@@ -21,6 +21,7 @@ from cucumbervision.measurement.result import (
     LengthDefinition,
     calibration_key,
 )
+from cucumbervision.measurement.trees import Trees
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,7 +35,9 @@ PERCEIVED = " perceived"
 LOOKED = " looked"
 """Behind these, of models for fruit at whose ends a network looked."""
 
-FLOOR = 1e-4  # of the length: minimum relative sigma
+FLOOR = 1e-4  # of a length: what counts as nothing
+LEAST_SPREAD, LARGEST_SPREAD = 0.002, 2.7
+"""Limits of what trees spread an interval by to one side, as a logarithm of the length."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +46,14 @@ class Band:
 
     Parameters
     ----------
-    bias : float
-        Median log error.
     low_quantile, high_quantile : float
-        Conformal quantiles of (log error - bias) / sigma on both sides, each with a miss rate of
-        (1 - level) / 2, for a known depth scale. A method that reads short has a long lower side.
+        Conformal quantiles of -error / spread below and error / spread above, each with a miss rate
+        of (1 - level) / 2, for a known depth scale; the error is a logarithm. Where no more than
+        that err to one side, its quantile is 0 and the other has a miss rate of 1 - level.
     count : int
         Calibration readings behind the quantiles.
     """
 
-    bias: float
     low_quantile: float
     high_quantile: float
     count: int
@@ -60,7 +61,10 @@ class Band:
 
 @dataclass(frozen=True)
 class IntervalModel:
-    """Uncertainty of one method's length, relative to it.
+    """Uncertainty of one method's length, relative to it: conformalized quantile regression.
+
+    Trees predict how far errors reach to either side, from the features; within groups their
+    answers are scaled to the nominal coverage (Romano, Patterson and Candes, 2019).
 
     Parameters
     ----------
@@ -70,8 +74,9 @@ class IntervalModel:
         Level of the quantiles.
     features : tuple of str
         Names of the features.
-    weights : tuple of float
-        Constant and one weight per feature, for log(relative sigma).
+    below, above : Trees
+        Logarithm of the spread of errors below and above 0: of lengths measured too short, and too
+        long.
     bands : dict of str to Band
         Bands by group (`feature_groups`): '' for all fruit, '1' and '1-0' for subgroups by the
         first and second of the `edges`, and so on.
@@ -86,15 +91,17 @@ class IntervalModel:
     method: str
     level: float
     features: tuple[str, ...]
-    weights: tuple[float, ...]
+    below: Trees
+    above: Trees
     bands: dict[str, Band]
     edges: tuple[tuple[str, tuple[float, ...]], ...] = ()
     missing: str = ""
 
-    def sigma(self, values: Mapping[str, float]) -> float:
-        """Return the relative sigma for one measurement's features; missing ones count as 0."""
-        row = np.array([1.0, *(values.get(name, 0.0) for name in self.features)])
-        return float(np.exp(np.clip(row @ np.array(self.weights), np.log(FLOOR), 0.0)))
+    def spreads(self, values: Mapping[str, float]) -> tuple[float, float]:
+        """Return the spreads of errors below and above 0; missing features count as 0."""
+        row = np.array([values.get(name, 0.0) for name in self.features])
+        below, above = (np.exp(trees.value(row)) for trees in (self.below, self.above))
+        return _spread(below), _spread(above)
 
     def band(self, values: Mapping[str, float]) -> Band:
         """Return the band of the smallest group that had enough readings to have one."""
@@ -120,18 +127,22 @@ class IntervalModel:
 
         Examples
         --------
-        >>> bands = {"": Band(0.0, 2.0, 2.0, 500)}
-        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands)
+        >>> spread = Trees(np.log(0.01))
+        >>> model = IntervalModel("M6", 0.9, (), spread, spread, {"": Band(2.0, 2.0, 500)})
         >>> [round(x, 4) for x in model.interval(0.2, {})]
         [0.196, 0.204]
         """
-        sigma, band = self.sigma(values), self.band(values)
-        added_sd = _normal_quantile(self.level) * more_sd
-        low_sd = float(np.hypot(band.low_quantile * sigma, added_sd))
-        high_sd = float(np.hypot(band.high_quantile * sigma, added_sd))
-        # error = log(measured / true) lies in [bias - missing - low, bias - missing + high].
-        longer = values.get(self.missing, 0.0) - band.bias
-        return length_m * float(np.exp(longer - high_sd)), length_m * float(np.exp(longer + low_sd))
+        (below, above), band = self.spreads(values), self.band(values)
+        added = _normal_quantile(self.level) * more_sd
+        short = float(np.hypot(band.low_quantile * below, added))
+        long = float(np.hypot(band.high_quantile * above, added))
+        # The error, log(measured / true) + missing, lies from -short to long.
+        missing = values.get(self.missing, 0.0)
+        return length_m * float(np.exp(missing - long)), length_m * float(np.exp(missing + short))
+
+
+def _spread(value: float) -> float:
+    return float(min(max(value, LEAST_SPREAD), LARGEST_SPREAD))
 
 
 def feature_groups(

@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.errors import MissingExtraError
 from cucumbervision.measurement.intervals import (
-    FLOOR,
+    LARGEST_SPREAD,
+    LEAST_SPREAD,
     Band,
     IntervalModel,
     IntervalModels,
     feature_groups,
 )
 from cucumbervision.measurement.result import IntervalBasis
+from cucumbervision.measurement.trees import Trees
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 _SMALLEST_GROUP = 60  # readings; smaller groups use the enclosing group
 
 _FOLDS = 5
+_QUANTILE, _TREES, _RATE, _SMALLEST_LEAF = 0.9, 60, 0.08, 40  # of the trees
 
 _MASK_FEATURES = ("certainty", "own_mask", "goes_on", "ends_disagree")
 
@@ -106,10 +110,10 @@ def fit_interval_model(
     smallest_group: int = _SMALLEST_GROUP,
     missing: str = "",
 ) -> IntervalModel:
-    """Fit sigma, and quantiles of the normalised errors of held-out fruit.
+    """Fit the spreads of errors, and the quantiles of held-out errors relative to them.
 
-    Sigma is fitted in five folds, and the quantiles are taken over the errors of the held-out folds
-    (cross-conformal prediction; Vovk 2015). The final sigma is fitted on all fruit.
+    Spreads are fitted in five folds, and the quantiles are taken over the errors of the held-out
+    folds (cross-conformal prediction; Vovk 2015). The final spreads are fitted on all fruit.
 
     Parameters
     ----------
@@ -130,7 +134,6 @@ def fit_interval_model(
     smallest_group : int
         Readings that a group needs for quantiles of its own; a smaller one uses those of the
         group around it.
-
     missing : str
         Feature that holds how much longer than measured a fruit is expected to be, as a logarithm.
 
@@ -143,51 +146,111 @@ def fit_interval_model(
     ------
     ValueError
         If there are too few fruit for the level.
+    MissingExtraError
+        If scikit-learn is not installed.
     """
     error, names = np.asarray(errors, float), tuple(features)
     if missing:
         error = error + np.asarray(features[missing], float)
-    columns = np.stack(
-        [np.ones_like(error), *(np.asarray(features[n], float) for n in names)], axis=1
+    columns = np.array([np.asarray(features[name], float) for name in names]).reshape(
+        len(names), len(error)
     )
-    rows = [dict(zip(names, row[1:], strict=True)) for row in columns]
+    rows = [dict(zip(names, row, strict=True)) for row in columns.T]
     groups = [feature_groups(edges, row) for row in rows]
     members = {
         group: np.array([group in members for members in groups])
         for group in sorted({group for members in groups for group in members})
     }
-    fold, sigma = _folds(np.asarray(fruit), seed), np.empty_like(error)
-    for held_out in (fold == k for k in range(_FOLDS)):
-        sigma[held_out] = _sigma(
-            columns[held_out], _log_linear(_size(error[~held_out]), columns[~held_out])
-        )
+    spreads = _held_out_spreads(error, columns.T, _folds(np.asarray(fruit), seed))
     bands = {
-        group: _band(error[chosen], sigma[chosen], level)
+        group: _band(error[chosen], spreads[:, chosen], level)
         for group, chosen in members.items()
         if not group or chosen.sum() >= smallest_group
     }
-    weights = tuple(map(float, _log_linear(_size(error), columns)))
-    return IntervalModel(method, level, names, weights, bands, edges, missing)
+    below, above = _fitted_sides(error, columns.T)
+    return IntervalModel(method, level, names, below, above, bands, edges, missing)
 
 
-def _size(error: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.abs(error - np.median(error)))
+def _held_out_spreads(
+    error: NDArray[np.float64], rows: NDArray[np.float64], fold: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return the spreads below and above, (2, N), each by trees that did not know the fruit."""
+    spreads = np.empty((2, len(error)))
+    for held_out in (fold == k for k in range(_FOLDS)):
+        sides = _fitted_sides(error[~held_out], rows[~held_out])
+        for side, trees in enumerate(sides):
+            spreads[side, held_out] = [trees.value(row) for row in rows[held_out]]
+    return np.clip(np.exp(spreads), LEAST_SPREAD, LARGEST_SPREAD)
 
 
-def _sigma(columns: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.exp(np.clip(columns @ weights, np.log(FLOOR), 0.0)))
-
-
-def _band(error: NDArray[np.float64], sigma: NDArray[np.float64], level: float) -> Band:
-    bias = float(np.median(error))
-    scores = (error - bias) / sigma
-    side = (1 + level) / 2
-    return Band(
-        bias,
-        max(conformal_quantile(-scores, side), 0.0),
-        max(conformal_quantile(scores, side), 0.0),
-        len(scores),
+def _fitted_sides(error: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[Trees, Trees]:
+    """Return the trees of errors below and above 0."""
+    below, above = (
+        fitted_trees(np.log(np.maximum(side + LEAST_SPREAD, LEAST_SPREAD)), rows)
+        for side in (-error, error)
     )
+    return below, above
+
+
+def fitted_trees(target: NDArray[np.float64], rows: NDArray[np.float64]) -> Trees:
+    """Fit a quantile of a value by its features, by gradient boosting.
+
+    Parameters
+    ----------
+    target : ndarray of float64, shape (N,)
+        The values.
+    rows : ndarray of float64, shape (N, F)
+        Features of each.
+
+    Raises
+    ------
+    MissingExtraError
+        If scikit-learn is not installed.
+    """
+    if not rows.shape[1]:
+        return Trees(float(np.quantile(target, _QUANTILE)))
+    try:
+        from sklearn.ensemble import GradientBoostingRegressor
+    except ImportError as error:
+        raise MissingExtraError("scikit-learn", "benchmark") from error
+    boosted = GradientBoostingRegressor(
+        loss="quantile",
+        alpha=_QUANTILE,
+        n_estimators=_TREES,
+        learning_rate=_RATE,
+        max_depth=2,
+        min_samples_leaf=_SMALLEST_LEAF,
+        random_state=0,
+    ).fit(rows, target)
+    parts = [_parts_of(estimator.tree_) for estimator in boosted.estimators_[:, 0]]
+    features, limits, leaves = zip(*parts, strict=True)
+    return Trees(float(boosted.init_.constant_.item()), features, limits, leaves)
+
+
+def _parts_of(tree: Any) -> tuple[Any, Any, Any]:
+    """Return features, limits and leaves of a fitted tree; a node that it lacks splits nothing."""
+
+    def below_and_above(node: int) -> tuple[int, int]:
+        split = tree.children_left[node] >= 0
+        return (tree.children_left[node], tree.children_right[node]) if split else (node, node)
+
+    inner = (0, *below_and_above(0))
+    features = tuple(max(int(tree.feature[node]), 0) for node in inner)
+    limits = tuple(float(tree.threshold[node]) for node in inner)
+    leaves = [leaf for node in inner[1:] for leaf in below_and_above(node)]
+    return features, limits, tuple(_RATE * float(tree.value[leaf].item()) for leaf in leaves)
+
+
+def _band(error: NDArray[np.float64], spreads: NDArray[np.float64], level: float) -> Band:
+    short, long = -error / spreads[0], error / spreads[1]
+    side = (1 + level) / 2
+    low, high = conformal_quantile(short, side), conformal_quantile(long, side)
+    # Where all misses lie on one side, that side takes both halves of the miss rate.
+    if high <= 0:
+        return Band(conformal_quantile(short, level), 0.0, len(error))
+    if low <= 0:
+        return Band(0.0, conformal_quantile(long, level), len(error))
+    return Band(low, high, len(error))
 
 
 def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
@@ -196,49 +259,35 @@ def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
     return np.asarray(order[place] % _FOLDS)
 
 
-def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit log |error| as a linear function of the features (Huber loss, weak ridge)."""
-    from scipy.optimize import least_squares
-
-    target = np.log(np.maximum(size, FLOOR))
-    ridge = 1e-3 * np.sqrt(len(target))
-
-    def residuals(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([columns @ weights - target, ridge * weights[1:]])
-
-    start = np.zeros(columns.shape[1])
-    start[0] = np.median(target)
-    coefficients: NDArray[np.float64] = least_squares(residuals, start, loss="huber", f_scale=1.0).x
-    return coefficients
-
-
 def write_interval_models(path: Path, models: IntervalModels) -> None:
-    """Write interval models as JSON with nine significant digits.
+    """Write interval models as JSON with six significant digits, a model to a line.
 
     Examples
     --------
     >>> import tempfile, pathlib
     >>> from cucumbervision.measurement.intervals import read_interval_models
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
-    >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
-    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
+    >>> tilted = Trees(-4.5, ((0, 0, 0),), ((0.5, 0.2, 0.9),), ((-0.1, 0.0, 0.1, 0.2),))
+    >>> bands, edges = {"": Band(1.5, 1.7, 700)}, (("tilt", (0.25,)),)
+    >>> model = IntervalModel("M6", 0.9, ("tilt",), tilted, Trees(-4.0), bands, edges)
     >>> models = IntervalModels(0.9, {"M6": model}, 700)
     >>> write_interval_models(path, models)
     >>> read_interval_models(path) == models
     True
     """
-    content = {
+    head = {
         "basis": str(IntervalBasis.SIMULATED),
         "level": models.level,
         "fruit": models.fruit,
-        "models": [_rounded(asdict(model)) for model in models.models.values()],
     }
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    lines = [json.dumps(_rounded(asdict(model))) for model in models.models.values()]
+    text = json.dumps(head)[:-1] + ', "models": [\n' + ",\n".join(lines) + "\n]}\n"
+    path.write_text(text, encoding="utf-8")
 
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, float):
-        return float(f"{value:.9g}")
+        return float(f"{value:.6g}")
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value

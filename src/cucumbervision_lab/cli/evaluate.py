@@ -147,8 +147,7 @@ def benchmark(
         with part_bars() as report:
             book = learn(learn_intervals, out, learn_fruit, learn_set, workers, report)
         for key, model in book.models.items():
-            band = model.bands[""]
-            show(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
+            show(f"{key}: {model.bands[''].count} readings")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
     plan = run.BenchmarkOptions(quick, stress, workers)

@@ -5,9 +5,15 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sklearn.ensemble import GradientBoostingRegressor
 
 from cucumbervision.measurement.intervals import Band, IntervalModel
-from cucumbervision_lab.benchmark.interval_fit import conformal_quantile, fit_interval_model
+from cucumbervision.measurement.trees import Trees
+from cucumbervision_lab.benchmark.interval_fit import (
+    conformal_quantile,
+    fit_interval_model,
+    fitted_trees,
+)
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -29,8 +35,11 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
     rng = np.random.default_rng(3)
     errors, features = simulated(rng, 3000)
     model = fit_interval_model("M6", errors, features, np.arange(3000).astype(str))
-    assert model.weights[1] == pytest.approx(1.5, abs=0.25)
-    assert model.weights[2] == pytest.approx(2.0, abs=0.4)
+    for tilt, hidden in ((0.1, 0.1), (0.5, 0.3), (0.9, 0.5)):
+        # 90 % of the errors, which are 0.002 too long, and the least spread, 0.002, beyond.
+        size = 1.2816 * 0.004 * np.exp(1.5 * tilt + 2.0 * hidden)
+        below, above = model.spreads({"tilt": tilt, "hidden": hidden})
+        assert (below, above) == pytest.approx((size, size + 0.004), rel=0.3)
     errors, features = simulated(rng, 8000)
     truth = 0.2
     covered = np.empty(8000, bool)
@@ -45,7 +54,8 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
 
 
 def test_an_unknown_depth_scale_widens_the_interval_by_hand() -> None:
-    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), {"": Band(0.0, 1.5, 1.5, 100)})
+    spread = Trees(np.log(0.01))
+    model = IntervalModel("M6", 0.9, (), spread, spread, {"": Band(1.5, 1.5, 100)})
     low, high = model.interval(0.3, {}, 0.01)
     half = np.hypot(1.5 * 0.01, 1.6449 * 0.01)
     assert low == pytest.approx(0.3 * np.exp(-half), rel=1e-4)
@@ -63,27 +73,28 @@ def test_a_method_that_reads_short_gets_a_long_upper_end() -> None:
 
 
 def test_readings_of_one_fruit_stay_in_one_fifth() -> None:
-    # A feature that names the fruit, and an error that each fruit has of its own: sigma knows the
-    # errors of its own fruit only, so that the scores are larger than those of a fruit it knew.
+    # A feature that numbers the fruit, and an error that each fruit has of its own: trees know the
+    # errors of the fruit they were fitted on, so that the scores of others are larger.
     rng = np.random.default_rng(5)
-    fruit = np.repeat(np.arange(40), 25)
-    errors = np.exp(rng.normal(-4, 1, 40))[fruit] * rng.choice([-1, 1], 1000)
-    features = {f"is {k}": (fruit == k).astype(float) for k in range(40)}
+    fruit = np.repeat(np.arange(10), 100)
+    errors = np.exp(rng.normal(-4, 1.5, 10))[fruit] * rng.choice([-1, 1], 1000)
+    features = {"number": fruit.astype(float)}
     apart = fit_interval_model("M6", errors, features, fruit.astype(str))
     mixed = fit_interval_model("M6", errors, features, np.arange(1000).astype(str))
-    assert apart.weights == pytest.approx(mixed.weights)
+    assert apart.above == mixed.above
     assert apart.bands[""].high_quantile > 1.5 * mixed.bands[""].high_quantile
     assert apart.bands[""].count == mixed.bands[""].count == 1000
 
 
 def test_missing_features_count_as_zero() -> None:
-    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), {"": Band(0.0, 1.0, 1.0, 9)})
-    assert model.sigma({}) == pytest.approx(0.01)
-    assert model.sigma({"tilt": 1.0}) == pytest.approx(0.01 * np.e)
+    by_tilt = Trees(np.log(0.01), ((0, 0, 0),), ((0.5, 0.2, 0.8),), ((0.0, 0.3, 0.6, 1.0),))
+    bands = {"": Band(1.0, 1.0, 9)}
+    model = IntervalModel("M6", 0.9, ("tilt",), by_tilt, Trees(np.log(0.02)), bands)
+    assert model.spreads({}) == pytest.approx((0.01, 0.02))
+    assert model.spreads({"tilt": 1.0}) == pytest.approx((0.01 * np.e, 0.02))
 
 
-def test_groups_cover_by_themselves_where_sigma_cannot_tell() -> None:
-    # The error's size jumps with the tilt in a way that no log-linear sigma follows.
+def test_groups_cover_by_themselves() -> None:
     rng = np.random.default_rng(11)
     edges = (("tilt", (0.5,)),)
 
@@ -112,3 +123,23 @@ def test_a_group_of_few_goes_with_all() -> None:
     )  # fmt: skip
     assert model.band({"tilt": 0.9}) == model.bands[""]
     assert model.band({"tilt": 0.1}) == model.bands["0"]
+
+
+def test_trees_are_those_of_scikit_learn() -> None:
+    rng = np.random.default_rng(13)
+    rows = rng.uniform(0, 1, (600, 3))
+    target = np.where(rows[:, 0] > 0.5, rows[:, 1], 0.2) * rng.normal(1, 0.2, 600)
+    trees = fitted_trees(target, rows)
+    expected = GradientBoostingRegressor(
+        loss="quantile", alpha=0.9, n_estimators=60, learning_rate=0.08, max_depth=2,
+        min_samples_leaf=40, random_state=0,
+    ).fit(rows, target)  # fmt: skip
+    assert len(trees.leaves) == 60
+    assert [trees.value(row) for row in rows] == pytest.approx(expected.predict(rows).tolist())
+
+
+def test_where_too_few_tell_nothing_is_split() -> None:
+    """Of 79 readings none can be split into two parts of 40."""
+    rows, target = np.arange(79.0)[:, None], np.arange(79.0)
+    trees = fitted_trees(target, rows)
+    assert {trees.value(np.array([x])) for x in (0.0, 78.0)} == {trees.value(np.array([40.0]))}

@@ -314,8 +314,8 @@ def main() -> None:
     shipped = open_networks(*chosen, None, ranked=False)
     assert shipped.segment is not None
     assert shipped.fruit is not None
-    largest_px = max(shipped.segment._sizes_px[0])
-    single = open_networks(chosen[0], None, None, ranked=False, input_sizes=(largest_px,))
+    long_side_px = max(shipped.segment._sizes_px[0])
+    single = open_networks(chosen[0], None, None, ranked=False, input_sizes=(long_side_px,))
     scores: dict[tuple[str, str], Score] = {}
     passes = SharedPasses()
     with patch.object(YoloDetector, "_detect_at", passes):

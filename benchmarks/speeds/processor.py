@@ -27,12 +27,12 @@ def processor(quick: bool) -> list[Figure]:
     """Compare the processor time of a capture beyond its networks with that within them."""
     rounds = 2 if quick else 9
     captures = list_captures([example_captures()], MODELS.reading)
-    listed = [one for one in captures if isinstance(one, Listed)]
+    listed = [entry for entry in captures if isinstance(entry, Listed)]
     clock, stream = StageClock(), FruitStream.fast(MODELS)
-    frames = [one.ref.load() for one in listed]
+    frames = [entry.ref.load() for entry in listed]
     with tempfile.TemporaryDirectory() as tmp:
         worker = FolderWorker(Measurer(MODELS), OutputFolder(Path(tmp)))
-        tasks = [partial(worker, Task(**vars(one))) for one in listed]
+        tasks = [partial(worker, Task(**vars(entry))) for entry in listed]
         of_capture = stage_ms(clock, tasks, rounds)
     of_frame = stage_ms(clock, [partial(stream.take, frame) for frame in frames], rounds)
     stages = by_stage("measure", of_capture) + by_stage("stream --fast", of_frame)

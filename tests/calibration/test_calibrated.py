@@ -71,7 +71,7 @@ def fruit(
     measured = Measurement(method, length_m, LengthKind.SURFACE_CHORD)
     return FruitMeasurement(
         Instance(np.array([0.0, 0, 9, 9])), {method: measured}, measured, Choice.DENSE_MASK,
-        flags=(Flag.CUT_BY_FRAME,), mask_source=mask_source,
+        flags=(Flag.ENDS_UNSURE,), mask_source=mask_source,
         length=Length(length_m, kind, **interval),
     )  # fmt: skip
 
@@ -87,7 +87,7 @@ def test_a_fruit_is_corrected_and_says_so() -> None:
     assert done.length.kind is done.length.interval_of is LengthDefinition.CENTRELINE
     assert done.length.basis is IntervalBasis.OWN_TRUTH
     assert done.calibration == chosen.tag
-    assert done.flags == (Flag.CUT_BY_FRAME,)
+    assert done.flags == (Flag.ENDS_UNSURE,)
     assert done.measurements[MethodName.M3].length_m == 0.20
 
 
@@ -105,7 +105,7 @@ def test_what_it_does_not_cover_stays_and_is_flagged(
 ) -> None:
     before = fruit(**changes)
     done = calibrated_fruit(before, site(entry()), definition)
-    assert done.flags == (Flag.CUT_BY_FRAME, flag)
+    assert done.flags == (Flag.ENDS_UNSURE, flag)
     assert (done.length, done.raw_length, done.calibration) == (before.length, None, None)
 
 
@@ -114,7 +114,7 @@ def test_beyond_the_calibrated_lengths_there_is_no_interval() -> None:
     assert done.length is not None
     assert done.length.value_m == pytest.approx(0.384)
     assert done.length.low_m is None
-    assert done.flags == (Flag.CUT_BY_FRAME, Flag.OUTSIDE_RANGE)
+    assert done.flags == (Flag.ENDS_UNSURE, Flag.OUTSIDE_RANGE)
     nothing = calibrated_fruit(fruit(0.08), site(entry(offset_m=-0.1)))
     assert nothing.length == Length(0.08, LengthKind.SURFACE_CHORD)
     assert nothing.calibration is None
@@ -139,6 +139,36 @@ def test_hardly_any_depth_has_no_interval_after_a_correction_either() -> None:
     assert done is not None
     assert done.value_m == pytest.approx(0.23)
     assert done.low_m is None
+
+
+@pytest.mark.parametrize(
+    "flag", [Flag.END_HIDDEN, Flag.CUT_BY_FRAME, Flag.LOWER_END, Flag.DEPTH_UNALIGNED]
+)
+def test_fruit_unlike_those_measured_by_hand_keep_their_own_interval(flag: Flag) -> None:
+    """18 cm [17, 30] of a fruit that may go on: 1.1 x + 1 cm of each, and not 5 % to both sides."""
+    kind = LengthDefinition.CENTRELINE
+    simulated: dict[str, Any] = {
+        "low_m": 0.17, "high_m": 0.30, "interval_of": kind, "basis": IntervalBasis.SIMULATED,
+    }  # fmt: skip
+    before = fruit(0.18, MethodName.M6, kind, **simulated)
+    chosen = site(entry(method="M6"))
+    sound = calibrated_fruit(before, chosen).length
+    assert sound is not None
+    assert (sound.low_m, sound.high_m) == pytest.approx((0.208 * 0.95, 0.208 * 1.05))
+    done = calibrated_fruit(before.flagged(flag), chosen).length
+    assert done is not None
+    assert (done.value_m, done.low_m, done.high_m) == pytest.approx((0.208, 0.197, 0.340))
+    assert done.basis is IntervalBasis.SIMULATED
+    as_measured = site(entry(Form.NONE, method="M6"))
+    assert calibrated_fruit(before.flagged(flag), as_measured).length == before.length
+
+
+def test_an_own_interval_takes_the_place_of_one_that_was_too_wide() -> None:
+    before = fruit().flagged(Flag.INTERVAL_TOO_WIDE)
+    done = calibrated_fruit(before, site(entry()))
+    assert done.length is not None
+    assert done.length.basis is IntervalBasis.OWN_TRUTH
+    assert done.flags == (Flag.ENDS_UNSURE,)
 
 
 def test_no_correction_but_an_interval() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.accuracy.measured import Measured, read_measured
+from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import (
     DepthScaleEntry,
@@ -124,6 +125,35 @@ def test_readings_of_another_method_do_not_count(site: Path, tmp_path: Path) -> 
     measured = changed(site / "run", tmp_path, fall_back)
     (entry,) = calibrate_lengths(measured, read_truth(site / "truth.csv"), "x").corrections
     assert entry.captures == 8
+
+
+@pytest.mark.parametrize("flag", ["end-hidden", "depth-unaligned"])
+def test_what_goes_on_out_of_sight_teaches_no_correction(
+    site: Path, tmp_path: Path, flag: str
+) -> None:
+    """Four fruit of which half was seen, at half of their length, change nothing."""
+
+    def halve(report: dict[str, Any]) -> None:
+        for capture in report["captures"][:4]:
+            (fruit,) = capture["fruit"]
+            fruit["flags"] = f"{fruit['flags']} {flag}".strip()
+            fruit["methods"]["M3"]["length_m"] /= 2
+
+    def drop(report: dict[str, Any]) -> None:
+        for capture in report["captures"][:4]:
+            capture["fruit"][0]["methods"]["M3"]["fallback"] = ["M3:too-few-points"]
+
+    truth = read_truth(site / "truth.csv")
+    for folder in ("halved", "dropped"):
+        (tmp_path / folder).mkdir()
+    halved = changed(site / "run", tmp_path / "halved", halve)
+    assert sum(not reading.is_whole for reading in halved.readings) == 4
+    dropped = changed(site / "run", tmp_path / "dropped", drop)
+    expected = calibrate_lengths(dropped, truth, "x").corrections
+    assert calibrate_lengths(halved, truth, "x").corrections == expected
+    assert any(
+        "4 fruit go on out of sight" in note for note in evaluate_lengths(halved, truth).notes
+    )
 
 
 def test_two_cameras_are_refused(site: Path, tmp_path: Path) -> None:

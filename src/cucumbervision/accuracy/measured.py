@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.accuracy.truth import parse_number, read_table
 from cucumbervision.errors import CucumberVisionError, wrap_reader_errors
 from cucumbervision.files import read_json
+from cucumbervision.measurement.flags import LOWER_BOUND, NO_DEPTH
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -54,6 +55,19 @@ class Reading:
     distance_m: float = math.nan
     fill: float = math.nan
     flags: str = ""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of the fruit was measured, and at its distance.
+
+        Examples
+        --------
+        >>> Reading("a", 1, {}, flags="ends-unsure").is_whole
+        True
+        >>> Reading("a", 1, {}, flags="end-hidden").is_whole
+        False
+        """
+        return (LOWER_BOUND | NO_DEPTH).isdisjoint(self.flags.split())
 
 
 @dataclass(frozen=True)

@@ -243,6 +243,12 @@ def _notes(
             "No column 'specimen': each fruit of each capture counts as a fruit of its own. If "
             "some were captured several times, name them, or the intervals are too narrow."
         )
+    in_part = sum(not reading.is_whole for _, reading in pairs)
+    if in_part:
+        notes.append(
+            f"{in_part} fruit go on out of sight, or have a flag of wrong depth: they count as "
+            "errors here, and a calibration leaves them out."
+        )
     if missed:
         notes.append(f"{missed} fruit were not found at all and count as 100 % error.")
     if truth.unused:

@@ -11,7 +11,7 @@ from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.flags import DOUBTFUL_END, LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.measurement.result import (
     FruitMeasurement,
     IntervalBasis,
@@ -21,7 +21,7 @@ from cucumbervision.measurement.result import (
 )
 
 if TYPE_CHECKING:
-    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
 
 _RANGE_MARGIN = 0.10
@@ -64,6 +64,19 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
     return replace(capture, depth_m=depth_m, intrinsics=intrinsics)
 
 
+_UNLIKE = frozenset({*LOWER_BOUND, *NO_DEPTH, *DOUBTFUL_END.values()})
+"""Flags of fruit unlike those from which a calibration's interval was learnt."""
+
+
+def _corrected_length(raw: Length, entry: CorrectionEntry, *, keep: bool) -> Length:
+    """Return a corrected length, and with `keep` its interval, corrected in the same way."""
+    value_m, kind = float(corrected(raw.value_m, entry.scale, entry.offset_m)), entry.truth_kind
+    if not keep or raw.low_m is None or raw.high_m is None or raw.interval_of is not kind:
+        return Length(value_m, kind)
+    low_m, high_m = corrected([raw.low_m, raw.high_m], entry.scale, entry.offset_m).tolist()
+    return Length(value_m, kind, min(low_m, value_m), max(high_m, value_m), kind, raw.basis)
+
+
 def calibrated_fruit(
     fruit: FruitMeasurement,
     site: SiteCalibration,
@@ -84,8 +97,9 @@ def calibrated_fruit(
     -------
     FruitMeasurement
         The fruit with `calibration`, the uncorrected `raw_length`, the corrected `length` and, if
-        the calibration has one, its interval. If the calibration does not apply to the method, mask
-        or length, only a flag is added.
+        the calibration has one, its interval. A fruit that may go on out of sight, or whose depth
+        cannot be its distance, keeps its interval from simulated fruit, corrected. If the
+        calibration does not apply to the method, mask or length, only a flag is added.
     """
     if site.depth_scale is not None:
         fruit = replace(fruit, calibration=site.tag)
@@ -100,15 +114,21 @@ def calibrated_fruit(
     value_m = float(corrected(raw.value_m, entry.scale, entry.offset_m))
     if value_m <= 0:
         return fruit.flagged(Flag.OUTSIDE_RANGE)
-    # The previous interval belongs to the uncorrected length.
-    length = raw if entry.form is Form.NONE else Length(value_m, entry.truth_kind)
+    # The interval of a whole fruit belongs to the uncorrected length. That of one which may go on
+    # out of sight holds what is missing, of which fruit measured by hand say nothing.
+    is_alike = _UNLIKE.isdisjoint(fruit.flags)
+    if Flag.INTERVAL_TOO_WIDE in fruit.flags and fruit.fit is not None:
+        is_alike = False
+    length = raw if entry.form is Form.NONE else _corrected_length(raw, entry, keep=not is_alike)
     done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
     low_m, high_m = entry.raw_range_m
     if not (1 - _RANGE_MARGIN) * low_m <= raw.value_m <= (1 + _RANGE_MARGIN) * high_m:
         return done.flagged(Flag.OUTSIDE_RANGE)
     half = entry.interval.half_width
-    if half is None or Flag.DEPTH_SPARSE in fruit.flags:
+    if half is None or not is_alike:
         return done
+    flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
     kind = entry.truth_kind
     limits = value_m * (1 - half), value_m * (1 + half)
-    return replace(done, length=Length(value_m, kind, *limits, kind, IntervalBasis.OWN_TRUTH))
+    length = Length(value_m, kind, *limits, kind, IntervalBasis.OWN_TRUTH)
+    return replace(done, length=length, flags=flags)

@@ -89,7 +89,7 @@ def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibr
     ]
     if not entries:
         raise CalibrationError(
-            "no method measured any of the fruit in the truth",
+            "no method measured any of the fruit in the truth whole",
             source=measured.path,
             remedy="measure with other masks or methods",
         )
@@ -237,6 +237,7 @@ def _entry(
         if length_by_hand.kind is kind
         and comparable(method, kind, reading.kind)
         and method not in reading.fell_back
+        and reading.is_whole
         and (length := reading.lengths_m.get(method))
     ]
     if not usable:

@@ -451,7 +451,7 @@ SENTENCES = (
     marked("calibrate this camera, or choose no calibration in 'Settings'"),
     marked("capture '{name}' is of another camera than the first: {different}"),
     marked("calibrate each camera on its own"),
-    marked("no method measured any of the fruit in the truth"),
+    marked("no method measured any of the fruit in the truth whole"),
     marked("measure with other masks or methods"),
     marked("no grid of {crossings} crossings in {captures} captures"),
     marked("show a flat square grid whose lines are 12 to 60 pixels apart"),
@@ -478,6 +478,10 @@ SENTENCES = (
     marked(
         "No column 'specimen': each fruit of each capture counts as a fruit of its own. If "
         "some were captured several times, name them, or the intervals are too narrow."
+    ),
+    marked(
+        "{n} fruit go on out of sight, or have a flag of wrong depth: they count as errors here, "
+        "and a calibration leaves them out."
     ),
     marked("{n} fruit were not found at all and count as 100 % error."),
     marked("Columns not used: {names}."),

@@ -82,6 +82,13 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
     assert graded.weight_class == "250 to 500 g"
 
 
+@pytest.mark.parametrize("flag", ["end-hidden", "depth-sparse", "interval-too-wide"])
+def test_where_the_size_is_not_known_no_mass_nor_class_of_it_is_given(flag: str) -> None:
+    graded = grade(replace(SOUND, flags=flag), LONG)
+    assert (graded.mass_g, graded.weight_class, graded.diameter_class) == (None, "", "")
+    assert not any("weight" in missing or "volume" in missing for missing in graded.missing)
+
+
 def test_light_fruit_is_in_no_class() -> None:
     graded = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
     assert (graded.verdict, graded.name) == (GradeStatus.NO_CLASS, "no class")

@@ -33,14 +33,17 @@ module.measure_fruit = broken
 
 
 def measure(
-    *arguments: object, limit: Callable[[], None] | None = None, before: str = ""
+    *arguments: object,
+    limit: Callable[[], None] | None = None,
+    before: str = "",
+    encoding: str = "utf-8",
 ) -> subprocess.CompletedProcess[str]:
     command = ["measure", *map(str, arguments), *QUICK]
     program = f"{before}\nfrom cucumbervision.cli.app import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *command],
         capture_output=True,
-        text=True,
+        encoding=encoding,
         check=False,
         preexec_fn=limit,
     )
@@ -110,7 +113,7 @@ def test_a_console_that_lacks_letters_shows_question_marks(
     manifest = json.loads((BENCH / "capture.json").read_text())
     house = named(tmp_path / "黄瓜", json.dumps({**manifest, "name": "黄瓜"}))
     monkeypatch.setenv("PYTHONIOENCODING", "cp1252")
-    done = measure(house, tmp_path / "没有", "--out", tmp_path / "out")
+    done = measure(house, tmp_path / "没有", "--out", tmp_path / "out", encoding="cp1252")
     assert (done.returncode, rows(tmp_path / "out")) == (1, 3)
     assert "??" in done.stdout
     assert "??: does not exist" in done.stderr

@@ -188,9 +188,9 @@ class Grade:
     best_class : str
         The best class that the fruit's shape allows, for the forecast.
     shape, weight_class, diameter_class : str
-        Further classes; empty if the profile has none or a trait is missing.
+        Further classes; empty if the profile has none, or a trait is missing or not known.
     mass_g : float, optional
-        Volume times the profile's density.
+        Volume times the profile's density; None where the size is not known.
     possible : tuple of str
         The classes that the interval spans, shortest first; a single one if it is decided.
     reason : str
@@ -304,7 +304,7 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         shape=shape.name,
         weight_class=weight.name,
         diameter_class=width.name,
-        mass_g=mass_g,
+        mass_g=mass_g if _has_known_size(fruit) else None,
         possible=possible,
         reason=_reason(name, profile, range_m, checks),
     )
@@ -348,11 +348,16 @@ def _checks(
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
     weight = _weight(mass_g, fruit.chord_m, profile)
     width = _width(fruit.diameter_max_m, profile)
-    if fruit.at_least:  # the hidden part adds mass and length, and perhaps diameter
-        return shape, _Check(weight.name), _Check(width.name)
+    if not _has_known_size(fruit):
+        return shape, _Check(), _Check()
     if profile.size_rules == "remark":
         return shape, weight.as_remark(), width.as_remark()
     return shape, weight, width
+
+
+def _has_known_size(fruit: _Gradable) -> bool:
+    """Return whether mass and diameter are known, too: a hidden part adds to them."""
+    return not (fruit.at_least or is_unknown(fruit.flags.split()))
 
 
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"

@@ -86,6 +86,7 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
 def test_where_the_size_is_not_known_no_mass_nor_class_of_it_is_given(flag: str) -> None:
     graded = grade(replace(SOUND, flags=flag), LONG)
     assert (graded.mass_g, graded.weight_class, graded.diameter_class) == (None, "", "")
+    assert grade(GradingTraits(volume_m3=1e-4, flags=flag), LONG).mass_g is None
     assert not any("weight" in missing or "volume" in missing for missing in graded.missing)
 
 

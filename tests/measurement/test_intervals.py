@@ -140,7 +140,7 @@ def test_an_interval_holds_what_was_measured(seen: tuple[Capture, Instance]) -> 
 
 
 def test_spreads_have_limits() -> None:
-    """A fruit as no other that was learnt from has neither no interval nor a useless one."""
+    """Trees that predict nearly no error, or a huge one, are not believed beyond the limits."""
     narrow, wide = Trees(np.log(1e-9)), Trees(np.log(1e9))
     model = IntervalModel("M6", 0.9, ("tilt",), narrow, wide, {"": Band(1.0, 1.0, 100)})
     assert model.spreads({"tilt": 0.3}) == (LEAST_SPREAD, LARGEST_SPREAD)

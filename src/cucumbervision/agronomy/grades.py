@@ -19,7 +19,7 @@ from cucumbervision.agronomy.classes import (
     class_of,
     possible_classes,
 )
-from cucumbervision.measurement.flags import is_lower_bound, is_unknown
+from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 if TYPE_CHECKING:
@@ -276,7 +276,8 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     'undecided (only part of it is seen)'
     """
     length = _length(fruit, profile.length)
-    mass_g = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
+    volume_m3 = fruit.volume_m3 if _has_known_size(fruit) else None
+    mass_g = None if volume_m3 is None else profile.mass_g(volume_m3)
     if length is None:
         return _without_length(fruit, profile, mass_g)
     length_cm = round(100 * length.value_m, 6)
@@ -304,7 +305,7 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
         shape=shape.name,
         weight_class=weight.name,
         diameter_class=width.name,
-        mass_g=mass_g if _has_known_size(fruit) else None,
+        mass_g=mass_g,
         possible=possible,
         reason=_reason(name, profile, range_m, checks),
     )
@@ -346,10 +347,10 @@ def _checks(
 ) -> tuple[_Check, _Check, _Check]:
     """Return the results of the rules for shape, weight and width."""
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
-    weight = _weight(mass_g, fruit.chord_m, profile)
-    width = _width(fruit.diameter_max_m, profile)
     if not _has_known_size(fruit):
         return shape, _Check(), _Check()
+    weight = _weight(mass_g, fruit.chord_m, profile)
+    width = _width(fruit.diameter_max_m, profile)
     if profile.size_rules == "remark":
         return shape, weight.as_remark(), width.as_remark()
     return shape, weight, width
@@ -357,7 +358,7 @@ def _checks(
 
 def _has_known_size(fruit: _Gradable) -> bool:
     """Return whether mass and diameter are known, too: a hidden part adds to them."""
-    return not (fruit.at_least or is_unknown(fruit.flags.split()))
+    return not (fruit.at_least or is_length_unknown(fruit.flags.split()))
 
 
 _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
@@ -370,7 +371,7 @@ def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
     """
     if fruit.at_least:
         return length.value_m, math.inf
-    if is_unknown(fruit.flags.split()):
+    if is_length_unknown(fruit.flags.split()):
         return 0.0, math.inf
     measured = fruit.length
     if (

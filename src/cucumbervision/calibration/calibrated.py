@@ -68,13 +68,21 @@ _UNLIKE = frozenset({*LOWER_BOUND, *NO_DEPTH, *DOUBTFUL_END.values()})
 """Flags of fruit unlike those from which a calibration's interval was learnt."""
 
 
+def _is_alike(fruit: FruitMeasurement) -> bool:
+    """Return whether a fruit is like those that were measured by hand: whole, and well seen."""
+    too_wide = fruit.fit is not None and Flag.INTERVAL_TOO_WIDE in fruit.flags
+    return _UNLIKE.isdisjoint(fruit.flags) and not too_wide
+
+
 def _corrected_length(raw: Length, entry: CorrectionEntry, *, keep: bool) -> Length:
     """Return a corrected length, and with `keep` its interval, corrected in the same way."""
+    if entry.form is Form.NONE:
+        return raw
     value_m, kind = float(corrected(raw.value_m, entry.scale, entry.offset_m)), entry.truth_kind
     if not keep or raw.low_m is None or raw.high_m is None or raw.interval_of is not kind:
         return Length(value_m, kind)
     low_m, high_m = corrected([raw.low_m, raw.high_m], entry.scale, entry.offset_m).tolist()
-    return Length(value_m, kind, min(low_m, value_m), max(high_m, value_m), kind, raw.basis)
+    return Length(value_m, kind, low_m, high_m, kind, raw.basis)
 
 
 def calibrated_fruit(
@@ -111,15 +119,12 @@ def calibrated_fruit(
         return fruit.flagged(Flag.NOT_COVERED)
     if (fruit.mask_source or "") not in entry.mask_sources:
         return fruit.flagged(Flag.OTHER_MASK)
-    value_m = float(corrected(raw.value_m, entry.scale, entry.offset_m))
-    if value_m <= 0:
-        return fruit.flagged(Flag.OUTSIDE_RANGE)
     # The interval of a whole fruit belongs to the uncorrected length. That of one which may go on
     # out of sight holds what is missing, of which fruit measured by hand say nothing.
-    is_alike = _UNLIKE.isdisjoint(fruit.flags)
-    if Flag.INTERVAL_TOO_WIDE in fruit.flags and fruit.fit is not None:
-        is_alike = False
-    length = raw if entry.form is Form.NONE else _corrected_length(raw, entry, keep=not is_alike)
+    is_alike = _is_alike(fruit)
+    length = _corrected_length(raw, entry, keep=not is_alike)
+    if length.value_m <= 0:
+        return fruit.flagged(Flag.OUTSIDE_RANGE)
     done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
     low_m, high_m = entry.raw_range_m
     if not (1 - _RANGE_MARGIN) * low_m <= raw.value_m <= (1 + _RANGE_MARGIN) * high_m:
@@ -127,8 +132,7 @@ def calibrated_fruit(
     half = entry.interval.half_width
     if half is None or not is_alike:
         return done
-    flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
-    kind = entry.truth_kind
+    kind, value_m = entry.truth_kind, length.value_m
     limits = value_m * (1 - half), value_m * (1 + half)
     length = Length(value_m, kind, *limits, kind, IntervalBasis.OWN_TRUTH)
-    return replace(done, length=length, flags=flags)
+    return replace(done, length=length).unflagged(Flag.INTERVAL_TOO_WIDE)

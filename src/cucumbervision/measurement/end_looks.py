@@ -109,8 +109,8 @@ def _looked_at(
     looked_at = replace(tube, fit=replace(tube.fit, looks=looks))
     selected = looked_at if fruit.selected is tube else fruit.selected
     measurements = {**fruit.measurements, MethodName.M6: looked_at}
-    flags = tuple(flag for flag in fruit.flags if flag is not Flag.INTERVAL_TOO_WIDE)
-    fruit = replace(fruit, measurements=measurements, selected=selected, flags=flags)
+    fruit = replace(fruit, measurements=measurements, selected=selected)
+    fruit = fruit.unflagged(Flag.INTERVAL_TOO_WIDE)
     if fruit.at_least or selected is not looked_at:
         return fruit
     ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])

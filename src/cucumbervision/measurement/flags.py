@@ -321,14 +321,14 @@ def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
     ]
 
 
-def is_unknown(flags: Iterable[str]) -> bool:
+def is_length_unknown(flags: Iterable[str]) -> bool:
     """Return whether flags say that nothing is known of a length: it counts in no statistics.
 
     Its depth cannot be its distance, or its interval would be too wide; it is no lower bound.
 
     Examples
     --------
-    >>> is_unknown(["depth-hollow"]), is_unknown(["end-hidden"])
+    >>> is_length_unknown(["depth-hollow"]), is_length_unknown(["end-hidden"])
     (True, False)
     """
     codes = {*flags}

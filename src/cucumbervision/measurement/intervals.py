@@ -26,6 +26,8 @@ from cucumbervision.measurement.trees import Trees
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.measurement.result import Measurement
 
@@ -100,8 +102,7 @@ class IntervalModel:
     def spreads(self, values: Mapping[str, float]) -> tuple[float, float]:
         """Return the spreads of errors below and above 0; missing features count as 0."""
         row = np.array([values.get(name, 0.0) for name in self.features])
-        below, above = (np.exp(trees.value(row)) for trees in (self.below, self.above))
-        return _spread(below), _spread(above)
+        return spread(self.below, row), spread(self.above, row)
 
     def band(self, values: Mapping[str, float]) -> Band:
         """Return the band of the smallest group that had enough readings to have one."""
@@ -141,8 +142,9 @@ class IntervalModel:
         return length_m * float(np.exp(missing - long)), length_m * float(np.exp(missing + short))
 
 
-def _spread(value: float) -> float:
-    return float(min(max(value, LEAST_SPREAD), LARGEST_SPREAD))
+def spread(trees: Trees, row: NDArray[np.float64]) -> float:
+    """Return what trees of logarithms spread an interval by to their side, within its limits."""
+    return float(min(max(np.exp(trees.value(row)), LEAST_SPREAD), LARGEST_SPREAD))
 
 
 def feature_groups(

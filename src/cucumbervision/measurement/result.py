@@ -389,6 +389,10 @@ class FruitMeasurement:
         new = tuple(flag for flag in flags if flag not in self.flags)
         return replace(self, flags=(*self.flags, *new))
 
+    def unflagged(self, flag: Flag) -> Self:
+        """Return a copy without a flag."""
+        return replace(self, flags=tuple(other for other in self.flags if other is not flag))
+
 
 def calibration_key(method: str, kind: LengthDefinition | LengthKind) -> str:
     """Return the key of a method's length in calibrations and interval models.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.flags import Flag, data_doubts, is_lower_bound, is_unknown
+from cucumbervision.measurement.flags import Flag, data_doubts, is_length_unknown, is_lower_bound
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Choice
 
@@ -41,7 +41,7 @@ class Summary:
     lower_bounds_cm : array of float
         Lower bounds of fruit that continue out of sight.
     unknown_cm : array of float
-        Lengths of which nothing is known (`flags.is_unknown`).
+        Lengths of which nothing is known (`flags.is_length_unknown`).
     refused_cm : list of float
         Lengths of fruit of implausible size.
     too_large : int
@@ -116,7 +116,7 @@ class Summary:
     def _lengths_of_kind(self, flags: list[str]) -> array[float]:
         if is_lower_bound(flags):
             return self.lower_bounds_cm
-        return self.unknown_cm if is_unknown(flags) else self.lengths_cm
+        return self.unknown_cm if is_length_unknown(flags) else self.lengths_cm
 
     def doubts(self) -> list[str]:
         """Return one line for each doubt about the data, with the remedy."""

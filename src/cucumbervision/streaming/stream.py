@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from cucumbervision.capture.motion import moved_px
-from cucumbervision.measurement.flags import is_lower_bound, is_unknown
+from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.measurement.result import Choice, MethodName
 from cucumbervision.perception.runtime import CARD_RUNTIMES
@@ -386,7 +386,7 @@ class FruitStream:
         self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, sighting: Sighting
     ) -> TrackedFruit:
         state = self._states[number]
-        length = None if is_unknown(fruit.flags) else fruit.length
+        length = None if is_length_unknown(fruit.flags) else fruit.length
         partial = is_lower_bound(fruit.flags)
         if length is not None and state.length.contradicts(length, partial=partial):
             number = self._tracker.split(number)

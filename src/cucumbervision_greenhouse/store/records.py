@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.flags import is_lower_bound, is_unknown
+from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.result import Choice, Length
 
 Point: TypeAlias = tuple[float, ...]
@@ -277,7 +277,7 @@ class DetectionRecord:
         >>> DetectionRecord(1, length=Length(0.3), flags="depth-hollow").known_length is None
         True
         """
-        return None if is_unknown(self.flags.split()) else self.length
+        return None if is_length_unknown(self.flags.split()) else self.length
 
     @property
     def whole_length(self) -> Length | None:

@@ -10,12 +10,12 @@ import numpy as np
 
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.measurement.intervals import (
-    LARGEST_SPREAD,
     LEAST_SPREAD,
     Band,
     IntervalModel,
     IntervalModels,
     feature_groups,
+    spread,
 )
 from cucumbervision.measurement.result import IntervalBasis
 from cucumbervision.measurement.trees import Trees
@@ -179,8 +179,8 @@ def _held_out_spreads(
     for held_out in (fold == k for k in range(_FOLDS)):
         sides = _fitted_sides(error[~held_out], rows[~held_out])
         for side, trees in enumerate(sides):
-            spreads[side, held_out] = [trees.value(row) for row in rows[held_out]]
-    return np.clip(np.exp(spreads), LEAST_SPREAD, LARGEST_SPREAD)
+            spreads[side, held_out] = [spread(trees, row) for row in rows[held_out]]
+    return spreads
 
 
 def _fitted_sides(error: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[Trees, Trees]:

@@ -109,6 +109,22 @@ def test_a_judge_of_ends_is_asked_along_the_tube_and_puts_the_keypoints_in_order
     assert Flag.ENDS_UNSURE in unsure.flags
 
 
+def test_without_a_tube_the_picture_is_asked_along_the_keypoints() -> None:
+    capture, instance = seen(BODY)
+    assert instance.keypoints is not None
+    swapped = replace(instance, keypoints=instance.keypoints[::-1], end_confidence=0.6)
+    asked: list[NDArray[np.float64]] = []
+
+    def judge(_: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]) -> list[float | None]:
+        asked.extend(lines)
+        return [-3.0]
+
+    fruit = measure_fruit(capture, swapped, [MethodName.M1], ends=judge)
+    assert asked == [pytest.approx(instance.keypoints[::-1, :2])]
+    assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
+    assert fruit.instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3.0)))
+
+
 def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:
     capture, instance = seen(BODY)
     assert instance.keypoints is not None

@@ -204,10 +204,10 @@ def stem_first(
 def with_tubes_ends(
     instance: Instance, tube: Measurement | None, capture: Capture, ends: EndJudge
 ) -> Instance:
-    """Return a fruit with its keypoints ordered by the picture along its tube.
+    """Return a fruit with its keypoints ordered by the picture along its tube, if it has one.
 
     The axis of a tube extends from end to end, while keypoints of a network may stop short or lie
-    beside the fruit.
+    beside the fruit: the picture is asked along them only without a tube.
 
     Parameters
     ----------
@@ -243,11 +243,12 @@ def tube_line_px(
     Returns
     -------
     ndarray of float64, shape (K, 2), or None
-        u, v along the tube's axis, as many as keypoints; None without keypoints or tube.
+        u, v along the tube's axis, as many as keypoints; the keypoints without a tube; None without
+        keypoints.
     """
     points, path = instance.keypoints, None if tube is None else tube.path_m
     if points is None or path is None or (path[:, 2] <= 0).any():
-        return None
+        return None if points is None else points[:, :2]
     return capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.instances.fruit_crops import FruitCrop
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.ends import EndClassifier
 
 LEAST_AGREEMENT = 0.6
 """IoU of a new outline with the detector's mask below which the detector's stays."""
@@ -135,17 +134,13 @@ class PictureLooks:
             for number, instance in enumerate(instances)
         )
 
-    def refine(
-        self, instances: Sequence[Instance], ends: EndClassifier | None = None
-    ) -> tuple[Instance, ...]:
+    def refine(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Return detections with the network's outlines and keypoints.
 
         Parameters
         ----------
         instances : sequence of Instance
             Those without `detector_mask` stay as they are.
-        ends : EndClassifier, optional
-            Gives the direction of the keypoints, instead of this network.
 
         Returns
         -------
@@ -159,8 +154,6 @@ class PictureLooks:
         for number, (crop, look) in looks.items():
             neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
-        if ends is not None:
-            refined_instances = list(ends.order_ends(self._color_rgb, refined_instances))
         return with_disjoint_masks(refined_instances, self._depth_m)
 
     def _looks(self, instances: Sequence[Instance]) -> dict[int, tuple[FruitCrop, FruitLook]]:

@@ -55,8 +55,6 @@ class Detectors:
         Threshold for a fruit.
     fruit : FruitLooker, optional
         Gives the outlines and the keypoints of what is found.
-    ends : EndClassifier, optional
-        Gives the direction of those keypoints.
     """
 
     def __init__(
@@ -66,10 +64,9 @@ class Detectors:
         confidence: float = DEFAULT_CONFIDENCE,
         *,
         fruit: FruitLooker | None = None,
-        ends: EndClassifier | None = None,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._fruit, self._ends = fruit, ends
+        self._fruit = fruit
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -118,7 +115,7 @@ class Detectors:
             looks=detector.looks,
             look=None if looks is None else looks.rescore,
         )
-        return fruit if looks is None else looks.refine(fruit, self._ends)
+        return fruit if looks is None else looks.refine(fruit)
 
 
 def each_fruit_once(
@@ -501,13 +498,7 @@ class NetworkLoader:
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
         fruit = self.fruit_looker() if by_look else None
-        return Detectors(
-            detector,
-            pose,
-            self._confidence,
-            fruit=fruit,
-            ends=None if fruit is None else self.ends,
-        )
+        return Detectors(detector, pose, self._confidence, fruit=fruit)
 
     def fruit_looker(self) -> FruitLooker | None:
         """Load the registry's network that looks at each fruit, and the one for `ends`.

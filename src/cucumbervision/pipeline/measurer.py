@@ -419,10 +419,10 @@ class Measurer:
         network = None if self._finder is None else self._finder.networks.ends
         if network is None:
             return [None] * len(fruit)
-        # The order of the ends is not changed if it was determined with the keypoints.
+        # Keypoints without a confidence are a file's: their order is not changed.
         asked = [instance.end_confidence is not None for instance, _ in fruit]
         lines = [
-            tube_line_px(instance, tube, capture) if asks else None
+            tube_line_px(instance, tube, capture) if asks and tube is not None else None
             for (instance, tube), asks in zip(fruit, asked, strict=True)
         ]
         odds = iter(network.log_odds(capture.color, [line for line in lines if line is not None]))

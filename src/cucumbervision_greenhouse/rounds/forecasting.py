@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -448,7 +449,7 @@ def read_today(
     """
     days, age = age_of(round_summary.walked_s, now_s)
     content = content or read_round(store, round_summary.key)
-    best = {view.key: view.group for view in content.views}
+    best = content.group_of
     if age is Age.USELESS:
         return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
     try:
@@ -469,5 +470,7 @@ def read_today(
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:
-    rows = dict.fromkeys(pick.fruit.row for pick in picks)
-    return tuple(RowPicks(row, tuple(p for p in picks if p.fruit.row == row)) for row in rows)
+    rows = defaultdict(list)
+    for pick in picks:
+        rows[pick.fruit.row].append(pick)
+    return tuple(RowPicks(row, tuple(of_row)) for row, of_row in rows.items())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import RoundError
+from cucumbervision.measurement.flags import NO_DEPTH
 from cucumbervision.measurement.matching import ALONG, DEPTH, UP
 from cucumbervision.measurement.result import LengthDefinition, MethodName
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
@@ -116,6 +117,16 @@ class RoundContent:
         """Its rows as arrays, computed once."""
         return tuple(_load_rows(self))
 
+    @cached_property
+    def stop_of(self) -> Mapping[str, StopSummary]:
+        """Its stops by key."""
+        return {stop.key: stop for stop in self.stops}
+
+    @cached_property
+    def group_of(self) -> Mapping[str, str]:
+        """The fruit of each view, by the view's key."""
+        return {view.key: view.group for view in self.views}
+
 
 def find_round(store: Store, name: str = "") -> RoundSummary:
     """Find a round by its key, the start of it, or its name; the newest without one.
@@ -177,13 +188,14 @@ def counted_fruit(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
 def joint_groups(content: RoundContent) -> dict[str, list[DetectionSummary]]:
     """Return the views of each fruit that several stops show, by the key of their measurement.
 
-    Only views that M6 measured count, of the aisle from which the best was taken, the best first
-    and no more than five.
+    Only views that M6 measured count, and whose depth can be their distance, of the aisle from
+    which the best was taken, the best first and no more than five.
     """
-    stops = {stop.key: stop for stop in content.stops}
-    groups = defaultdict(list)
+    stops, groups = content.stop_of, defaultdict(list)
     for view in content.views:
-        if view.record.method == MethodName.M6 and view.verdict is not Verdict.REJECTED:
+        has_depth = NO_DEPTH.isdisjoint(view.record.flags.split())
+        is_measured = has_depth and view.record.method == MethodName.M6
+        if is_measured and view.verdict is not Verdict.REJECTED:
             groups[view.group].append(view)
     group_views = {}
     for views in groups.values():
@@ -216,14 +228,16 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    stop_keys = {stop.key for stop in content.stops}  # a stop may be saved meanwhile
-    candidates = [
-        v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in stop_keys
-    ]
-    for name in sorted({stop.row or "" for stop in content.stops}):
-        stops = [stop for stop in content.stops if (stop.row or "") == name]
-        views = [view for view in candidates if (view.row or "") == name]
-        yield _row(name, stops, views, content)
+    stops: dict[str, list[StopSummary]] = defaultdict(list)
+    for stop in content.stops:
+        stops[stop.row or ""].append(stop)
+    views: dict[str, list[DetectionSummary]] = defaultdict(list)
+    for view in content.views:
+        # A stop may be saved meanwhile.
+        if view.verdict is not Verdict.REJECTED and view.stop_key in content.stop_of:
+            views[view.row or ""].append(view)
+    for name in sorted(stops):
+        yield _row(name, stops[name], views[name], content)
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
@@ -341,13 +355,11 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
 
 def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
     """Return a row as it was merged and saved, with corrections by hand."""
-    groups = {view.key: view.group for view in content.views}
-    names = [groups[key] for key in row.fruit_keys]
+    names = [content.group_of[key] for key in row.fruit_keys]
     _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
-    stops = {stop.key: stop for stop in content.stops}
     at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
     for k, key in enumerate(row.stop_keys):
-        stop = stops[key]
+        stop = content.stop_of[key]
         if stop.fitted_m is not None:
             at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
     fitted = prior_stops(replace(row.stops, at_m=at_m, sd_m=sd_m))

@@ -168,9 +168,9 @@ def _measured(view: DetectionSummary, **values: Any) -> DetectionSummary:
 
 
 def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
-    """Return the length of a view and its standard deviation; None where it is a lower bound."""
-    length = record.length
-    if record.at_least or length is None or not length.relative_sd:
+    """Return the length of a view and its standard deviation; None unless it is whole and known."""
+    length = record.whole_length
+    if length is None or not length.relative_sd:
         return None
     return length.value_m, length.value_m * length.relative_sd
 

@@ -161,7 +161,7 @@ class _Source:
     def __init__(self, store: Store, content: RoundContent) -> None:
         self._corrected = store.corrected(content.key)
         self._content, self._images = content, store.images
-        self._stops = {stop.key: stop for stop in content.stops}
+        self._stops = content.stop_of
         self._read_stop = lru_cache(_STOPS_KEPT)(store.stop)
         self._read_capture = lru_cache(_STOPS_KEPT)(self._capture)
 

@@ -130,9 +130,6 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
 
 
 _AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more are not negatives
-_RIDGE = 0.5  # strength of the prior on the weights
-_PRIOR_MEAN = -2.0  # of the weights of `AGAINST`
-_FOLDS = 5
 
 
 def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:

@@ -190,7 +190,9 @@ def detect_picture(
         look=None if looks is None else looks.rescore,
     )
     if looks is not None:
-        instances = looks.refine(instances, networks.ends)
+        instances = looks.refine(instances)
+        if networks.ends is not None:  # which measuring asks along each fruit's tube
+            instances = networks.ends.order_ends(color, instances)
     elif networks.segmenter is not None and any(
         fruit.keypoints is not None for fruit in frame.true
     ):

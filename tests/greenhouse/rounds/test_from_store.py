@@ -213,16 +213,17 @@ def test_only_whole_tubes_of_one_aisle_are_measured_jointly(store: Store) -> Non
     rows(
         store,
         stop(1, fruit(1, view_score=0.4), fruit(2), fruit(3)),
-        stop(2, fruit(1, view_score=0.6), fruit(2, method="M5")),
+        stop(2, fruit(1, view_score=0.6), fruit(2, method="M5"), fruit(3, flags="depth-hollow")),
         stop(3, fruit(1, view_score=0.5), side="right"),
     )
-    a1, a2, a3, b1, b2, c1 = (view.key for view in store.detections(MORNING.key))
-    pairs = [(a1, b1), (b1, c1), (a1, c1), (a2, b2)]
+    a1, a2, a3, b1, b2, b3, c1 = (view.key for view in store.detections(MORNING.key))
+    pairs = [(a1, b1), (b1, c1), (a1, c1), (a2, b2), (a3, b3)]
     links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in pairs]
     store.save_merging(MORNING.key, links)
     content = read_round(store, MORNING.key)
     ((key, views),) = joint_groups(content).items()
-    # The best view first; the one from the other aisle is left out, and so is what M5 measured.
+    # The best view first; the one from the other aisle is left out, and so is what M5 measured,
+    # or what has the depth of something else.
     assert [view.key for view in views] == [b1, a1]
     assert a3 not in {view.key for view in views}
     # Another length is another measurement.

@@ -75,7 +75,7 @@ _VERDICTS = {
 def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
     graded = round_caches.graded_round(round_summary)
-    groups = {view.key: view.group for view in round_caches.content_of(round_summary).views}
+    groups = round_caches.content_of(round_summary).group_of
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
         fruit_page.show(round_summary, graded, opened, _listed(graded))

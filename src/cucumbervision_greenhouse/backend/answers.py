@@ -16,7 +16,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.websockets import WebSocketDisconnect
 
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, DiskFullError, named_error
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.access import device_of
 from cucumbervision_greenhouse.backend.core_sentences import said
@@ -48,7 +48,7 @@ def answer(
     """Make a route from a function of a request and its content, and send its result as JSON.
 
     A named error is answered in one line for people, with status 409, and its fault in English; a
-    full disk with 507.
+    full disk with 507, another fault of a file with 500.
     """
 
     @wraps(work)
@@ -65,9 +65,13 @@ def answer(
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
             return JSONResponse({"error": said(error), "fault": error.message}, 409)
-        except OSError as error:  # a full disk; a part of an upload is sent again
-            why = error.strerror
-            words = f"The computer cannot store more ({why}): free some space on its disk"
+        except OSError as error:  # from 500 on, a part of an upload is sent again
+            named = named_error(error)
+            if not isinstance(named, DiskFullError):
+                return JSONResponse({"error": said(named)}, 500)
+            words = (
+                f"The computer cannot store more ({error.strerror}): free some space on its disk"
+            )
             return JSONResponse({"error": said(words)}, 507)
         except ValidationError:
             return JSONResponse({"error": said("the request is damaged; reload the page")}, 400)

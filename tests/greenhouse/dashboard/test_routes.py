@@ -33,16 +33,31 @@ def test_a_round_is_loaded_as_files(asked: TestClient) -> None:
     assert asked.get(f"/api/files/{WALK}?formats=exe").status_code == 404
 
 
-def test_a_full_disk_is_said_where_files_are_packed(
-    asked: TestClient, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("fault", "status", "text"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            507,
+            "cannot store more (No space left on device): free some space",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "/tmp/files"),
+            500,
+            "/tmp/files: Permission denied; check who may read and write it",
+        ),
+    ],
+)
+def test_a_fault_of_the_disk_is_named_where_files_are_packed(
+    asked: TestClient, monkeypatch: pytest.MonkeyPatch, fault: OSError, status: int, text: str
 ) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
+    def failing(*_: object) -> None:
+        raise fault
 
-    monkeypatch.setattr(shutil, "make_archive", full)
+    monkeypatch.setattr(shutil, "make_archive", failing)
     answer = asked.get(f"/api/files/{WALK}?formats=csv")
-    assert answer.status_code == 507
-    assert "cannot store more (No space left on device): free some space" in answer.json()["error"]
+    assert answer.status_code == status
+    assert text in answer.json()["error"]
 
 
 def test_a_round_is_printed_with_its_pick_list(asked: TestClient) -> None:

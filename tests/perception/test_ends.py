@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.instance import Instance, with_keypoints
-from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier, orient
 
 if TYPE_CHECKING:
@@ -88,43 +86,21 @@ def redness(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def fruit_at(points: NDArray[np.float64]) -> Instance:
-    box = np.concatenate([points.min(axis=0) - 10, points.max(axis=0) + 10])
-    seen = np.linspace(0.2, 1.0, 5)
-    return Instance(box, keypoints=np.column_stack([points, seen]))
-
-
-def test_points_run_to_the_stem_whichever_way_they_came(redness: Path) -> None:
+def test_the_stem_is_told_whichever_way_the_points_came(redness: Path) -> None:
     classifier = EndClassifier(redness)
     picture, points = bar(120)
-    without = Instance(np.array([0.0, 0, 10, 10]))
-    ordered = classifier.order_ends(picture, [fruit_at(points), without, fruit_at(points[::-1])])
-    assert ordered[1] is without
-    for one, seen_at_stem in ((ordered[0], 1.0), (ordered[2], 0.2)):
-        assert one.keypoints is not None
-        assert one.keypoints[-1, :2] == pytest.approx(points[-1])
-        assert one.keypoints[-1, 2] == seen_at_stem
-        assert one.end_confidence is not None
-        assert one.end_confidence > 0.9
-    assert classifier.order_ends(picture, []) == ()
+    ahead, nothing, back = classifier.log_odds(picture, [points, points[:1], points[::-1]])
+    assert nothing is None
+    assert ahead is not None
+    assert ahead > np.log(9)
+    assert back == pytest.approx(-ahead, abs=0.01)
+    assert classifier.log_odds(picture, []) == []
 
 
 def test_a_fruit_of_one_colour_is_unsure(redness: Path) -> None:
-    _, points = bar(0)
-    (ordered,) = EndClassifier(redness).order_ends(
-        np.full((240, 240, 3), 90, np.uint8), [fruit_at(points)]
-    )
-    assert ordered.end_confidence == pytest.approx(0.5, abs=0.01)
-
-
-def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
-    picture, points = bar(0)
-    mask = np.zeros((240, 240), bool)
-    mask[105:136, 60:181] = True
-    (posed,) = EndClassifier(redness).order_ends(picture, [fruit_at(points)])
-    instance = Instance(box_of_mask(mask), detector_mask=mask)
-    (one,) = with_keypoints([instance], [posed])
-    assert one.end_confidence == posed.end_confidence
+    grey = np.full((240, 240, 3), 90, np.uint8)
+    (odds,) = EndClassifier(redness).log_odds(grey, [bar(0)[1]])
+    assert odds == pytest.approx(0, abs=0.04)
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:

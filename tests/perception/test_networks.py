@@ -10,6 +10,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.instances.end_crops import END_PX, EndCrop
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.measurement.pose import with_stems_last
 from cucumbervision.perception.ends import STRIP_PX
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
@@ -90,10 +91,15 @@ def test_the_ends_network_of_the_given_registry_goes_with_points_by_place(tmp_pa
         ("tiny-pose", "pose", file_sha256(pose)),
         ("tiny-ends", "ends", file_sha256(ends)),
     ]
-    # The stem is to the left: the points run from the right.
+    # Points by place are of either direction until the picture is asked.
     assert found.keypoints is not None
-    assert found.keypoints[0, 0] > found.keypoints[4, 0]
-    assert found.end_confidence == pytest.approx(1 / (1 + np.exp(-4)), abs=1e-4)
+    assert found.end_confidence == 0.5
+    assert loader.ends is not None
+    (ordered,) = with_stems_last([found], PICTURE, loader.ends.log_odds)
+    # The stem is to the left: the points run from the right.
+    assert ordered.keypoints is not None
+    assert ordered.keypoints[0, 0] > ordered.keypoints[4, 0]
+    assert ordered.end_confidence == pytest.approx(1 / (1 + np.exp(-4)), abs=1e-4)
 
 
 def test_without_an_ends_network_nobody_knows_the_ends(tmp_path: Path) -> None:

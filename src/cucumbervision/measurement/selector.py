@@ -22,7 +22,8 @@ from cucumbervision.measurement.pose import (
     CUT_BEYOND_M,
     fruit_pose,
     stem_first,
-    with_tubes_ends,
+    stem_last,
+    tube_line_px,
 )
 from cucumbervision.measurement.result import (
     Choice,
@@ -323,7 +324,9 @@ def measure_fruit(
     method_of = {method if isinstance(method, str) else method.name: method for method in methods}
     measured = _measured(region, method_of, tube)
     if ends is not None:
-        instance = with_tubes_ends(instance, measured.get(MethodName.M6), capture, ends)
+        line_px = tube_line_px(instance, measured.get(MethodName.M6), capture)
+        if line_px is not None:
+            instance = stem_last(instance, line_px, ends(capture.color, [line_px])[0])
     turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
     measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)

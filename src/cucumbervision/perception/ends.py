@@ -7,11 +7,9 @@ which side has the stem. A rotation of the strip by 180 degrees exactly negates 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import expit
 
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.geometry.pixels import sample_color
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.instances.instance import Instance
 
 STRIP_PX = (64, 192)
 """Height and width of a strip."""
@@ -89,34 +86,6 @@ class EndClassifier(PictureClassifier):
     takes = "fruit laid level"
     command = "train classifier ends"
 
-    def order_ends(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
-    ) -> tuple[Instance, ...]:
-        """Order every fruit's keypoints from blossom end to stem end.
-
-        Parameters
-        ----------
-        color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture.
-        instances : sequence of Instance
-            With keypoints in either direction; those without are returned unchanged.
-
-        Returns
-        -------
-        tuple of Instance
-            In the same order; `end_confidence` is the probability that the direction is right.
-        """
-        lines = [
-            None if instance.keypoints is None else instance.keypoints[:, :2]
-            for instance in instances
-        ]
-        odds = self.log_odds(color_rgb, [line for line in lines if line is not None])
-        scores = iter(odds)
-        return tuple(
-            instance if line is None else _ordered(instance, next(scores))
-            for instance, line in zip(instances, lines, strict=True)
-        )
-
     def log_odds(
         self, color_rgb: NDArray[np.uint8], lines_px: Sequence[NDArray[np.float64]]
     ) -> list[float | None]:
@@ -141,12 +110,3 @@ class EndClassifier(PictureClassifier):
         level = np.stack(strips_read)
         scores = iter(self.mean_logits(level, level[:, ::-1]).tolist())
         return [None if strip is None else next(scores) for strip in strips]
-
-
-def _ordered(instance: Instance, logit: float | None) -> Instance:
-    points = instance.keypoints
-    if points is None or logit is None:
-        return instance
-    if logit < 0:
-        points = points[::-1].copy()
-    return replace(instance, keypoints=points, end_confidence=float(expit(abs(logit))))

@@ -415,8 +415,7 @@ class NetworkLoader:
         else:
             self._note(path.name, network.task, file_sha256(path), network)
         if network.by_place:
-            network.ends = self._companion("ends", EndClassifier)
-            self._ends = network.ends or self._ends
+            self._ends = self._ends or self._companion("ends", EndClassifier)
         looks_twice = isinstance(chosen, str) if second_look is None else second_look
         if looks_twice and network.task == "segment":
             network.crops = self._companion("crops", CropClassifier)

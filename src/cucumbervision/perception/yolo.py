@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.perception.crops import CropClassifier
-    from cucumbervision.perception.ends import EndClassifier
     from cucumbervision.perception.network import TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
@@ -303,9 +302,6 @@ class YoloDetector:
 
     Attributes
     ----------
-    ends : EndClassifier or None
-        Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
-        their order.
     crops : CropClassifier or None
         Lowers the confidence of detections that do not look like a cucumber.
 
@@ -333,7 +329,6 @@ class YoloDetector:
             else open_network(path, runtime, full_precision=full_precision, verified=verified)
         )
         self._most_fruit = most_fruit
-        self.ends: EndClassifier | None = None
         self.crops: CropClassifier | None = None
         self._layout = _read_layout(self._network)
         self._confidence = confidence
@@ -370,7 +365,7 @@ class YoloDetector:
 
     @property
     def by_place(self) -> bool:
-        """Whether its keypoints are ordered by position, so that `ends` is needed."""
+        """Whether its keypoints are ordered by position, not from end to end."""
         return self._layout.by_place
 
     @property
@@ -418,9 +413,7 @@ class YoloDetector:
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
         if not self._layout.by_place:
             return detections
-        if self.ends is None:
-            return tuple(replace(detection, end_confidence=0.5) for detection in detections)
-        return self.ends.order_ends(color_rgb, detections)
+        return tuple(replace(detection, end_confidence=0.5) for detection in detections)
 
     def _check_sizes(self) -> None:
         layout = self._layout

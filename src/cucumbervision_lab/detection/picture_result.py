@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.pictures import read_color
+from cucumbervision.measurement.pose import with_stems_last
 from cucumbervision.perception.confidence import (
     CANDIDATE_CONFIDENCE,
     DEFAULT_CONFIDENCE,
@@ -191,14 +192,14 @@ def detect_picture(
     )
     if looks is not None:
         instances = looks.refine(instances)
-        if networks.ends is not None:  # which measuring asks along each fruit's tube
-            instances = networks.ends.order_ends(color, instances)
     elif networks.segmenter is not None and any(
         fruit.keypoints is not None for fruit in frame.true
     ):
         instances = _placed(instances, networks.segmenter, color)
 
     def coded(instances: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
+        if networks.ends is not None:
+            instances = with_stems_last(instances, color, networks.ends.log_odds)
         return tuple(detected_fruit(instance, depth_m) for instance in instances)
 
     frame = replace(

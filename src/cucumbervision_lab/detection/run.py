@@ -183,8 +183,7 @@ def evaluate_detection(
             if networks.segmenter is not None:
                 drawn = networks.segmenter.segment(color, list(instances.values()))
                 instances = dict(zip(instances, drawn, strict=True))
-            judge = None if networks.pose is None else networks.pose.ends
-            ends = None if judge is None else judge.log_odds
+            ends = None if networks.ends is None else networks.ends.log_odds
             records += length_records(result.frame, capture, instances, ends)
         frames.append(result.frame)
         for name, duration in result.seconds.items():

@@ -12,7 +12,6 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.capture.pictures import write_png  # noqa: E402
 from cucumbervision.errors import TrainingError  # noqa: E402
-from cucumbervision.instances.instance import Instance  # noqa: E402
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
@@ -96,11 +95,9 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     for number in range(30):
         color, points = drawn(rng)
         given = points[::-1] if number % 2 else points
-        (ordered,) = classifier.order_ends(
-            color, [Instance(np.zeros(4), keypoints=np.c_[given, np.ones(5)])]
-        )
-        assert ordered.keypoints is not None
-        right += bool(np.allclose(ordered.keypoints[-1, :2], points[-1]))
+        (odds,) = classifier.log_odds(color, [given])
+        assert odds is not None
+        right += (odds < 0) == bool(number % 2)
     assert right >= 26
     card = write_classifier_card(result, "ends", CHECKPOINT, epochs=6, seed=0, credits=("Ann",))
     again = read_card(tmp_path / "ends.json")

@@ -99,10 +99,8 @@ def test_a_judge_of_ends_is_asked_along_the_tube_and_puts_the_keypoints_in_order
     fruit = measure_fruit(capture, swapped, ends=judge)
     pose = pose_of(fruit)
     assert pose.stem_m == pytest.approx(BODY.poles_m[1], abs=0.001)
-    # The keypoints, the other way round and 80 % sure, count 0.4 times beside the picture.
-    sure = 1 / (1 + np.exp(-(np.log(19) - 0.4 * np.log(0.8 / 0.2))))
-    assert pose.stem_confidence == pytest.approx(sure)
-    assert fruit.instance.end_confidence == pytest.approx(sure)
+    assert pose.stem_confidence == pytest.approx(0.95)
+    assert fruit.instance.end_confidence == pytest.approx(0.95)
     assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
     assert Flag.ENDS_UNSURE not in fruit.flags
     # A line too short to tell leaves everything as it was, and unsure.
@@ -124,8 +122,7 @@ def test_without_a_tube_the_picture_is_asked_along_the_keypoints() -> None:
     fruit = measure_fruit(capture, swapped, [MethodName.M1], ends=judge)
     assert asked == [pytest.approx(instance.keypoints[::-1, :2])]
     assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
-    odds = 3 - 0.4 * np.log(0.6 / 0.4)
-    assert fruit.instance.end_confidence == pytest.approx(1 / (1 + np.exp(-odds)))
+    assert fruit.instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3.0)))
 
 
 def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:

@@ -86,7 +86,7 @@ def test_the_ends_of_a_pictures_tubes_are_judged_in_one_batch() -> None:
     capture = next(iter(open_source(example_captures()))).load()
     keypoints = np.column_stack([np.linspace(300, 400, 5), np.full(5, 240.0), np.ones(5)])
     instances = tuple(
-        replace(instance, keypoints=keypoints, end_confidence=0.5)
+        replace(instance, keypoints=keypoints, end_confidence=0.6)
         for instance in dataset_instances(capture)
     )
     tubes = tuple(measure_m6(capture.depth_m, mask, capture.intrinsics) for mask in capture.masks)

@@ -47,7 +47,7 @@ class Parts:
             self.page.wait_for_timeout(100)
 
 
-def test_an_upload_goes_on_after_a_reload_a_kill_and_a_full_disk(
+def test_an_upload_goes_on_after_a_reload_a_kill_and_a_fault_of_the_disk(
     tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
 ) -> None:
     packed, store = tmp_path / "row.zip", tmp_path / "house.db"
@@ -96,10 +96,10 @@ def test_an_upload_goes_on_after_a_reload_a_kill_and_a_full_disk(
     with (tmp_path / "server.log").open("ab") as log:
         server = subprocess.Popen(address.process.args, stdout=log, stderr=log, cwd=tmp_path)
     try:
-        # A full disk: no file can grow beyond a size; then there is room again.
+        # No file can grow beyond a size; then it can again.
         unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (5 * PART, unlimited[1]))
-        page.get_by_text("The computer cannot store more").wait_for()
+        page.get_by_text("File too large; check the disk").wait_for()
         resource.prlimit(server.pid, resource.RLIMIT_FSIZE, unlimited)
         page.get_by_text("1 capture saved").wait_for()
     finally:

@@ -173,6 +173,14 @@ def test_keypoints_go_to_the_best_one_to_one() -> None:
     assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
 
 
+def test_how_sure_their_order_is_goes_with_the_keypoints() -> None:
+    box = np.array([0.0, 0, 40, 10])
+    points = np.column_stack([np.linspace(2, 38, 5), np.full(5, 5.0), np.ones(5)])
+    posed = Instance(box, keypoints=points, end_confidence=0.7)
+    (fruit,) = with_keypoints([Instance(box)], [posed])
+    assert fruit.end_confidence == posed.end_confidence
+
+
 def test_keypoints_below_the_overlap_are_not_given() -> None:
     # Shifted by 5 of 10: IoU 1/3.
     (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])

@@ -17,7 +17,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.pose import FruitPose, Part
+from cucumbervision.measurement.pose import FruitPose, Part, with_stems_last
 from cucumbervision.measurement.result import FruitMeasurement, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -123,6 +123,33 @@ def test_without_a_tube_the_picture_is_asked_along_the_keypoints() -> None:
     assert asked == [pytest.approx(instance.keypoints[::-1, :2])]
     assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
     assert fruit.instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3.0)))
+
+
+def test_keypoints_of_fruit_that_are_not_measured_run_to_the_stem_whichever_way_they_came() -> None:
+    points = np.column_stack([np.linspace(20, 60, 5), np.full(5, 30.0), np.linspace(0.2, 1, 5)])
+    box = np.array([10.0, 20, 70, 40])
+    ahead = Instance(box, keypoints=points, end_confidence=0.5)
+    back = replace(ahead, keypoints=points[::-1])
+    without, given = Instance(box), Instance(box, keypoints=points)
+    batches: list[int] = []
+
+    def to_the_right(
+        _: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]
+    ) -> list[float | None]:
+        batches.append(len(lines))
+        return [3.0 if line[-1, 0] > line[0, 0] else -3.0 for line in lines]
+
+    blank = np.zeros((60, 80, 3), np.uint8)
+    ordered = with_stems_last([ahead, without, back, given], blank, to_the_right)
+    assert batches == [2]
+    assert ordered[1] is without
+    assert ordered[3] is given
+    for instance in (ordered[0], ordered[2]):
+        # The visibilities go with the points.
+        assert instance.keypoints == pytest.approx(points)
+        assert instance.end_confidence is not None
+        assert instance.end_confidence > 0.9
+    assert with_stems_last([], blank, to_the_right) == ()
 
 
 def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:

@@ -285,8 +285,8 @@ def measure_fruit(
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres.
     ends : callable, optional
-        Tells once more which end is the stem's, along the tube (`EndClassifier.log_odds`); the
-        keypoints of the result are in its order.
+        Tells which end is the stem's, along the tube, or along the keypoints without one
+        (`EndClassifier.log_odds`); the keypoints of the result are in its order.
     tube : Measurement, optional
         M6 of the instance's mask in this capture, if it was already measured.
 
@@ -323,10 +323,7 @@ def measure_fruit(
     )
     method_of = {method if isinstance(method, str) else method.name: method for method in methods}
     measured = _measured(region, method_of, tube)
-    if ends is not None:
-        line_px = tube_line_px(instance, measured.get(MethodName.M6), capture)
-        if line_px is not None:
-            instance = stem_last(instance, line_px, ends(capture.color, [line_px])[0])
+    instance = _oriented(instance, measured.get(MethodName.M6), capture, ends)
     turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
     measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
@@ -370,6 +367,17 @@ def measure_fruit(
         pose=pose,
     )
     return with_length(fruit, definition, scale_known=scale_known, models=models)
+
+
+def _oriented(
+    instance: Instance, tube: Measurement | None, capture: Capture, ends: EndJudge | None
+) -> Instance:
+    """Return a fruit with its keypoints in the order that the picture tells, if it is asked."""
+    line_px = None if ends is None else tube_line_px(instance, tube, capture)
+    if ends is None or line_px is None:
+        return instance
+    (log_odds,) = ends(capture.color, [line_px])
+    return stem_last(instance, line_px, log_odds)
 
 
 def _flags(

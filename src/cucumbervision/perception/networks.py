@@ -415,7 +415,7 @@ class NetworkLoader:
         else:
             self._note(path.name, network.task, file_sha256(path), network)
         if network.by_place:
-            self._ends = self._ends or self._companion("ends", EndClassifier)
+            self._load_ends()
         looks_twice = isinstance(chosen, str) if second_look is None else second_look
         if looks_twice and network.task == "segment":
             network.crops = self._companion("crops", CropClassifier)
@@ -509,8 +509,12 @@ class NetworkLoader:
         """
         fruit = self._companion("fruit", FruitLooker)
         if fruit is not None:
-            self._ends = self._companion("ends", EndClassifier)
+            self._load_ends()
         return fruit
+
+    def _load_ends(self) -> None:
+        """Load the registry's network for `ends`, once."""
+        self._ends = self._ends or self._companion("ends", EndClassifier)
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

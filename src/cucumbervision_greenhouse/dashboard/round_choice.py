@@ -57,14 +57,26 @@ def choose_round() -> RoundSummary | None:
         # A slow browser sends the earlier round again, which must not open it.
         st.session_state["named_before"] = st.session_state.get("named")
         st.query_params["round"] = st.session_state["named"] = round_summary.key
-    # Popovers keep their state, so that an action inside closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
-    with new.popover(_("New round"), icon=":material/add:", key=_BEGINNING, **tall):
+    with new.popover(_("New round"), icon=":material/add:", key=_popover_key(_BEGINNING), **tall):
         _begin(rounds.values())
     tall |= {"help": _("Rename or delete")}
-    with change.popover("", icon=":material/edit:", key=_CHANGING, **tall):
+    with change.popover("", icon=":material/edit:", key=_popover_key(_CHANGING), **tall):
         _change(round_summary)
     return round_summary
+
+
+def _popover_key(name: str) -> str:
+    return f"{name}_{st.session_state.get(name, 0)}"
+
+
+def _close(name: str) -> None:
+    """Close a popover from inside it.
+
+    It gets a new key: where a button in it is pressed before the server has drawn it open, the
+    browser ignores a state that says closed, since none ever said open.
+    """
+    st.session_state[name] = st.session_state.get(name, 0) + 1
 
 
 def missing_round() -> str:
@@ -110,7 +122,7 @@ def _begin(rounds: Iterable[RoundSummary]) -> None:
             words = _("The round is in the house '{house}', which is known by that name.")
             st.toast(plain(words.format(house=same)))
         st.session_state["round"] = record.key
-        st.session_state[_BEGINNING] = False
+        _close(_BEGINNING)
 
     st.button(_("Start this round"), type="primary", width="stretch", on_click=begin)
     if fault := st.session_state.pop("begin_fault", None):
@@ -193,7 +205,7 @@ def _do(act: Callable[[str], None], key: str) -> None:
     except CucumberVisionError as error:
         st.session_state["round_fault"] = said(error)
     else:
-        st.session_state[_CHANGING] = False
+        _close(_CHANGING)
 
 
 def _rename(seen: str, key: str) -> None:

@@ -191,12 +191,12 @@ def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
         with open_store(house) as store:
             return sorted(x.record.house for x in store.rounds())
 
-    test = app("today", round=WALK, changing_round=True)
+    test = app("today", round=WALK, changing_round_0=True)
     field = next(x for x in test.text_input if x.label == "House")
     field.input("South").run()
     tap(test, "Rename the house (1 round)")
     assert houses() == ["North", "South"]
-    test = app("today", round=WALK, changing_round=True)
+    test = app("today", round=WALK, changing_round_0=True)
     next(x for x in test.text_input if x.label == "House").input("north").run()
     tap(test, "Merge the house with 'North' (1 round)")
     assert houses() == ["North", "North"]

@@ -1,4 +1,4 @@
-"""Two days of a house in Chromium: upload, pick, upload again, compare, export; nothing else."""
+"""Two days of a house in Chromium: upload, pick, compare, export; and rounds begun fast."""
 
 from __future__ import annotations
 
@@ -167,3 +167,30 @@ def test_two_days_from_upload_to_export(
     shot(phone, "phone")
     too_wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
     assert not phone.evaluate(too_wide)
+
+
+START_AT_ONCE = """async () => {
+  const button = (place, words) =>
+    [...document.querySelectorAll(`${place} button`)].find(x => x.innerText.includes(words));
+  button('', 'New round').click();
+  for (let i = 0; i < 1000 && !button('[role=dialog]', 'Start this round'); i++)
+    await new Promise(drawn => setTimeout(drawn, 5));
+  button('[role=dialog]', 'Start this round').click();
+}"""
+"""Open the form and press its button before the server has drawn the page with the form open."""
+
+
+def test_the_form_of_a_round_closes_however_fast_it_is_sent(
+    tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
+) -> None:
+    store = tmp_path / "house.db"
+    page = new_page(1280, 900)
+    page.goto(start_server(tmp_path, "--store", str(store)))
+    page.get_by_role("button", name="New round").wait_for()
+    for count in range(1, 5):
+        page.locator("[data-test-script-state=notRunning]").wait_for()
+        page.evaluate(START_AT_ONCE)
+        page.get_by_role("dialog").wait_for(state="hidden", timeout=60_000)
+        page.locator("[data-test-script-state=notRunning]").wait_for()
+        with open_store(store) as opened:
+            assert sum(not x.record.name for x in opened.rounds()) == count

@@ -134,6 +134,22 @@ def test_two_fruit_that_touch_in_one_outline_are_told(
         assert not {Flag.DEPTH_GAP, Flag.POOR_FIT} & {*alone.flags}
 
 
+def test_a_notch_on_one_side_is_no_gap_between_two_fruit() -> None:
+    # As where a tendril crosses the outline, and depth there is of the house behind.
+    capture = capsule_capture(lying(0.24))
+    (mask,) = capture.masks
+    rows = np.flatnonzero(mask.any(axis=1))
+    thirds = np.linspace(rows[0], rows[-1] + 1, 4).astype(int)
+    notch = np.zeros_like(mask)
+    notch[thirds[1] : thirds[3], 320 - 6 : 320 + 6] = True
+    behind = with_depth(capture, np.where(notch, 2.0, capture.depth_m))
+    assert doubts(behind, mask & ~notch) == ()
+    notch[thirds[0] : thirds[1], 320 - 6 : 320 + 6] = True  # on both sides: two round ends
+    notch[(thirds[0] + thirds[1]) // 2 : (thirds[1] + thirds[2]) // 2] = False
+    behind = with_depth(capture, np.where(notch, 2.0, capture.depth_m))
+    assert doubts(behind, mask & ~notch) == (Flag.DEPTH_GAP,)
+
+
 @pytest.mark.parametrize("moved_px", [(0, 16), (0, -24), (14, 14)])
 def test_depth_that_lies_beside_its_outline_is_unaligned(moved_px: tuple[int, int]) -> None:
     capture = capsule_capture(lying(0.16, distance_m=0.5))

@@ -33,6 +33,7 @@ _NEARER_SHARE = 0.85  # of the readings there
 _NOISE_SD = 4.0  # standard errors of both medians
 _LEAST_PART = 0.1  # minimum size of a part, relative to the mask
 _WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider parts is a waist
+_WAIST_SIDE_SHARE = 0.1  # of a waist's gap, on the side with less of it
 _GAP_BEHIND = 1.0  # minimum distance of the gap behind the fruit, in diameters
 _LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest length
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
@@ -179,14 +180,39 @@ def _has_gap(body: _Body) -> bool:
     """
     width_px = 2.0 * body.radius_px
     limit_m = body.distance_m + _GAP_BEHIND * 2.0 * body.radius_m
+
+    def is_behind(gap: NDArray[np.bool_]) -> bool:
+        depths_m = body.depth_m[gap & body.read]
+        return depths_m.size >= _MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE
+
+    pieces = _parts(body.mask)
+    if pieces is not None and is_behind(_between(pieces, width_px) & ~body.mask):
+        return True
     worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px)
-    for parts in (_parts(body.mask), worn if worn is None else _grown(worn, body.mask, width_px)):
-        if parts is None:
-            continue
-        depths_m = body.depth_m[_between(parts, width_px) & ~body.mask & body.read]
-        if depths_m.size >= _MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE:
-            return True
-    return False
+    if worn is None:
+        return False
+    gap = _between(_grown(worn, body.mask, width_px), width_px) & ~body.mask
+    return is_behind(gap) and _is_on_both_sides(gap, body.mask)
+
+
+def _is_on_both_sides(gap: NDArray[np.bool_], mask: NDArray[np.bool_]) -> bool:
+    """Return whether a gap lies on both sides of a mask; a leaf or tendril notches one side."""
+    centre, axis = _principal_axis(mask)
+    across = np.array([-axis[1], axis[0]])
+    of_mask, of_gap = (np.argwhere(part)[:, ::-1] - centre for part in (mask, gap))
+    rows = np.rint(of_mask @ axis).astype(np.intp)
+    first, counts = rows.min(), np.bincount(rows - rows.min())
+    middle_px = np.bincount(rows - first, of_mask @ across) / np.maximum(counts, 1)
+    gap_rows = np.clip(np.rint(of_gap @ axis).astype(np.intp) - first, 0, len(counts) - 1)
+    share = float((of_gap @ across > middle_px[gap_rows]).mean())
+    return min(share, 1.0 - share) >= _WAIST_SIDE_SHARE
+
+
+def _principal_axis(mask: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centre and the direction u, v of a mask's longest extent."""
+    points = np.argwhere(mask)[:, ::-1].astype(np.float64)
+    centre = points.mean(axis=0)
+    return centre, np.linalg.eigh(np.cov((points - centre).T))[1][:, 1]
 
 
 def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
@@ -214,10 +240,8 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     """Return the pixels that lie between two parts along the axis of the parts."""
     import cv2
 
-    points = np.argwhere(parts)[:, ::-1].astype(np.float64)
-    centre = points.mean(axis=0)
-    x, y = np.linalg.eigh(np.cov((points - centre).T))[1][:, 1]
-    reach = int(np.abs(points - centre).max() * 1.5) + 2
+    centre, (x, y) = _principal_axis(parts)
+    reach = int(np.abs(np.argwhere(parts)[:, ::-1] - centre).max() * 1.5) + 2
     # Rotate so that the axis runs along the columns, and back.
     turned = np.array([[y, -x, reach], [x, y, reach]], np.float64)
     turned[:, 2] -= turned[:, :2] @ centre

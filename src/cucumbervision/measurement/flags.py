@@ -41,6 +41,7 @@ class Flag(StrEnum):
     DEPTH_HOLLOW = "depth-hollow"
     DEPTH_GAP = "depth-gap"
     DEPTH_UNALIGNED = "depth-unaligned"
+    DEPTH_COARSE = "depth-coarse"
     DEPTH_ALONG_RAY = "depth-along-ray"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
@@ -219,6 +220,15 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         effect=Effect.NO_DEPTH,
         data_fault="outline and depth do not lie together",
         remedy="check that depth is aligned to colour, and masks are of this picture",
+    ),
+    Flag.DEPTH_COARSE: FlagMeaning(
+        "its depth has steps of over 1.2 % of the distance, or is whole millimetres up to 255, as "
+        "in a picture of 8 bits or in whole centimetres: lengths may be wrong by a tenth and more",
+        remark="depth in coarse steps: check what the depth picture holds",
+        effect=Effect.NO_DEPTH,
+        data_fault="their depth has coarse steps, as in a picture of 8 bits or in whole "
+        "centimetres",
+        remedy="give depth as the camera recorded it, with 16 bits in millimetres or finer",
     ),
     Flag.DEPTH_ALONG_RAY: FlagMeaning(
         "what is behind the fruit is a plane only if depth is the distance along each pixel's ray, "

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from cucumbervision.errors import ModelError, wrap_reader_errors
 from cucumbervision.files import read_json
 from cucumbervision.instances.instance import MaskSource
-from cucumbervision.measurement.flags import LOWER_BOUND, Flag
+from cucumbervision.measurement.flags import LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.measurement.hidden_end import DRAWN_KINDS
 from cucumbervision.measurement.result import (
     IntervalBasis,
@@ -290,7 +290,7 @@ def mask_features(
         "certainty": 0.0 if is_labelled else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
         "cut": float(Flag.CUT_BY_FRAME in flags),
-        "sparse": float(Flag.DEPTH_SPARSE in flags),
+        "no_depth": float(not NO_DEPTH.isdisjoint(flags)),
         "goes_on": float(goes_on),
         # The end keypoints of a fruit that continues out of sight are guesses.
         "ends_disagree": float(not (is_labelled or goes_on) and Flag.ENDS_DISAGREE in flags),
@@ -298,14 +298,14 @@ def mask_features(
 
 
 def has_no_interval(features: Mapping[str, float]) -> bool:
-    """Return whether the models do not apply: the picture cuts the fruit, or depth is missing.
+    """Return whether the models do not apply: the picture cuts the fruit, or depth is wrong.
 
     Examples
     --------
     >>> has_no_interval(mask_features(MaskSource.SAM, [Flag.DEPTH_SPARSE]))
     True
     """
-    return bool(features.get("cut") or features.get("sparse"))
+    return bool(features.get("cut") or features.get("no_depth"))
 
 
 WIDEST = 4.0  # an interval from half to twice a length is useless
@@ -415,7 +415,7 @@ def with_interval(
     -------
     length : Length
         The length with its interval, if there is a model for it. A fruit cut by the edge of the
-        picture has none, because only a lower bound is known; nor has one with hardly any depth.
+        picture has none, because only a lower bound is known; nor has one with wrong depth.
     narrow : bool
         False if the interval would span more than a factor of four and is therefore omitted.
     """

@@ -387,7 +387,7 @@ def _flags(
     chosen: Measurement | None,
     sure: float | None,
 ) -> list[Flag]:
-    """Return what is flagged of the frame, the fit and the ends, known with probability `sure`."""
+    """Return what is flagged; `sure` is the probability that the ends are not swapped."""
     flags = []
     if cut_by_frame(instance.box, mask, capture.width, capture.height):
         flags.append(Flag.CUT_BY_FRAME)
@@ -398,6 +398,7 @@ def _flags(
         flags.extend(depth_doubts(capture.depth_m, mask, capture.intrinsics.fx_px))
     if sure is not None and sure < LEAST_END_CONFIDENCE:
         flags.append(Flag.ENDS_UNSURE)
+    flags.extend(Flag(doubt) for doubt in capture.doubts)
     return flags
 
 

@@ -465,11 +465,8 @@ class Measurer:
             )
         if self.site is not None:
             measured = [calibrated_fruit(fruit, self.site, options.length) for fruit in measured]
-        doubts = [Flag(doubt) for doubt in capture.doubts]
         sizes = options.accepted_m, options.accepted_diameter_m
-        accepted = [
-            accepted_fruit(fruit.flagged(*doubts), *sizes, capture.intrinsics) for fruit in measured
-        ]
+        accepted = [accepted_fruit(fruit, *sizes, capture.intrinsics) for fruit in measured]
         traits = self.plugged.traits
         return [
             fruit if fruit.reason is Choice.WAITING else with_traits(capture, fruit, traits)

@@ -362,6 +362,8 @@ SENTENCES = (
     marked("check that the depth picture holds distances, and not their inverse or relative depth"),
     marked("their outline has pieces with a gap between them that lies behind"),
     marked("give each fruit an outline of its own"),
+    marked("their depth has coarse steps, as in a picture of 8 bits or in whole centimetres"),
+    marked("give depth as the camera recorded it, with 16 bits in millimetres or finer"),
     marked("outline and depth do not lie together"),
     marked("check that depth is aligned to colour, and masks are of this picture"),
     marked("the intrinsics' principal point lies off the middle of the picture"),

@@ -201,8 +201,8 @@ def test_a_picture_of_8_bits_saved_with_16_is_told() -> None:
 def test_depth_of_a_wider_camera_of_the_same_size_is_unaligned() -> None:
     # As a D435 writes depth that nobody aligned: 0.69 of colour's focal length.
     wider = replace(CAMERA, fx_px=0.69 * 462, fy_px=0.69 * 462)
-    for down_m in (0.05, 0.06):
-        fruit = lying(0.16, across_m=0.03, down_m=down_m)
+    for across_m, down_m in ((0.03, 0.05), (0.03, 0.06), (0.0, 0.0)):
+        fruit = lying(0.16, across_m=across_m, down_m=down_m)
         capture = capsule_capture(fruit)
         unaligned = with_depth(capture, capsule_capture(fruit, camera=wider).depth_m)
         assert doubts(unaligned) == (Flag.DEPTH_UNALIGNED,)

@@ -45,7 +45,9 @@ _PLANE_READINGS = 2000  # more readings do not improve the plane
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
 _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.7, 0.3
+_WIDER, _ALIGNED_AS_WIDER = 0.7, 1.2  # focal length of a D435's depth relative to its colour's
 _GAP_SHARE = 0.8  # share of the readings in the gap
+_LEVEL_SAMPLES = 10_000
 _LEVEL_READINGS, _LEVELS_SHARE = 3, 0.9  # of a level, and on levels; the rest may be mixtures
 # Of the distance. Depth in millimetres has 0.8 % at 0.12 m, a Kinect 0.6 % at 2 m, a D435 0.2 %.
 _COARSE_STEP = 0.012
@@ -161,9 +163,10 @@ class _Body:
 
 def _levels(readings_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the values that nearly all readings have, ascending; empty if there are none."""
-    levels_m, counts = np.unique(readings_m, return_counts=True)
+    spacing = max(1, readings_m.size // _LEVEL_SAMPLES)
+    levels_m, counts = np.unique(readings_m[::spacing], return_counts=True)
     common = counts >= _LEVEL_READINGS
-    if counts[common].sum() < _LEVELS_SHARE * readings_m.size:
+    if counts[common].sum() < _LEVELS_SHARE * counts.sum():
         common[:] = False
     return np.asarray(levels_m[common], np.float32)
 
@@ -350,32 +353,85 @@ def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
 
 
 def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Body) -> bool:
-    """Return whether the mask fits the depth much better at a shifted position.
+    """Return whether the mask fits the depth much better moved, or enlarged from a wider camera.
 
-    It is shifted in a window that extends the fruit by its shorter side.
+    The mask is moved in a window that extends the fruit by its shorter side.
+    """
+    x1, y1, x2, y2 = box_of_mask(mask)
+    part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
+    if part is None:
+        return False
+    step = max(1, int(body.radius_px / (2 * _RADIUS_PX)))  # enough pixels to average over
+    mask, radius_px = mask[part][::step, ::step], body.radius_px / step
+    near = 1 + _NEAR_RADII * body.radius_m / body.distance_m
+    scores = _scores(depth_m[part][::step, ::step], mask, radius_px, near)
+    if scores is None:
+        return False
+    score = float(scores[_SHIFTS, _SHIFTS])
+    if _fits_better(scores, score, _ALIGNED, _MOVED_RADII * _RADIUS_PX):
+        return True
+    scores = _scores(_as_wider(depth_m, part, step), mask, radius_px, near)
+    return scores is not None and _fits_better(scores, score, _ALIGNED_AS_WIDER, 0.0)
 
-    The score of a position is the mean inside the mask minus the mean around it, where near
-    readings count +1 and far ones -1; it is 2 for a free-standing fruit.
+
+def _fits_better(
+    scores: NDArray[np.float32], score: float, least: float, least_moved: float
+) -> bool:
+    best = np.unravel_index(int(scores.argmax()), scores.shape)
+    moved = np.abs(np.array(best) - _SHIFTS)
+    # A best position at the border of the search may belong to another object.
+    return bool(
+        scores[best] >= least
+        and scores[best] - score >= _BETTER
+        and np.hypot(*moved) >= least_moved
+        and moved.max() < _SHIFTS
+    )
+
+
+def _as_wider(
+    depth_m: NDArray[np.float32], part: tuple[slice, slice], step: int
+) -> NDArray[np.float32]:
+    """Return a part of a depth picture, enlarged about the middle as if nobody had aligned it."""
+    import cv2
+
+    height, width = depth_m.shape
+    v, u = part
+    scale = _WIDER * step
+    turn = np.array(
+        [
+            [scale, 0.0, width / 2 + (u.start - width / 2) * _WIDER],
+            [0.0, scale, height / 2 + (v.start - height / 2) * _WIDER],
+        ]
+    )
+    size = -(-(u.stop - u.start) // step), -(-(v.stop - v.start) // step)
+    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(depth_m, turn, size, flags=nearest), np.float32)
+
+
+def _scores(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], radius_px: float, near: float
+) -> NDArray[np.float32] | None:
+    """Return how well a mask fits the depth at each shift; None with too few readings.
+
+    The score is the mean inside the mask minus the mean around it, where near readings count +1 and
+    far ones -1; it is 2 for a free-standing fruit. Readings up to `near` times the distance of what
+    is nearest are near.
     """
     import cv2
 
-    x1, y1, x2, y2 = box_of_mask(mask)
-    part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
-    depth_m, mask = depth_m[part], mask[part]
-    read, side_px = valid_depth(depth_m), 2 * round(body.radius_px) + 1
+    read, side_px = valid_depth(depth_m), 2 * round(radius_px) + 1
     # A sum over squares is a dilation whose time does not grow with the square.
     sums = cv2.boxFilter(
         mask.astype(np.uint8), -1, (side_px, side_px), normalize=False, borderType=0
     )
     is_around = read & (sums > 0)
     if np.count_nonzero(is_around) < _MIN_READINGS:
-        return False
-    # Radii at the nearest distance, because the distance at the mask may be that of another object.
-    near_m = _nearest_along(depth_m, mask, is_around)
-    limit_m = near_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
+        return None
+    # Relative to the nearest, because the distance at the mask may be that of another object.
+    limit_m = near * _nearest_along(depth_m, mask, is_around)
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     # Six pixels per radius are enough to find the best position.
-    scale = min(1.0, _RADIUS_PX / body.radius_px)
+    scale = min(1.0, _RADIUS_PX / radius_px)
     size = [max(1, round(n * scale)) for n in mask.shape[::-1]]
     values, is_read, shape = (
         np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
@@ -383,17 +439,7 @@ def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Bod
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
     ring = np.clip(outer - inner, 0.0, 1.0)
-    scores = _mean_under(values, is_read, shape) - _mean_under(values, is_read, ring)
-    best = np.array(np.unravel_index(int(scores.argmax()), scores.shape))
-    moved = np.abs(best - _SHIFTS)
-    better = float(scores[tuple(best)] - scores[_SHIFTS, _SHIFTS])
-    # A best position at the border of the search may belong to another object.
-    return bool(
-        scores.max() >= _ALIGNED
-        and better >= _BETTER
-        and np.hypot(*moved) >= _MOVED_RADII * _RADIUS_PX
-        and moved.max() < _SHIFTS
-    )
+    return _mean_under(values, is_read, shape) - _mean_under(values, is_read, ring)
 
 
 def _nearest_along(

@@ -214,8 +214,8 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="give each fruit an outline of its own",
     ),
     Flag.DEPTH_UNALIGNED: FlagMeaning(
-        "moved, its outline fits what is near in depth far better, or nothing stands out there: "
-        "check that depth is aligned to colour",
+        "moved, or with depth enlarged as if nobody had aligned it, its outline fits what is near "
+        "far better, or nothing stands out there: check that depth is aligned to colour",
         remark="outline and depth do not lie together: check that depth is aligned",
         effect=Effect.NO_DEPTH,
         data_fault="outline and depth do not lie together",

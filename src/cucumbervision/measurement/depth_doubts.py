@@ -40,12 +40,14 @@ _LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest l
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 _PLANE_READINGS = 2000  # more readings do not improve the plane
-# Among 45 real fruit with correct depth none exceeds these limits, and 8 of 292 drawn ones do. Of
+# Among 45 real fruit with correct depth none exceeds these limits, and 4 of 292 drawn ones do. Of
 # masks moved across by a radius, four in five of real fruit and three in four of drawn ones do.
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
 _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.7, 0.3
-_WIDER, _ALIGNED_AS_WIDER = 0.7, 1.2  # focal length of a D435's depth relative to its colour's
+_BESIDE_SCORES = -1.0, 0.8  # of a mask beside its fruit: more is on it, less is behind others
+_WIDER = 0.7  # focal length of a D435's depth, relative to its colour's
+_ALIGNED_AS_WIDER, _BETTER_AS_WIDER = 1.2, 0.8
 _GAP_SHARE = 0.8  # share of the readings in the gap
 _LEVEL_SAMPLES = 10_000
 _LEVEL_READINGS, _LEVELS_SHARE = 3, 0.9  # of a level, and on levels; the rest may be mixtures
@@ -368,24 +370,23 @@ def _is_beside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Bod
     if scores is None:
         return False
     score = float(scores[_SHIFTS, _SHIFTS])
-    if _fits_better(scores, score, _ALIGNED, _MOVED_RADII * _RADIUS_PX):
+    least, most = _BESIDE_SCORES
+    better = score + _BETTER
+    if least <= score <= most and _is_best(
+        scores, max(_ALIGNED, better), _MOVED_RADII * _RADIUS_PX
+    ):
         return True
     scores = _scores(_as_wider(depth_m, part, step), mask, radius_px, near)
-    return scores is not None and _fits_better(scores, score, _ALIGNED_AS_WIDER, 0.0)
+    better = score + _BETTER_AS_WIDER
+    return scores is not None and _is_best(scores, max(_ALIGNED_AS_WIDER, better))
 
 
-def _fits_better(
-    scores: NDArray[np.float32], score: float, least: float, least_moved: float
-) -> bool:
+def _is_best(scores: NDArray[np.float32], least: float, least_moved: float = 0.0) -> bool:
+    """Return whether the best score is high enough, at a place that is moved far enough."""
     best = np.unravel_index(int(scores.argmax()), scores.shape)
     moved = np.abs(np.array(best) - _SHIFTS)
     # A best position at the border of the search may belong to another object.
-    return bool(
-        scores[best] >= least
-        and scores[best] - score >= _BETTER
-        and np.hypot(*moved) >= least_moved
-        and moved.max() < _SHIFTS
-    )
+    return bool(scores[best] >= least and np.hypot(*moved) >= least_moved and moved.max() < _SHIFTS)
 
 
 def _as_wider(

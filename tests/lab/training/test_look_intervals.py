@@ -97,13 +97,13 @@ def test_fruit_far_away_have_quantiles_of_their_own(
     assert away[1] - away[0] == pytest.approx(2 * 1.645 * 0.04, rel=0.2)
 
 
-def test_cut_fruit_given_masks_and_hardly_any_depth_teach_nothing(
+def test_cut_fruit_given_masks_and_wrong_depth_teach_nothing(
     learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
 ) -> None:
     wrong = [
         fruit(5000, 0.01, given=True),
         fruit(5001, 0.01, cut=1.0),
-        fruit(5002, 0.01, sparse=1.0),
+        fruit(5002, 0.01, no_depth=1.0),
     ] * 300
     looks = [(TRUE, TRUE)] * len(wrong)
     plain = fit_look_intervals(*learnt)

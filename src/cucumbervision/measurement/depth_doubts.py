@@ -40,7 +40,7 @@ _LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest l
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 _PLANE_READINGS = 2000  # more readings do not improve the plane
-# Among 45 real fruit with correct depth none exceeds these limits, and 4 of 292 drawn ones do. Of
+# Among 45 real fruit with correct depth none exceeds these limits, and 5 of 292 drawn ones do. Of
 # masks moved across by a radius, four in five of real fruit and three in four of drawn ones do.
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
 _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6

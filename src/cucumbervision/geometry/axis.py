@@ -88,16 +88,16 @@ def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray
     """Return the centroid and the direction of largest spread.
 
     The first right singular vector of the centred cloud (the paper's Eq. 2), found as the first
-    eigenvector of its 3x3 scatter matrix: the same vector, without an SVD of N rows.
+    eigenvector of its scatter matrix: the same vector, without an SVD of N rows.
 
     Parameters
     ----------
     points_m : ndarray of float, shape (N, 3)
-        At least two points.
+        At least two points; pixels (N, 2) give those of a mask, in pixels.
 
     Returns
     -------
-    centroid_m, axis : ndarray of float64, shape (3,)
+    centroid_m, axis : ndarray of float64, shape (3,), or (2,) of pixels
         `axis` has length 1; its largest component is positive.
 
     Raises

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.axis import principal_axis
 from cucumbervision.geometry.pixels import quick_median
-from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_window
+from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_pixels, mask_window
 from cucumbervision.measurement.flags import Flag
 
 if TYPE_CHECKING:
@@ -40,8 +41,8 @@ _LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest l
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 _PLANE_READINGS = 2000  # more readings do not improve the plane
-# Among 45 real fruit with correct depth none exceeds these limits, and 5 of 292 drawn ones do. Of
-# masks moved across by a radius, four in five of real fruit and three in four of drawn ones do.
+# Real fruit with correct depth do not exceed these limits; some drawn in heaps do, and most masks
+# that are moved across by a radius.
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
 _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.7, 0.3
@@ -247,22 +248,15 @@ def _has_gap(body: _Body) -> bool:
 
 def _is_on_both_sides(gap: NDArray[np.bool_], mask: NDArray[np.bool_]) -> bool:
     """Return whether a gap lies on both sides of a mask; a leaf or tendril notches one side."""
-    centre, axis = _principal_axis(mask)
+    centre, axis = principal_axis(mask_pixels(mask))
     across = np.array([-axis[1], axis[0]])
-    of_mask, of_gap = (np.argwhere(part)[:, ::-1] - centre for part in (mask, gap))
+    of_mask, of_gap = (mask_pixels(part) - centre for part in (mask, gap))
     rows = np.rint(of_mask @ axis).astype(np.intp)
     first, counts = rows.min(), np.bincount(rows - rows.min())
     middle_px = np.bincount(rows - first, of_mask @ across) / np.maximum(counts, 1)
     gap_rows = np.clip(np.rint(of_gap @ axis).astype(np.intp) - first, 0, len(counts) - 1)
     share = float((of_gap @ across > middle_px[gap_rows]).mean())
     return min(share, 1.0 - share) >= _WAIST_SIDE_SHARE
-
-
-def _principal_axis(mask: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centre and the direction u, v of a mask's longest extent."""
-    points = np.argwhere(mask)[:, ::-1].astype(np.float64)
-    centre = points.mean(axis=0)
-    return centre, np.linalg.eigh(np.cov((points - centre).T))[1][:, 1]
 
 
 def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
@@ -290,8 +284,9 @@ def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
     """Return the pixels that lie between two parts along the axis of the parts."""
     import cv2
 
-    centre, (x, y) = _principal_axis(parts)
-    reach = int(np.abs(np.argwhere(parts)[:, ::-1] - centre).max() * 1.5) + 2
+    points = mask_pixels(parts > 0)
+    centre, (x, y) = principal_axis(points)
+    reach = int(np.abs(points - centre).max() * 1.5) + 2
     # Rotate so that the axis runs along the columns, and back.
     turned = np.array([[y, -x, reach], [x, y, reach]], np.float64)
     turned[:, 2] -= turned[:, :2] @ centre
@@ -450,7 +445,7 @@ def _nearest_along(
 
     A fruit that points at the camera is farther away at one end by more than its radius.
     """
-    centre, axis = _principal_axis(mask)
+    centre, axis = principal_axis(mask_pixels(mask))
     v, u = np.ogrid[: mask.shape[0], : mask.shape[1]]
     along = (u - centre[0]) * axis[0] + (v - centre[1]) * axis[1]
     places, readings_m = along[is_around], depth_m[is_around]

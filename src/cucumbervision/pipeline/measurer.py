@@ -372,13 +372,14 @@ class Measurer:
             Indices of the fruit to measure; all by default.
         """
         capture, detections = detected.capture, detected.detections
+        doubts = [Flag(doubt) for doubt in capture.doubts]
         pairs = list(zip_longest(detections.instances, detections.tubes))
         numbers = [k for k in range(len(pairs)) if chosen is None or k in chosen]
         judges = dict(zip(numbers, self._judges(capture, [pairs[k] for k in numbers]), strict=True))
         measured = [
             self._measured(capture, instance, tube, judges[k])
             if k in judges
-            else FruitMeasurement(instance, {}, None, Choice.WAITING)
+            else FruitMeasurement(instance, {}, None, Choice.WAITING).flagged(*doubts)
             for k, (instance, tube) in enumerate(pairs)
         ]
         fruit = self._judged(capture, measured)
@@ -392,11 +393,9 @@ class Measurer:
             for error in (*detections.refused, *errors.values())
         ]
         models = () if self._finder is None else self._finder.models_of(detections.stages)
-        doubts = [Flag(doubt) for doubt in capture.doubts]
-        doubted = tuple(measured.flagged(*doubts) for measured in with_unit_doubts(fruit))
         return CaptureResult(
             capture=capture,
-            fruit=doubted,
+            fruit=tuple(with_unit_doubts(fruit)),
             failures=tuple(refused),
             error=None,
             stages=detections.stages,

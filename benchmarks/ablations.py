@@ -33,7 +33,6 @@ from rich.table import Table
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.fruit_look import PictureLooks
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.finders import make_finder
@@ -138,18 +137,16 @@ def ablations() -> list[Ablation]:
         return network._detect_at(color, size, confidence)
 
     straight = (YoloDetector, "_detect_mirrored", pass_straight)
-    no_second_look = (CropClassifier, "rescore", lambda _, __, detections: tuple(detections))
     no_close_look = (PictureLooks, "rescore", lambda _, instances: tuple(instances))
     return [
         Ablation("as shipped"),
         Ablation("without the mirror image", (straight,)),
         Ablation("without the second size", single_size=True),
-        Ablation("without the second look", (no_second_look,)),
         Ablation("without the close look's vote", (no_close_look,)),
         Ablation("without joined pieces", (NO_PIECES,)),
         Ablation(
             "without all of these",
-            (no_second_look, no_close_look, NO_PIECES),
+            (no_close_look, NO_PIECES),
             single_size=True,
         ),
     ]

@@ -22,7 +22,10 @@ STAGES = {
     "a burst's median and sharpness": ("capture.frames:fuse_burst",),
     "network inputs": ("perception.resize:Letterbox.as_input", "perception.card:Levels.planes"),
     "detector's masks": ("perception.resize:Letterbox.mask_back",),
-    "second look's crops": ("perception.crops:CropClassifier.rescore",),
+    "looks at fruit": (
+        "perception.fruit_look:PictureLooks.rescore",
+        "perception.fruit_look:PictureLooks.refine",
+    ),
     "stem ends' strips": ("perception.ends:EndClassifier.log_odds",),
     "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
     "each fruit once": ("perception.networks:each_fruit_once",),

@@ -171,7 +171,8 @@ def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
     shown, look = [], looker.look
 
-    def counted(crops: list[FruitCrop]) -> list[FruitLook]:
+    def counted(crops: list[FruitCrop], *, once: bool) -> list[FruitLook]:
+        assert not once
         shown.append(len(crops))
         return look(crops)
 
@@ -188,6 +189,27 @@ def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     # Another picture is another look.
     looker.on(color).refine([rescored])
     assert shown == [1, 1, 1]
+
+
+def test_a_crop_and_the_turned_one_get_the_same_outline_and_opposite_stem_ends() -> None:
+    looker = NetworkLoader(runtime="onnxruntime").fruit_looker()
+    assert looker is not None
+    capture = next(iter(open_source(example_captures()))).load()
+    mask = next(mask for mask in capture.masks if mask.any())
+    crop = fruit_crop(capture.color, capture.depth_m, mask, capture.intrinsics.fx_px)
+    assert crop is not None
+    turned = replace(crop, planes=crop.planes[::-1, ::-1])
+    ahead, back = looker.look([crop, turned])
+    alone = looker.look([crop], once=True)[0]
+    assert abs(alone.stem_last - ahead.stem_last) > 1e-3
+    np.testing.assert_allclose(back.outline[::-1, ::-1], ahead.outline, atol=1e-4)
+    middle = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
+    np.testing.assert_allclose(
+        back.points[::-1, :2] - middle, middle - ahead.points[:, :2], atol=1e-2
+    )
+    np.testing.assert_allclose(back.points[::-1, 2], ahead.points[:, 2], atol=1e-4)
+    assert back.stem_last == pytest.approx(-ahead.stem_last, abs=1e-4)
+    assert back.fruit == pytest.approx(ahead.fruit, abs=1e-4)
 
 
 def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:
@@ -207,11 +229,14 @@ def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -
     # Without depth the look rescores; this one takes everything for a cucumber.
     surest = max(fruit.confidence for fruit in detectors.find(color))
     alone = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
-    alone_surest = max(f.confidence for f in alone.detectors(keypoints=False).find(color))
+    alone_surest = max(f.confidence for f in alone.detectors(looks=False, quick=True).find(color))
     assert surest > alone_surest
     given = NetworkLoader(registry, runtime="onnxruntime")
     given.detectors(pose=pose)
     assert "fruit" not in {model["task"] for model in given.models}
+    quick = NetworkLoader(registry, runtime="onnxruntime")
+    quick.detectors(quick=True)
+    assert quick.ends is None
 
 
 def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_path: Path) -> None:
@@ -228,4 +253,5 @@ def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_pa
     for instance in found:
         assert instance.keypoints is not None
         assert instance.keypoints[:, 2] == pytest.approx(1 / (1 + np.exp(-4)))
-        assert instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3)))
+        # It says the same of a turned crop: the stem is at neither end.
+        assert instance.end_confidence == pytest.approx(0.5)

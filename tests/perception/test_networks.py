@@ -176,15 +176,6 @@ def test_a_pose_votes_for_one_detection_only() -> None:
     assert [one.confidence for one in found] == [0.9]
 
 
-def test_a_detectors_file_takes_the_second_look_where_it_is_asked_for() -> None:
-    loader = NetworkLoader()
-    file = loader.verify("cucumber-seg")["network"]
-    assert loader.yolo("cucumber-seg").crops is not None
-    assert loader.yolo("cucumber-seg", second_look=False).crops is None
-    assert loader.yolo(file).crops is None
-    assert loader.yolo(file, second_look=True).crops is not None
-
-
 def test_the_shipped_detector_runs_at_the_sizes_that_the_documentation_names() -> None:
     # An export without sizes once replaced it, and no test noticed.
     detector = NetworkLoader().yolo("cucumber-seg")

@@ -106,10 +106,10 @@ def test_a_bare_file_must_be_a_network_and_forced(folder: Path, tmp_path: Path) 
 def test_a_pose_network_of_ones_own_replaces_the_look_at_each_fruit(
     folder: Path, tmp_path: Path
 ) -> None:
-    assert tasks_of(NetworkLoader()) == {"segment", "crops", "fruit", "ends"}
+    assert tasks_of(NetworkLoader()) == {"segment", "fruit", "ends"}
     path = shutil.copyfile(SHIPPED.resolve("cucumber-pose")["network"], tmp_path / "mine.onnx")
     use_network(Path(path), anyway=True)
-    assert tasks_of(NetworkLoader()) == {"segment", "crops", "pose", "ends"}
+    assert tasks_of(NetworkLoader()) == {"segment", "pose", "ends"}
 
 
 def tasks_of(loader: NetworkLoader) -> set[str]:

@@ -310,7 +310,7 @@ def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
     runtime : str
         Value of the option.
     is_fast : bool
-        Whether a stream is fast: without keypoints, in half precision.
+        Whether a stream is fast: in half precision.
     """
     from cucumbervision.perception.registry import load_registry
     from cucumbervision.perception.runtime import begin_networks, runtime_for_batches
@@ -324,7 +324,7 @@ def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
             chosen,
             full_precision=runtime not in _FAST and not is_fast,
         )
-        small = ("crops", "look") if is_fast else ("crops", "fruit", "ends", "look")
+        small = ("fruit", "look") if is_fast else ("fruit", "ends", "look")
         for model in filter(None, map(registry.default, small)):
             path = registry.resolve(model.name)["network"]
             begin_networks([path], runtime_for_batches(chosen), full_precision=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from cucumbervision.instances.end_crops import END_PX, EndCrop, EndLook
 from cucumbervision.instances.turned_crops import PLANES
-from cucumbervision.perception.classifier import SmallNetwork
+from cucumbervision.perception.small_network import SmallNetwork
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

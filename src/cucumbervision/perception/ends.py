@@ -13,7 +13,7 @@ import numpy as np
 
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.geometry.pixels import sample_color
-from cucumbervision.perception.classifier import PictureClassifier
+from cucumbervision.perception.small_network import PictureClassifier
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

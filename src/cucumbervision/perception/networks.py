@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -19,7 +18,6 @@ from cucumbervision.perception.confidence import (
     detector_floor,
     pose_floor,
 )
-from cucumbervision.perception.crops import CropClassifier
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.fruit_look import FruitLooker
@@ -55,6 +53,8 @@ class Detectors:
         Threshold for a fruit.
     fruit : FruitLooker, optional
         Gives the outlines and the keypoints of what is found.
+    quick : bool
+        Whether `fruit` looks once, and only at what the detector is sure of.
     """
 
     def __init__(
@@ -64,9 +64,10 @@ class Detectors:
         confidence: float = DEFAULT_CONFIDENCE,
         *,
         fruit: FruitLooker | None = None,
+        quick: bool = False,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._fruit = fruit
+        self._fruit, self._quick = fruit, quick
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -103,8 +104,11 @@ class Detectors:
             Best first, with masks and keypoints.
         """
         detector, pose = self._detector, self._pose
-        looks = None if self._fruit is None else self._fruit.on(color_rgb, depth_m, focal_px)
-        least_confidence = None if looks is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
+        looks, least_confidence = None, None
+        if self._fruit is not None:
+            looks = self._fruit.on(color_rgb, depth_m, focal_px, once=self._quick)
+        if looks is not None and not self._quick:
+            least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence)
         detections = detector.detect(color_rgb, least_confidence)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
         fruit = each_fruit_once(
@@ -278,7 +282,7 @@ def open_segmenter(
     return cast("NetworkSegmenter", opened)
 
 
-Classifier = TypeVar("Classifier", EndClassifier, CropClassifier, FruitLooker)
+Small = TypeVar("Small", FruitLooker, EndClassifier, EndLooker)
 
 
 class NetworkLoader:
@@ -332,17 +336,17 @@ class NetworkLoader:
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
-        self._ends: EndClassifier | None = None
+        self._small: dict[str, Any] = {}
+        self._asks_ends = False
         self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
         self._begun: dict[str | None, Future[NetworkSegmenter]] = {}
-        self._looker: EndLooker | None = None
 
     @property
     def ends(self) -> EndClassifier | None:
         """The classifier of stem ends, or None without a network whose keypoints need it."""
-        return self._ends
+        return self._small_network("ends", EndClassifier) if self._asks_ends else None
 
     @property
     def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
@@ -351,15 +355,11 @@ class NetworkLoader:
         The network is loaded with the first crops, which raises ModelError or ModelHashError if its
         file is missing, damaged, or another kind of network.
         """
-        model = self.registry.default("look")
-        return None if model is None else partial(self._look, model.name)
+        return None if self.registry.default("look") is None else self._look
 
-    def _look(self, name: str, crops: Sequence[EndCrop]) -> list[EndLook]:
-        if self._looker is None:
-            path = self.verify(name)["network"]
-            self._looker = EndLooker(path, self._runtime)
-            self._note(name, "look", self.registry.hashes(name)[path.name], self._looker)
-        return self._looker.look(crops)
+    def _look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
+        looker = self._small_network("look", EndLooker)
+        return [] if looker is None else looker.look(crops)
 
     def verify(self, name: str) -> dict[str, Path]:
         """Return the files of a registered network by role; each is hashed once.
@@ -377,8 +377,6 @@ class NetworkLoader:
         self,
         chosen: Path | str,
         confidence: float | None = None,
-        *,
-        second_look: bool | None = None,
     ) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
@@ -390,9 +388,6 @@ class NetworkLoader:
             The file or the name.
         confidence : float, optional
             Detections below it are omitted; by default the loader's.
-        second_look : bool, optional
-            Whether a detector takes the registry's network that looks at each detection alone; by
-            default those of the registry do.
 
         Raises
         ------
@@ -416,20 +411,7 @@ class NetworkLoader:
             self._note(path.name, network.task, file_sha256(path), network)
         if network.by_place:
             self._load_ends()
-        looks_twice = isinstance(chosen, str) if second_look is None else second_look
-        if looks_twice and network.task == "segment":
-            network.crops = self._companion("crops", CropClassifier)
         return network
-
-    def _companion(self, task: str, kind: Callable[[Path, str], Classifier]) -> Classifier | None:
-        """Load the registry's network for a task beside a detector, or return None without one."""
-        model = self.registry.default(task)
-        if model is None:
-            return None
-        path = self.verify(model.name)["network"]
-        opened = kind(path, self._runtime)
-        self._note(model.name, model.task, self.registry.hashes(model.name)[path.name], opened)
-        return opened
 
     def pose(self, path: Path) -> YoloDetector:
         """Load a user's pose network, for the keypoints of known fruit.
@@ -453,7 +435,7 @@ class NetworkLoader:
         file: Path | None = None,
         pose: YoloDetector | Path | None = None,
         *,
-        keypoints: bool = True,
+        quick: bool = False,
         looks: bool = True,
     ) -> Detectors:
         """Load a detector and the network beside it that gives keypoints.
@@ -465,8 +447,8 @@ class NetworkLoader:
             each fruit, or else its pose network.
         pose : YoloDetector or Path, optional
             A pose network to use instead of these.
-        keypoints : bool
-            Whether to use these networks of the registry.
+        quick : bool
+            As for `Detectors`; without the registry's pose network.
         looks : bool
             Whether the network that looks at each fruit may replace the pose network.
 
@@ -481,12 +463,11 @@ class NetworkLoader:
                 "this version comes without a cucumber detector",
                 remedy="name a YOLO ONNX export (--instances FILE)",
             )
-        by_registry = file is None and keypoints
-        by_look = by_registry and looks and pose is None and self.registry.looks_closely
-        votes_by_pose = by_registry and pose_model is not None and not by_look
+        by_look = looks and file is None and pose is None and self.registry.looks_closely
+        votes_by_pose = file is None and pose_model is not None and not (by_look or quick)
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
         if file is None:
-            models = self.registry.searching[: None if keypoints and pose is None else 1]
+            models = self.registry.searching[: 1 if quick or pose is not None else None]
             paths = [self.verify(model.name)["network"] for model in models]
             networks = open_networks(paths, self._runtime, full_precision=self._full_precision)
             self._opened = dict(zip(paths, networks, strict=True))
@@ -496,25 +477,42 @@ class NetworkLoader:
             pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        fruit = self.fruit_looker() if by_look else None
-        return Detectors(detector, pose, self._confidence, fruit=fruit)
+        fruit = self.fruit_looker(quick=quick) if by_look else None
+        return Detectors(detector, pose, self._confidence, fruit=fruit, quick=quick)
 
-    def fruit_looker(self) -> FruitLooker | None:
-        """Load the registry's network that looks at each fruit, and the one for `ends`.
+    def fruit_looker(self, *, quick: bool = False) -> FruitLooker | None:
+        """Return the registry's network that looks at each fruit, loaded once; None without one.
+
+        Parameters
+        ----------
+        quick : bool
+            Whether its own word on the stem end is enough; else the network for `ends` is loaded.
 
         Raises
         ------
         ModelError, ModelHashError
             If a file is missing or damaged, or another kind of network.
         """
-        fruit = self._companion("fruit", FruitLooker)
-        if fruit is not None:
+        looker = self._small_network("fruit", FruitLooker)
+        if looker is not None and not quick:
             self._load_ends()
-        return fruit
+        return looker
 
     def _load_ends(self) -> None:
         """Load the registry's network for `ends`, once."""
-        self._ends = self._ends or self._companion("ends", EndClassifier)
+        self._asks_ends = True
+        self._small_network("ends", EndClassifier)
+
+    def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:
+        """Return the registry's small network for a task, loaded once; None without one."""
+        model = self.registry.default(task)
+        if model is not None and task not in self._small:
+            path = self.verify(model.name)["network"]
+            self._small[task] = kind(path, self._runtime)
+            self._note(
+                model.name, task, self.registry.hashes(model.name)[path.name], self._small[task]
+            )
+        return self._small.get(task)
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

@@ -173,10 +173,10 @@ def open_networks(
     Examples
     --------
     >>> from cucumbervision.perception.registry import load_registry
-    >>> names = ("cucumber-ends", "cucumber-crops")
+    >>> names = ("cucumber-fruit", "cucumber-seg")
     >>> files = [load_registry().resolve(name)["network"] for name in names]
-    >>> [network.inputs[0].shape[2:] for network in open_networks(files)]
-    [(64, 192), (96, 96)]
+    >>> [network.inputs[0].name for network in open_networks(files)]
+    ['crops', 'images']
     """
     begun = _begun.pop((tuple(paths), runtime, full_precision), None)
     return _open_together(paths, runtime, full_precision) if begun is None else begun.result()

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.crops import CropClassifier
     from cucumbervision.perception.network import TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
@@ -300,11 +299,6 @@ class YoloDetector:
     verified : bool
         As for `open_network`.
 
-    Attributes
-    ----------
-    crops : CropClassifier or None
-        Lowers the confidence of detections that do not look like a cucumber.
-
     Raises
     ------
     ModelError
@@ -329,7 +323,6 @@ class YoloDetector:
             else open_network(path, runtime, full_precision=full_precision, verified=verified)
         )
         self._most_fruit = most_fruit
-        self.crops: CropClassifier | None = None
         self._layout = _read_layout(self._network)
         self._confidence = confidence
         sides_px = input_sizes or self._layout.sizes_px
@@ -408,8 +401,6 @@ class YoloDetector:
             for number, size_px in enumerate(self._sizes_px)
         ]
         merged = merge_sizes(by_size)[: self._most_fruit]
-        if self.crops is not None:
-            merged = self.crops.rescore(color_rgb, merged)
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
         if not self._layout.by_place:
             return detections

@@ -137,7 +137,6 @@ class Finder:
 _FINDING = {
     "segment",
     "detect",
-    "crops",
     "fruit",
     "pose",
     "ends",
@@ -444,7 +443,7 @@ def _network_finder(
         networks.preload_segmenter(options.segmenter)
     # The paper's M4 has the keypoints of a pose network.
     looks = options.selector is Selector.BEST
-    detectors = networks.detectors(file, pose, keypoints=options.keypoints, looks=looks)
+    detectors = networks.detectors(file, pose, quick=options.quick, looks=looks)
     labels, posed = detectors.labels, detectors.gives_keypoints
 
     def find(capture: Capture) -> Detections:

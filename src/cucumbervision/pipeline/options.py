@@ -54,9 +54,9 @@ class MeasureOptions:
     pose : Path, optional
         A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
         package's own networks give them to fruit of the package's own detector only.
-    keypoints : bool
-        Whether the package's own networks draw outlines and keypoints of the fruit that the
-        package's own detector finds.
+    quick : bool
+        Whether the package's network that looks at each fruit looks once, and only at what the
+        detector is sure of.
     end_look : bool
         Whether a network evaluates both ends of each fruit whose mask a network drew; intervals
         then depend on its result.
@@ -102,7 +102,7 @@ class MeasureOptions:
     instances: str = "auto"
     classes: tuple[str, ...] = ()
     pose: Path | None = None
-    keypoints: bool = True
+    quick: bool = False
     end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"

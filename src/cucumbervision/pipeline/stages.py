@@ -166,12 +166,10 @@ class StageHashes:
         if options.instances in plugins("detectors"):
             return plugins("detectors")[options.instances].as_json()
         has_own_file = options.instances not in ("auto", "models")
-        named = [self._named("segment"), self._named("crops")]
-        detector = _path_sha256(Path(options.instances)) if has_own_file else named
-        has_keypoints = options.keypoints and not has_own_file
-        posing: Any = [self._named("pose"), self._named("fruit")] if has_keypoints else None
+        detector = _path_sha256(Path(options.instances)) if has_own_file else self._named("segment")
+        posing = None if has_own_file else self._named("pose")
         posing = _path_sha256(options.pose) if options.pose else posing
-        return [detector, posing, self._named("ends")]
+        return [detector, posing, self._named("fruit"), self._named("ends"), options.quick]
 
     def _look(self) -> Any:
         return self._named("look") if self._options.end_look else None

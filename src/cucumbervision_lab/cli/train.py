@@ -202,7 +202,6 @@ class SmallNetwork(StrEnum):
     """The small networks that `train classifier` trains."""
 
     ENDS = "ends"
-    CROPS = "crops"
     FRUIT = "fruit"
     LOOK = "look"
 
@@ -212,16 +211,15 @@ def classifier(
     kind: Annotated[
         SmallNetwork,
         typer.Argument(
-            help="ends: finds the stem end. crops: looks at each detection alone. fruit: draws "
-            "outline and keypoints of each detection. look: looks at each end of a fruit, and fits "
-            "its intervals."
+            help="ends: finds the stem end. fruit: looks at each detection, draws its outline and "
+            "keypoints. look: looks at each end of a fruit, and fits its intervals."
         ),
     ],
     sets: Annotated[
         list[Path],
         typer.Argument(
-            help="Data sets: with keypoints for ends, completely labelled for crops and fruit, "
-            "drawn with depth (`synth`) for look.",
+            help="Data sets: with keypoints for ends, completely labelled for fruit, drawn with "
+            "depth (`synth`) for look.",
             metavar="SET...",
         ),
     ],
@@ -268,7 +266,7 @@ def classifier(
     out.mkdir(parents=True, exist_ok=True)
     if epochs is None:
         epochs = 8 if kind is SmallNetwork.LOOK else 20
-    if epochs == 0 and kind not in (SmallNetwork.FRUIT, SmallNetwork.LOOK):
+    if epochs == 0 and kind is SmallNetwork.ENDS:
         raise typer.BadParameter("0 is for fruit and look only", param_hint="--epochs")
     if leaves is not None and kind is not SmallNetwork.LOOK:
         raise typer.BadParameter("is for look only", param_hint="--leaves")
@@ -279,23 +277,19 @@ def classifier(
     elif kind is SmallNetwork.FRUIT:
         trained = _train_fruit(sets, out / f"{name}.onnx", init, epochs, seed)
     else:
-        trained = _train_crops_or_ends(kind, sets, out / f"{name}.onnx", init, epochs, seed)
+        trained = _train_ends(sets, out / f"{name}.onnx", init, epochs, seed)
     _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
 
 
-def _train_crops_or_ends(
-    kind: SmallNetwork, sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int
-) -> Trained:
+def _train_ends(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:
     from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import open_dataset
     from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.crops import collect_crops, train_crops
-    from cucumbervision_lab.training.ends import Strips, collect_strips, train_ends
+    from cucumbervision_lab.training.ends import collect_strips, train_ends
 
     opened = [open_dataset(folder) for folder in sets]
     with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        is_ends = kind is SmallNetwork.ENDS
-        parts = collect_strips(opened, seed, tick) if is_ends else collect_crops(opened, tick)
+        strips = collect_strips(opened, seed, tick)
     with ticking("training", epochs) as tick:
         options = ClassifierOptions(
             epochs,
@@ -304,9 +298,7 @@ def _train_crops_or_ends(
             keep=file.with_name(f"{file.stem}-training.pt"),
             progress=lambda *_: tick(1),
         )
-        if isinstance(parts, Strips):
-            return train_ends(parts, init, file, options)
-        return train_crops(parts, init, file, options)
+        return train_ends(strips, init, file, options)
 
 
 def _train_fruit(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:

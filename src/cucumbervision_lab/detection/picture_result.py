@@ -140,7 +140,7 @@ def open_networks(
         input_sizes=input_sizes,
     )
     beside = isinstance(segment, str) if as_in_use is None else as_in_use
-    detector = None if segment is None else loader.yolo(segment, second_look=beside)
+    detector = None if segment is None else loader.yolo(segment)
     points = None if pose is None else loader.yolo(pose)
     sam = None if segmenter is None else loader.segmenter(segmenter)
     looks = beside and loader.registry.looks_closely and not isinstance(pose, Path)

@@ -249,7 +249,7 @@ def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: s
     size_px : tuple of int
         Height and width of a picture.
     task : str
-        Task to note in the file: 'ends' or 'crops'.
+        Task to note in the file, such as 'ends'.
     """
     import torch
 
@@ -305,7 +305,7 @@ class Trained(Protocol):
 
     @property
     def task(self) -> str:
-        """'ends', 'crops', 'fruit' or 'look', as the command that trains it."""
+        """'ends', 'fruit' or 'look', as the command that trains it."""
 
     @property
     def limits(self) -> Sequence[str]:
@@ -330,7 +330,7 @@ def write_classifier_card(
     Parameters
     ----------
     trained : Trained
-        Result of `train_ends`, `train_crops` or `train_look`.
+        Result of `train_ends`, `train_fruit` or `train_look`.
     name : str
         Name of the network.
     init : Path

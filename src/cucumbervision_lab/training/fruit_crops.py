@@ -14,20 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.capture.pictures import read_color
+from cucumbervision.errors import TrainingError
 from cucumbervision.files import write_bytes
+from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.masks import mask_iou
 from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.datasets.splits import is_held_out
-from cucumbervision_lab.detection.pictures import capture_of
-from cucumbervision_lab.training.crops import (
-    HELD_OUT,
-    MOST,
-    labels_of,
-    proposing_detector,
-    too_few_scenes,
-)
+from cucumbervision_lab.detection.learn import true_positives
+from cucumbervision_lab.detection.pictures import capture_of, frame_of
 
 if TYPE_CHECKING:
     from cucumbervision.instances.fruit_crops import FruitCrop
@@ -37,6 +35,12 @@ if TYPE_CHECKING:
 
 SURROUND_PX = (HEIGHT_PX + 16, WIDTH_PX + 32)
 """Size of the crops to train on: larger than the network sees, to move it in."""
+
+HELD_OUT = 8
+"""One of so many scenes is used for validation, as is the split val."""
+
+MOST = 12
+"""Candidates of a picture that are cut out."""
 
 _LEAST_IOU = 0.3  # of a detection's mask with a label's
 _KEPT_TOGETHER = 50  # pictures
@@ -187,6 +191,34 @@ def collect_fruit_crops(
             if crop is not None:
                 rows.append((*_row(crop, instance, is_fruit, picture), instance.confidence, held))
     return _of_rows(rows)
+
+
+def proposing_detector() -> YoloDetector:
+    """Load the packaged detector, which reports what it hardly believes, too."""
+    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * MOST)
+    # By its file, so that no earlier classifier takes part.
+    return loader.yolo(loader.verify("cucumber-seg")["network"])
+
+
+def too_few_scenes(sets: Sequence[DataSet]) -> TrainingError:
+    """Return the error of sets of which no scenes can be held out."""
+    return TrainingError(
+        "too few scenes in which the detector proposes anything",
+        source=sets[0].folder if sets else None,
+        remedy=f"give at least {HELD_OUT} scenes with fruit",
+    )
+
+
+def labels_of(
+    picture: LabelledPicture, data: DataSet, instances: Sequence[Instance]
+) -> list[bool | None]:
+    """Return whether each detection is a true positive; None where that cannot be told."""
+    boxes = np.array([instance.box for instance in instances]).reshape(-1, 4)
+    frame = frame_of(picture, data, None)
+    unknown = np.array([fruit.box for fruit in frame.true if fruit.ignore or fruit.optional])
+    overlap = box_ious(boxes, unknown.reshape(-1, 4)).max(axis=1, initial=0.0)
+    judged = true_positives(frame, boxes)
+    return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
 
 
 def _of_rows(rows: Sequence[tuple[Any, ...]]) -> FruitCrops:

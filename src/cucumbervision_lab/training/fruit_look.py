@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX
 from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
@@ -32,6 +33,7 @@ _LENGTH_PX, _GIRTH_PX = WIDTH_PX / 1.45, 45.0  # a fruit's in its crop
 _EDGE_WEIGHT = 4.0  # of an outline's own pixels
 _NO_DEPTH, _HOLES = 0.25, 0.3  # shares of a batch's crops that lose their depth, or parts of it
 _POINT_SCALE_PX = 4.0  # errors of keypoints above it count linearly
+_REPEATS = 4  # of false detections near the threshold or above it: few, and what it is for
 _AT_ONCE = 128  # crops
 _INNER = tuple(
     slice((around - size) // 2, (around + size) // 2)
@@ -183,7 +185,9 @@ def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -
     options : ClassifierOptions
         Options of training.
     """
-    learnt = np.flatnonzero(~crops.held_out)
+    proposed = (crops.is_fruit == 0) & (crops.confidence > DEFAULT_CONFIDENCE / 2)
+    learnt = np.repeat(np.arange(len(proposed)), np.where(proposed, _REPEATS, 1))
+    learnt = learnt[~crops.held_out[learnt]]
     has_bfloat16 = cpu_has_bfloat16()  # emulated, it is slower than float32
 
     def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
@@ -364,14 +368,26 @@ def changed_light(crops: Any) -> Any:
 
 
 def predict_fruit(network: Any, crops: FruitCrops) -> tuple[NDArray[np.float32], ...]:
-    """Return outlines, keypoints and verdicts of the middle parts of crops."""
+    """Return outlines, keypoints and verdicts of the middle parts of crops.
+
+    As in use, each is the mean for a crop and the same turned by half a turn.
+    """
     import torch
 
+    size = torch.tensor([WIDTH_PX - 1, HEIGHT_PX - 1, 0.0])
+    sign, opposite = torch.tensor([-1.0, -1.0, 1.0]), torch.tensor([1.0, -1.0])
     answers = []
     with torch.no_grad():
         for rows in np.array_split(np.arange(len(crops.planes)), len(crops.planes) // _AT_ONCE + 1):
             planes = as_batch(crops, rows)[0][:, :PLANES, *_INNER]
-            answers.append([part.numpy() for part in network(planes)])
+            outline, points, verdict = network(planes)
+            turned_outline, turned_points, turned_verdict = network(planes.flip(2, 3))
+            pairs = (
+                (outline, turned_outline.flip(1, 2)),
+                (points, (size + sign * turned_points).flip(1)),
+                (verdict, opposite * turned_verdict),
+            )
+            answers.append([((ahead + back) / 2).numpy() for ahead, back in pairs])
     first, second, third = (np.concatenate(parts) for parts in zip(*answers, strict=True))
     return first, second, third
 

@@ -26,8 +26,6 @@ _WHAT = {
     "and `cucumber-ends` tells which is the stem's; else from the blossom end to the stem end.",
     "ends": "Tells which end of a cucumber is the stem's, from the fruit laid level along its "
     "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
-    "crops": "Tells a cucumber from what the detector takes for one, from the square around the "
-    "detection. It may only lower the detector's confidence.",
     "fruit": "Draws the outline and five keypoints of one detected cucumber at the camera's "
     "resolution, from colour, depth and the detector's mask around it, turned along the mask; and "
     "tells whether it is a cucumber and which end is the stem's.",
@@ -58,7 +56,7 @@ class ModelCard:
     name : str
         Name of the model in commands.
     task : str
-        'segment', 'pose', 'ends', 'crops', 'fruit' or 'look'.
+        'segment', 'pose', 'ends', 'fruit' or 'look'.
     file : str
         Name of the ONNX file.
     sha256 : str
@@ -200,7 +198,6 @@ _TITLES = {
     "segment": "YOLO26 for cucumbers: boxes and masks",
     "pose": "YOLO26 for cucumbers: boxes and five keypoints",
     "ends": "Which end of a cucumber is the stem's",
-    "crops": "Whether a detection is a cucumber",
     "fruit": "Outline and keypoints of one cucumber at the camera's resolution",
     "look": "Whether a cucumber ends where it was measured to",
 }

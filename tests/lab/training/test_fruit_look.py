@@ -145,8 +145,8 @@ def test_training_teaches_outlines_and_the_file_says_the_same(tmp_path: Path) ->
     outlines, points, verdicts = predict_fruit(network.eval(), crops)
     inner = crops.planes[:5, TOP : TOP + HEIGHT_PX, LEFT : LEFT + WIDTH_PX]
     square = (np.zeros(2), np.array([1.0, 0.0]), 1.0)
-    looks = FruitLooker(out).look([FruitCrop(np.ascontiguousarray(p), *square) for p in inner])
-    for k, look in enumerate(looks):  # weights are stored in half precision
+    looker, shown = FruitLooker(out), [FruitCrop(np.ascontiguousarray(p), *square) for p in inner]
+    for k, look in enumerate(looker.look(shown)):  # weights are stored in half precision
         np.testing.assert_allclose(look.outline, outlines[k], atol=0.1)
         np.testing.assert_allclose(look.points[:, :2], points[k, :, :2], atol=0.3)
         assert look.fruit == pytest.approx(verdicts[k, 0], abs=0.05)

@@ -199,7 +199,6 @@ def _models() -> None:
         "pose": _("finds end points"),
         "prompted-mask": _("outlines fruit"),
         "ends": _("finds the stem end"),
-        "crops": _("looks at each detection"),
         "fruit": _("draws each fruit's outline"),
         "look": _("looks at each end"),
     }

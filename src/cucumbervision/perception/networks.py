@@ -337,7 +337,6 @@ class NetworkLoader:
         self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._small: dict[str, Any] = {}
-        self._asks_ends = False
         self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
@@ -346,7 +345,7 @@ class NetworkLoader:
     @property
     def ends(self) -> EndClassifier | None:
         """The classifier of stem ends, or None without a network whose keypoints need it."""
-        return self._small_network("ends", EndClassifier) if self._asks_ends else None
+        return self._small.get("ends")
 
     @property
     def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
@@ -500,7 +499,6 @@ class NetworkLoader:
 
     def _load_ends(self) -> None:
         """Load the registry's network for `ends`, once."""
-        self._asks_ends = True
         self._small_network("ends", EndClassifier)
 
     def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:

@@ -36,12 +36,8 @@ if TYPE_CHECKING:
 SURROUND_PX = (HEIGHT_PX + 16, WIDTH_PX + 32)
 """Size of the crops to train on: larger than the network sees, to move it in."""
 
-HELD_OUT = 8
-"""One of so many scenes is used for validation, as is the split val."""
-
-MOST = 12
-"""Candidates of a picture that are cut out."""
-
+_HELD_OUT = 8  # one of so many scenes is used for validation, as is the split val
+_MOST = 12  # candidates of a picture that are cut out
 _LEAST_IOU = 0.3  # of a detection's mask with a label's
 _KEPT_TOGETHER = 50  # pictures
 _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -146,7 +142,11 @@ def collect_sets(
     crops = FruitCrops.stacked(parts or [_of_rows([])])
     taught = crops.has_outline | ~np.isnan(crops.is_fruit) | ~np.isnan(crops.points).any((1, 2))
     if not (taught & crops.held_out).any() or crops.held_out[taught].all():
-        raise too_few_scenes(sets)
+        raise TrainingError(
+            "too few scenes in which the detector proposes anything",
+            source=sets[0].folder if sets else None,
+            remedy=f"give at least {_HELD_OUT} scenes with fruit",
+        )
     return crops.only(taught)
 
 
@@ -177,13 +177,13 @@ def collect_fruit_crops(
     for picture in ticked(dataset.pictures, progress):
         if picture.split == "test":
             continue
-        held = is_held_out(picture, HELD_OUT)
+        held = is_held_out(picture, _HELD_OUT)
         color = read_color(dataset.path(picture))
         capture = capture_of(picture, dataset, color)
         depth_m = None if capture is None else capture.depth_m
         focal_px = None if capture is None else capture.intrinsics.fx_px
-        instances = detector.detect(color)[:MOST]
-        verdicts = labels_of(picture, dataset, instances)
+        instances = detector.detect(color)[:_MOST]
+        verdicts = _labels_of(picture, dataset, instances)
         for instance, is_fruit in zip(instances, verdicts, strict=True):
             if instance.detector_mask is None:
                 continue
@@ -195,21 +195,11 @@ def collect_fruit_crops(
 
 def proposing_detector() -> YoloDetector:
     """Load the packaged detector, which reports what it hardly believes, too."""
-    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * MOST)
-    # By its file, so that no earlier classifier takes part.
-    return loader.yolo(loader.verify("cucumber-seg")["network"])
+    loader = NetworkLoader(confidence=CANDIDATE_CONFIDENCE, most_fruit=4 * _MOST)
+    return loader.yolo("cucumber-seg")
 
 
-def too_few_scenes(sets: Sequence[DataSet]) -> TrainingError:
-    """Return the error of sets of which no scenes can be held out."""
-    return TrainingError(
-        "too few scenes in which the detector proposes anything",
-        source=sets[0].folder if sets else None,
-        remedy=f"give at least {HELD_OUT} scenes with fruit",
-    )
-
-
-def labels_of(
+def _labels_of(
     picture: LabelledPicture, data: DataSet, instances: Sequence[Instance]
 ) -> list[bool | None]:
     """Return whether each detection is a true positive; None where that cannot be told."""

@@ -106,6 +106,13 @@ def test_detections_of_drawn_fruit_come_with_their_truth(drawn: DataSet) -> None
     assert (fruit.planes[..., 4] > 0).any((1, 2)).all()  # depth was read
 
 
+def test_nothing_is_learnt_from_test_pictures(drawn: DataSet, tmp_path: Path) -> None:
+    tested = tuple(replace(picture, split="test") for picture in drawn.pictures)
+    assert len(collect_fruit_crops(replace(drawn, pictures=tested)).planes) == 0
+    with pytest.raises(TrainingError, match="too few scenes"):
+        collect_sets([replace(drawn, pictures=tested)], tmp_path)
+
+
 def test_an_interrupted_collection_goes_on(drawn: DataSet, tmp_path: Path) -> None:
     pictures = tuple(
         replace(picture, scene=f"scene {k}", split="val" if k < 3 else "train")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -117,3 +117,8 @@ def pairs_of(captures: Sequence[Capture]) -> list[tuple[NDArray[np.uint8], NDArr
     return [
         (capture.color, np.rint(capture.depth_m * 1000).astype(np.uint16)) for capture in captures
     ]
+
+
+def with_depth(capture: Capture, depth_m: NDArray[np.floating]) -> Capture:
+    """Return a capture with another depth picture, metres."""
+    return replace(capture, depth_m=depth_m.astype(np.float32))

@@ -334,25 +334,25 @@ def measure_fruit(
         selector,
         [method for method in method_of.values() if not isinstance(method, str)],
     )
-    sure = instance.end_confidence
-    if capture.gravity is not None and chosen is not None and chosen.path_m is not None:
-        sure = turned[chosen.method][1]
-    flags += _flags(capture, instance, mask, chosen, sure)
-    if any(measurement.error is not None for measurement in measurements.values()):
-        flags.append(Flag.PLUGIN_FAILED)
+    stem_confidence = 0.5 if chosen is None else turned[chosen.method][1]
     distance_m, fill = _depth_of(capture, instance.box, mask)
-    pose = None
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
-    else:
-        pose = fruit_pose(
+    flags += _flags(capture, instance, mask, chosen, stem_confidence)
+    if any(measurement.error is not None for measurement in measurements.values()):
+        flags.append(Flag.PLUGIN_FAILED)
+    pose = (
+        None
+        if chosen is None
+        else fruit_pose(
             chosen,
-            turned[chosen.method][1],
+            stem_confidence,
             hidden_ends(mask, instance.keypoints),
             capture,
             cut_beyond_m=cut_beyond_m,
             scale_known=scale_known,
         )
+    )
     fruit = FruitMeasurement(
         instance=instance,
         measurements=measurements,
@@ -385,9 +385,9 @@ def _flags(
     instance: Instance,
     mask: NDArray[np.bool_] | None,
     chosen: Measurement | None,
-    sure: float | None,
+    stem_confidence: float,
 ) -> list[Flag]:
-    """Return what is flagged; `sure` is the probability that the ends are not swapped."""
+    """Return what is flagged; `stem_confidence` is that of the ends, along the chosen path."""
     flags = []
     if cut_by_frame(instance.box, mask, capture.width, capture.height):
         flags.append(Flag.CUT_BY_FRAME)
@@ -396,6 +396,8 @@ def _flags(
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
     if mask is not None:
         flags.extend(depth_doubts(capture.depth_m, mask, capture.intrinsics.fx_px))
+    by_gravity = capture.gravity is not None and chosen is not None and chosen.path_m is not None
+    sure = stem_confidence if by_gravity else instance.end_confidence
     if sure is not None and sure < LEAST_END_CONFIDENCE:
         flags.append(Flag.ENDS_UNSURE)
     flags.extend(Flag(doubt) for doubt in capture.doubts)

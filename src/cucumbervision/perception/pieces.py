@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.axis import principal_axis
 from cucumbervision.geometry.pixels import quick_median
 from cucumbervision.instances.masks import box_of_mask, mask_pixels, mask_window
 
@@ -166,8 +167,7 @@ class _Body:
         pixels = mask_pixels(mask)
         if len(pixels) < _LEAST_PIXELS:
             return None
-        centre = pixels.mean(axis=0)
-        axis = np.linalg.eigh(np.cov((pixels - centre).T))[1][:, 1]
+        centre, axis = principal_axis(pixels)
         axes = np.array([axis, [-axis[1], axis[0]]])
         points = np.ascontiguousarray(((pixels - centre) @ axes.T).T)
         counts = np.bincount((points[0] - points[0].min()).astype(int))

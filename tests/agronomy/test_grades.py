@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cucumbervision.agronomy.classes import UNDECIDED
 from cucumbervision.agronomy.grades import (
     GradeStatus,
     GradingTraits,
@@ -230,6 +231,16 @@ def test_interval_of_another_length_says_nothing() -> None:
     graded = grade(replace(SOUND, length=length), LONG)
     assert graded.probabilities == {}
     assert graded.missing == ("interval of the centreline length: no probabilities",)
+
+
+@pytest.mark.parametrize(("centreline_m", "name"), [(0.26, UNDECIDED), (0.30, "I")])
+def test_a_measured_length_without_an_interval_is_not_exact(centreline_m: float, name: str) -> None:
+    # 8 % of standard deviation: a factor of exp(1.645 * 0.08) = 1.14 to each side.
+    length = Length(centreline_m, LengthDefinition.CENTRELINE)
+    graded = grade(replace(SOUND, centreline_m=centreline_m, length=length), LONG)
+    assert graded.name == name
+    by_tape = grade(replace(SOUND, centreline_m=centreline_m), LONG)
+    assert by_tape.name == "I"
 
 
 def test_an_unknown_length_does_not_ask_for_an_interval_that_it_has() -> None:

@@ -20,7 +20,13 @@ from cucumbervision.agronomy.classes import (
     possible_classes,
 )
 from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
-from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision.measurement.result import (
+    INTERVAL_Z,
+    UNKNOWN_SD,
+    Length,
+    LengthDefinition,
+    LengthKind,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -368,19 +374,18 @@ def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
     """Return the range of a fruit's length: its interval, or from a lower bound to infinity.
 
     Nothing is known of a length whose interval is too wide, or whose depth cannot be its distance.
+    A length that was measured by a method and has no interval is as uncertain as in forecasts.
     """
     if fruit.at_least:
         return length.value_m, math.inf
     if is_length_unknown(fruit.flags.split()):
         return 0.0, math.inf
     measured = fruit.length
-    if (
-        measured is None
-        or measured.low_m is None
-        or measured.high_m is None
-        or measured.interval_of != measured.kind
-    ):
+    if measured is None:
         return length.value_m, length.value_m
+    if measured.low_m is None or measured.high_m is None or measured.interval_of != measured.kind:
+        spread = math.exp(INTERVAL_Z * UNKNOWN_SD)
+        return length.value_m / spread, length.value_m * spread
     # The three lengths of a tube have the same relative error.
     share = length.value_m / measured.value_m
     return measured.low_m * share, measured.high_m * share

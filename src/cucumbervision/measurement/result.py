@@ -107,6 +107,9 @@ class Choice(StrEnum):
 
 INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % intervals
 
+UNKNOWN_SD = 0.08
+"""Relative standard deviation that a length without an interval counts with."""
+
 
 @dataclass(frozen=True)
 class Length:

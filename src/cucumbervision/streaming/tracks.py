@@ -30,7 +30,7 @@ from cucumbervision.measurement.matching import (
     pooled_length,
     position_ratio,
 )
-from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition
+from cucumbervision.measurement.result import INTERVAL_Z, UNKNOWN_SD, Length, LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -331,7 +331,7 @@ FIXED = 0.95  # share of a length's variance common to all frames from one place
 _SAME_PLACE = 0.10  # of the distance: smaller movements of the camera count as one place
 _MOST_PLACES = 64
 _SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: least difference
-_UNKNOWN_SD, _LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
+_LEAST_SD = 0.002  # of a length, relative
 
 
 def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
@@ -497,7 +497,7 @@ class TrackLength:
         means = np.exp([place.mean for place in self.places])
         deviations = np.sqrt([place.view_variance for place in self.places])
         pooled = pooled_length(means, deviations, np.zeros(len(means), bool))
-        value, sd_m = pooled or (latest.value_m, _UNKNOWN_SD * latest.value_m)
+        value, sd_m = pooled or (latest.value_m, UNKNOWN_SD * latest.value_m)
         spread = INTERVAL_Z * float(np.hypot(sd_m / value, scale))
         middle = value * float(np.exp(self._shift))
         low_m, high_m = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
@@ -508,6 +508,6 @@ def _log_length(length: Length) -> tuple[float, float, float]:
     """Return the log length, its standard deviation, and the offset of its interval's middle."""
     log = float(np.log(length.value_m))
     if not (length.low_m and length.high_m):
-        return log, _UNKNOWN_SD, 0.0
-    sd = length.relative_sd or _UNKNOWN_SD
+        return log, UNKNOWN_SD, 0.0
+    sd = length.relative_sd or UNKNOWN_SD
     return log, sd, float(np.log(length.low_m * length.high_m)) / 2 - log

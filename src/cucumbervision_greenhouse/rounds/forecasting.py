@@ -16,6 +16,7 @@ from cucumbervision.agronomy.classes import class_of
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.intervals import SCALE_SD
+from cucumbervision.measurement.result import UNKNOWN_SD
 from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, forecast
 from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision_greenhouse.agronomy.length_draws import FruitState
@@ -41,9 +42,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.records import ArtifactRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
-
-
-_UNKNOWN_SD = 0.08  # relative standard deviation of a length without interval
 
 
 def detection_rates(rows: Sequence[RowCounts], table: Sequence[RoundFruit]) -> DetectionRates:
@@ -133,7 +131,7 @@ def fruit_states(
 def _median_and_sd(length: Length) -> tuple[float, float]:
     """Return the median of a measured length and its standard deviation, metres."""
     if length.sides is None:
-        return length.value_m, _UNKNOWN_SD * length.value_m
+        return length.value_m, UNKNOWN_SD * length.value_m
     median_m, *sides = length.sides
     return median_m, max(median_m * math.hypot(*sides) / math.sqrt(2), 1e-3)
 

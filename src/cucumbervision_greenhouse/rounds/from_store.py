@@ -12,7 +12,7 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.measurement.flags import NO_DEPTH
 from cucumbervision.measurement.matching import ALONG, DEPTH, UP
-from cucumbervision.measurement.result import LengthDefinition, MethodName
+from cucumbervision.measurement.result import UNKNOWN_SD, LengthDefinition, MethodName
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_fruit import USUAL, FalseShare
@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
 _USUAL_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
-# Relative standard deviation: of a length without interval, and the least of any.
-_UNKNOWN_SD, _LEAST_SD = 0.08, 0.01
+_LEAST_SD = 0.01  # of a length, relative
 _DIAMETER_SD = 0.05
 _MOST_VIEWS = 5  # of one fruit: each further view costs more time than it adds
 
@@ -332,10 +331,10 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
     """Return the length, NaN where nothing is known of it, and its relative SD."""
     length = record.known_length
     if length is None or not length.value_m > 0:
-        return np.nan, _UNKNOWN_SD
+        return np.nan, UNKNOWN_SD
     # Lengths of another kind may differ by more than any of them errs.
-    least_sd = _LEAST_SD if length.kind in set(LengthDefinition) else _UNKNOWN_SD
-    return length.value_m, max(length.relative_sd or _UNKNOWN_SD, least_sd)
+    least_sd = _LEAST_SD if length.kind in set(LengthDefinition) else UNKNOWN_SD
+    return length.value_m, max(length.relative_sd or UNKNOWN_SD, least_sd)
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:

@@ -28,7 +28,7 @@ STAGES = {
     ),
     "stem ends' strips": ("perception.ends:EndClassifier.log_odds",),
     "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
-    "each fruit once": ("perception.networks:each_fruit_once",),
+    "each fruit once": ("perception.detectors:each_fruit_once",),
     "SAM's prompts and masks": ("perception.sam:Sam.segment",),
     "flower": ("instances.masks:without_flower",),
     "keypoints placed": ("perception.keypoint_axis:place_keypoints",),

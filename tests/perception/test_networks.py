@@ -8,12 +8,11 @@ import pytest
 
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.end_crops import END_PX, EndCrop
-from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.measurement.pose import with_stems_last
 from cucumbervision.perception.ends import STRIP_PX
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
-from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 
 onnx = pytest.importorskip("onnx")
@@ -130,10 +129,6 @@ def test_a_registry_without_detector(tmp_path: Path) -> None:
         loader.detectors()
 
 
-def fruit_at(x: float, confidence: float, width: float = 10.0) -> Instance:
-    return Instance(np.array([x, 0.0, x + width, 40.0]), confidence)
-
-
 def test_a_segmenter_that_was_begun_is_loaded_once_and_noted_when_it_is_asked_for() -> None:
     loader = NetworkLoader(runtime="onnxruntime")
     loader.preload_segmenter("mobile-sam")
@@ -151,29 +146,6 @@ def test_a_segmenter_that_could_not_be_begun_says_so_when_it_is_asked_for() -> N
     for _ in range(2):
         with pytest.raises(ModelError, match="no-such-sam"):
             loader.segmenter("no-such-sam")
-
-
-def test_the_pose_network_has_a_say_in_what_is_a_fruit() -> None:
-    detected = [fruit_at(0, 0.4), fruit_at(20, 0.4), fruit_at(40, 0.2), fruit_at(60, 0.9)]
-    posed = [fruit_at(0, 0.6), fruit_at(40, 0.8), fruit_at(80, 0.9)]
-    found = each_fruit_once(detected, posed, confidence=0.3, looks=2)
-    # (2 x 0.9 + 0) / 3, (2 x 0.4 + 0.6) / 3 and (2 x 0.2 + 0.8) / 3; the second has 0.27 only, and
-    # what the pose network alone sees is none.
-    assert [(one.box[0], round(one.confidence, 3)) for one in found] == [
-        (60, 0.6),
-        (0, 0.467),
-        (40, 0.4),
-    ]
-    without = each_fruit_once(detected, None, confidence=0.3)
-    assert [one.confidence for one in without] == [0.9, 0.4, 0.4]
-    # A pose network that sees nothing says so.
-    assert [one.confidence for one in each_fruit_once(detected, [])] == [0.45]
-
-
-def test_a_pose_votes_for_one_detection_only() -> None:
-    twice = [fruit_at(0, 0.8), fruit_at(1, 0.6, width=9)]
-    found = each_fruit_once(twice, [fruit_at(0, 1.0)], confidence=0.31)
-    assert [one.confidence for one in found] == [0.9]
 
 
 def test_the_shipped_detector_runs_at_the_sizes_that_the_documentation_names() -> None:

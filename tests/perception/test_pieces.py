@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.perception.networks import each_fruit_once
+from cucumbervision.perception.detectors import each_fruit_once
 from cucumbervision.perception.pieces import join_pieces_by_depth
 
 HEIGHT, WIDTH, GIRTH = 300, 480, 40

@@ -15,8 +15,9 @@ from cucumbervision.perception.confidence import (
     detector_floor,
     pose_floor,
 )
+from cucumbervision.perception.detectors import each_fruit_once
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.detection.outcomes import match_detections
 from cucumbervision_lab.detection.pictures import (
     DetectedFruit,

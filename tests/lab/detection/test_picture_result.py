@@ -10,7 +10,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.perception.networks import Detectors, NetworkLoader
+from cucumbervision.perception.detectors import Detectors
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.picture_result import (

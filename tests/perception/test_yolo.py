@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.yolo import SIZES_KEY, YoloDetector
+from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.perception.yolo_layout import SIZES_KEY
 
 onnx = pytest.importorskip("onnx")
 

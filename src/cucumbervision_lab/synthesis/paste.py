@@ -17,7 +17,7 @@ import numpy as np
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, Label
 from cucumbervision_lab.synthesis.scene import reaches_border
 

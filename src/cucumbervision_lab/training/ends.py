@@ -16,7 +16,7 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
 from cucumbervision.perception.ends import STRIP_PX, orient
-from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.classifier import (
     CHANNELS,

@@ -24,7 +24,7 @@ from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.files import read_json
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
+from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, require_layers
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
 from cucumbervision_lab.training.plan import RunState

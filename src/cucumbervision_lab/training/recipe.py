@@ -15,7 +15,7 @@ from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import TrainingError
 from cucumbervision.files import read_text
 from cucumbervision.perception.keypoint_axis import keypoints_between
-from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture

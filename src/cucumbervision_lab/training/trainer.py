@@ -13,7 +13,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.training.losses import (
     add_ignored,
     assign_at_half_resolution,

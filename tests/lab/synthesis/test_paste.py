@@ -4,7 +4,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.synthesis.paste import Cutout, cutouts_of, paste

@@ -21,7 +21,7 @@ from tests.lab.training.conftest import QUICK, Notes, StopAfterEpoch
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
-from cucumbervision.perception.yolo import SIZES_KEY
+from cucumbervision.perception.yolo_layout import SIZES_KEY
 from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, stored_run_state
 from cucumbervision_lab.training.export import export_trained, last_metrics
 from cucumbervision_lab.training.plan import RunState

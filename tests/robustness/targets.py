@@ -207,7 +207,8 @@ def _registry(folder: Path, _name: str) -> None:
 
 
 def _judgement(folder: Path, _name: str) -> None:
-    from cucumbervision.perception.registry import load_registry, use_network
+    from cucumbervision.perception.own_networks import use_network
+    from cucumbervision.perception.registry import load_registry
 
     with tempfile.TemporaryDirectory(dir=folder) as user:
         use_network(folder, registry=load_registry(user=Path(user)))

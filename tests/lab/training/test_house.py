@@ -11,7 +11,8 @@ from tests.lab.training.conftest import StopAfterEpoch
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
-from cucumbervision.perception.registry import load_registry, use_network
+from cucumbervision.perception.own_networks import use_network
+from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, overall

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
+from cucumbervision_greenhouse.backend.fruit_words import label_words
 from cucumbervision_greenhouse.backend.language import (
     decimal_words,
     language,
@@ -114,8 +115,8 @@ def _sentence(text: str, code: str) -> str | None:
 def _part(name: str, text: str, code: str) -> str:
     """Return what stands in a sentence's placeholder."""
     if name in ("classes", "steps", "unit"):
-        parts = re.split("(, | or |class )", text)
-        return "".join(_(part) if part.strip() else part for part in parts)
+        parts = re.split("(, | or )", text)
+        return "".join(label_words(part) if part.strip() else part for part in parts)
     if re.fullmatch(r"[+-]?\d+\.\d+", text):
         return decimal_words(text)
     known = _(text)
@@ -139,6 +140,7 @@ _ANY = r"(?:(?!\) \().)+?"  # a source in brackets is not part of a sentence
 _PART = {
     **dict.fromkeys(("n", "count", "fruit", "number", "files"), r"\d+"),
     **dict.fromkeys(("low", "high"), r"[-+\de.]+"),
+    "classes": r"[^(]+?",  # a source in brackets follows them
 }
 
 _COUNT = "{n} fruit"  # the only one with a plural

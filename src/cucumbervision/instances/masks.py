@@ -149,8 +149,8 @@ def distances_inside(
 def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask without what is much thinner than the fruit, such as a stem beside it.
 
-    A morphological opening by a fifth of the largest radius; what lies within two pixels of the
-    rest stays, so that corners keep their shape.
+    A morphological opening by a fifth of the largest radius, without its parts of less than half of
+    that radius; what lies within two pixels of the rest stays, so that corners keep their shape.
 
     Parameters
     ----------
@@ -168,9 +168,15 @@ def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     import cv2
 
     padded = np.pad(mask.astype(np.uint8), 1)
-    radius_px = max(round(_SPUR * float(distances_inside(padded).max())), 1)
-    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, _disc(radius_px))
-    near = cv2.dilate(opened, _disc(_SPUR_LEFT_PX)) > 0
+    inside_px = distances_inside(padded)
+    radius_px = float(inside_px.max())
+    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, _disc(max(round(_SPUR * radius_px), 1)))
+    count, parts = cv2.connectedComponents(opened)
+    part_radii_px = np.zeros(count)
+    np.maximum.at(part_radii_px, np.asarray(parts, np.intp), inside_px)
+    is_body = part_radii_px >= _BODY * radius_px
+    is_body[0] = False
+    near = cv2.dilate(is_body[parts].astype(np.uint8), _disc(_SPUR_LEFT_PX)) > 0
     return np.asarray(mask & near[1:-1, 1:-1])
 
 
@@ -330,6 +336,7 @@ def _distances(
 
 _SPUR = 0.2  # of the largest radius: what is thinner is no part of a fruit
 _SPUR_LEFT_PX = 2
+_BODY = 0.5  # of the largest radius: a part that is thinner, and that no body holds, is no fruit
 _FLOWER_REDNESS = 18.0
 """How much redder than the fruit a withered flower is, in CIELAB a*; skin varies by half of it."""
 

@@ -14,8 +14,8 @@ import pytest
 collect_ignore_glob = (
     [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/dashboard/*"]
 )
-# The examples of these compute with torch.
-_WITH_TORCH = [f"src/cucumbervision_lab/training/{name}.py" for name in ("ends", "losses")]
+# The examples of these files compute with torch.
+_WITH_TORCH = ["src/cucumbervision_lab/training/losses.py"]
 if not find_spec("torch"):
     collect_ignore_glob += _WITH_TORCH
 # Files of which something was skipped here: `.ci/run` runs them again where nothing is missing.

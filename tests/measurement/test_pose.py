@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 
 import jsonschema
@@ -17,7 +16,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.pose import FruitPose, Part, with_stems_last
+from cucumbervision.measurement.pose import FruitPose, Part
 from cucumbervision.measurement.result import FruitMeasurement, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -80,76 +79,6 @@ def test_keypoints_tell_the_stem_as_surely_as_they_are() -> None:
     pose = pose_of(measure_fruit(capture, swapped))
     assert pose.stem_m == pytest.approx(BODY.poles_m[0], abs=0.001)
     assert pose.stem_confidence == pytest.approx(0.8)
-
-
-def test_a_judge_of_ends_is_asked_along_the_tube_and_puts_the_keypoints_in_order() -> None:
-    capture, instance = seen(BODY)
-    assert instance.keypoints is not None
-    swapped = replace(instance, keypoints=instance.keypoints[::-1], end_confidence=0.8)
-    blossom, stem = LENS.project(BODY.poles_m)
-
-    def judge(color: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]) -> list[float | None]:
-        assert color is capture.color
-        (line,) = lines
-        ends = sorted([tuple(line[0]), tuple(line[-1])])
-        assert ends == [pytest.approx(one, abs=2) for one in sorted(map(tuple, (blossom, stem)))]
-        runs_to_the_stem = np.linalg.norm(line[-1] - stem) < 2
-        return [float(np.log(19)) * (1 if runs_to_the_stem else -1)]
-
-    fruit = measure_fruit(capture, swapped, ends=judge)
-    pose = pose_of(fruit)
-    assert pose.stem_m == pytest.approx(BODY.poles_m[1], abs=0.001)
-    assert pose.stem_confidence == pytest.approx(0.95)
-    assert fruit.instance.end_confidence == pytest.approx(0.95)
-    assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
-    assert Flag.ENDS_UNSURE not in fruit.flags
-    # A line too short to tell leaves everything as it was, and unsure.
-    unsure = measure_fruit(capture, swapped, ends=lambda *_: [None])
-    assert pose_of(unsure).stem_m == pytest.approx(BODY.poles_m[0], abs=0.001)
-    assert Flag.ENDS_UNSURE in unsure.flags
-
-
-def test_without_a_tube_the_picture_is_asked_along_the_keypoints() -> None:
-    capture, instance = seen(BODY)
-    assert instance.keypoints is not None
-    swapped = replace(instance, keypoints=instance.keypoints[::-1], end_confidence=0.6)
-    asked: list[NDArray[np.float64]] = []
-
-    def judge(_: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]) -> list[float | None]:
-        asked.extend(lines)
-        return [-3.0]
-
-    fruit = measure_fruit(capture, swapped, [MethodName.M1], ends=judge)
-    assert asked == [pytest.approx(instance.keypoints[::-1, :2])]
-    assert fruit.instance.keypoints == pytest.approx(instance.keypoints)
-    assert fruit.instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3.0)))
-
-
-def test_keypoints_of_fruit_that_are_not_measured_run_to_the_stem_whichever_way_they_came() -> None:
-    points = np.column_stack([np.linspace(20, 60, 5), np.full(5, 30.0), np.linspace(0.2, 1, 5)])
-    box = np.array([10.0, 20, 70, 40])
-    ahead = Instance(box, keypoints=points, end_confidence=0.5)
-    back = replace(ahead, keypoints=points[::-1])
-    without, given = Instance(box), Instance(box, keypoints=points)
-    batches: list[int] = []
-
-    def to_the_right(
-        _: NDArray[np.uint8], lines: Sequence[NDArray[np.float64]]
-    ) -> list[float | None]:
-        batches.append(len(lines))
-        return [3.0 if line[-1, 0] > line[0, 0] else -3.0 for line in lines]
-
-    blank = np.zeros((60, 80, 3), np.uint8)
-    ordered = with_stems_last([ahead, without, back, given], blank, to_the_right)
-    assert batches == [2]
-    assert ordered[1] is without
-    assert ordered[3] is given
-    for instance in (ordered[0], ordered[2]):
-        # The visibilities go with the points.
-        assert instance.keypoints == pytest.approx(points)
-        assert instance.end_confidence is not None
-        assert instance.end_confidence > 0.9
-    assert with_stems_last([], blank, to_the_right) == ()
 
 
 def test_gravity_decides_where_the_fruit_hangs_and_not_where_it_lies() -> None:

@@ -81,6 +81,6 @@ def test_quantiles_never_cross_and_probabilities_are_one_together() -> None:
 
 def test_another_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="not crops of ends"):
-        EndLooker(load_registry().resolve("cucumber-ends")["network"])
+        EndLooker(load_registry().resolve("cucumber-fruit")["network"])
     with pytest.raises(ModelError, match="train classifier look"):
         EndLooker(look_network(tmp_path / "look.onnx", side=32))

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from tests.perception.test_networks import ends_network, pose_network, registry_of
+from tests.perception.test_networks import pose_network, registry_of
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
-from cucumbervision.instances.instance import Instance
+from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.perception.fruit_look import FruitLook, FruitLooker, refined
 from cucumbervision.perception.networks import NetworkLoader
@@ -212,20 +212,45 @@ def test_a_crop_and_the_turned_one_get_the_same_outline_and_opposite_stem_ends()
     assert back.fruit == pytest.approx(ahead.fruit, abs=1e-4)
 
 
+@pytest.mark.parametrize("right", [False, True])
+def test_points_by_place_are_ordered_by_the_look_and_others_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: bool
+) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    stem = _crop().to_picture(POINTS[[-1 if right else 0], :2])[0]
+    look = _look(slice(60, 260), 3.0 if right else -3.0)
+    monkeypatch.setattr(looker, "look", lambda crops, once: [look] * len(crops))
+    line = np.column_stack([np.linspace(62, 258, 5), np.full(5, 59.5), np.linspace(0.2, 1, 5)])
+    by_place = replace(_instance(), keypoints=line, end_confidence=UNKNOWN_ORDER)
+    back = replace(by_place, keypoints=line[::-1], detector_mask=None, mask=MASK)
+    known, bare = replace(by_place, end_confidence=0.8), _instance()
+    color = np.full((120, 320, 3), 200, np.uint8)
+    ordered = looker.on(color).order([by_place, known, back, bare])
+    assert ordered[1] is known
+    assert ordered[3] is bare
+    assert ordered[2].detector_mask is None
+    for instance in (ordered[0], ordered[2]):
+        assert instance.keypoints is not None
+        last = instance.keypoints[-1]
+        assert abs(last[0] - stem[0]) < 30
+        assert last[2] == (1.0 if last[0] > 160 else 0.2)  # visibilities go with the points
+        assert instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3)))
+    assert looker.on(color).order([]) == ()
+
+
 def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:
     (tmp_path / "weights").mkdir()
     shipped = load_registry().resolve("cucumber-seg")["network"]
     segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
     fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
-    ends = ends_network(tmp_path / "weights" / "ends.onnx")
     pose = pose_network(tmp_path / "weights" / "pose.onnx")
-    registry = registry_of(tmp_path, segment=segment, fruit=fruit, ends=ends, pose=pose)
+    registry = registry_of(tmp_path, segment=segment, fruit=fruit, pose=pose)
     loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
     detectors = loader.detectors()
-    assert [model["task"] for model in loader.models] == ["segment", "fruit", "ends"]
+    assert [model["task"] for model in loader.models] == ["segment", "fruit"]
     color = next(iter(open_source(example_captures()))).load().color
     assert detectors.gives_keypoints
-    assert loader.ends is not None
+    assert loader.stem_looker() is None  # the look orders its points itself
     # Without depth the look rescores; this one takes everything for a cucumber.
     surest = max(fruit.confidence for fruit in detectors.find(color))
     alone = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
@@ -234,9 +259,7 @@ def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -
     given = NetworkLoader(registry, runtime="onnxruntime")
     given.detectors(pose=pose)
     assert "fruit" not in {model["task"] for model in given.models}
-    quick = NetworkLoader(registry, runtime="onnxruntime")
-    quick.detectors(quick=True)
-    assert quick.ends is None
+    assert given.stem_looker() is not None
 
 
 def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,8 @@ import pytest
 
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.end_crops import END_PX, EndCrop
+from cucumbervision.instances.instance import UNKNOWN_ORDER
 from cucumbervision.instances.turned_crops import PLANES
-from cucumbervision.measurement.pose import with_stems_last
-from cucumbervision.perception.ends import STRIP_PX
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
@@ -48,25 +48,6 @@ def pose_network(path: Path) -> Path:
     return save(graph, path, task="pose", keypoint_order="place", **names)
 
 
-def ends_network(path: Path) -> Path:
-    """Says that the stem is to the left, whatever it sees."""
-    graph = helper.make_graph(
-        [
-            helper.make_node("ReduceMax", ["fruit"], ["most"], axes=[1, 2, 3], keepdims=0),
-            helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-            helper.make_node("Sub", ["nothing", "four"], ["stem_right"]),
-        ],
-        "ends",
-        [helper.make_tensor_value_info("fruit", TensorProto.FLOAT, ["n", 3, *STRIP_PX])],
-        [helper.make_tensor_value_info("stem_right", TensorProto.FLOAT, ["n"])],
-        [
-            numpy_helper.from_array(np.float32(0), "zero"),
-            numpy_helper.from_array(np.float32(4), "four"),
-        ],
-    )
-    return save(graph, path)
-
-
 def registry_of(folder: Path, **files: Path) -> Registry:
     """A registry whose embedded networks are these, by task."""
     text = "models = []" if not files else ""
@@ -80,32 +61,34 @@ def registry_of(folder: Path, **files: Path) -> Registry:
     return load_registry(folder / "models.toml")
 
 
-def test_the_ends_network_of_the_given_registry_goes_with_points_by_place(tmp_path: Path) -> None:
+def test_the_registrys_network_that_looks_at_fruit_goes_with_points_by_place(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "weights").mkdir()
     pose = pose_network(tmp_path / "weights/pose.onnx")
-    ends = ends_network(tmp_path / "weights/ends.onnx")
-    loader = NetworkLoader(registry_of(tmp_path, pose=pose, ends=ends), runtime="onnxruntime")
+    fruit = Path(
+        shutil.copy(load_registry().resolve("cucumber-fruit")["network"], tmp_path / "weights")
+    )
+    loader = NetworkLoader(registry_of(tmp_path, pose=pose, fruit=fruit), runtime="onnxruntime")
+    assert loader.stem_looker() is None
     (found,) = loader.yolo("tiny-pose").detect(PICTURE)
+    # Points by place are of either direction until the picture is asked.
+    assert found.end_confidence == UNKNOWN_ORDER
+    stem_looker = loader.stem_looker()
+    assert stem_looker is not None
+    assert stem_looker is loader.fruit_looker()
     assert [(m["name"], m["task"], m["sha256"]) for m in loader.models] == [
         ("tiny-pose", "pose", file_sha256(pose)),
-        ("tiny-ends", "ends", file_sha256(ends)),
+        ("tiny-fruit", "fruit", file_sha256(fruit)),
     ]
-    # Points by place are of either direction until the picture is asked.
-    assert found.keypoints is not None
-    assert found.end_confidence == 0.5
-    assert loader.ends is not None
-    (ordered,) = with_stems_last([found], PICTURE, loader.ends.log_odds)
-    # The stem is to the left: the points run from the right.
-    assert ordered.keypoints is not None
-    assert ordered.keypoints[0, 0] > ordered.keypoints[4, 0]
-    assert ordered.end_confidence == pytest.approx(1 / (1 + np.exp(-4)), abs=1e-4)
 
 
-def test_without_an_ends_network_nobody_knows_the_ends(tmp_path: Path) -> None:
+def test_without_a_network_that_looks_at_fruit_nobody_knows_the_ends(tmp_path: Path) -> None:
     pose = pose_network(tmp_path / "own.onnx")
     loader = NetworkLoader(registry_of(tmp_path), runtime="onnxruntime")
     (found,) = loader.pose(pose).detect(PICTURE)
-    assert found.end_confidence == 0.5
+    assert found.end_confidence == UNKNOWN_ORDER
+    assert loader.stem_looker() is None
     assert [m["name"] for m in loader.models] == ["own.onnx"]
 
 

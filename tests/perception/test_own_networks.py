@@ -100,10 +100,14 @@ def test_a_bare_file_must_be_a_network_and_forced(folder: Path, tmp_path: Path) 
 def test_a_pose_network_of_ones_own_replaces_the_look_at_each_fruit(
     folder: Path, tmp_path: Path
 ) -> None:
-    assert tasks_of(NetworkLoader()) == {"segment", "fruit", "ends"}
+    assert tasks_of(NetworkLoader()) == {"segment", "fruit"}
     path = shutil.copyfile(SHIPPED.resolve("cucumber-pose")["network"], tmp_path / "mine.onnx")
     use_network(Path(path), anyway=True)
-    assert tasks_of(NetworkLoader()) == {"segment", "pose", "ends"}
+    loader = NetworkLoader()
+    assert tasks_of(loader) == {"segment", "pose"}
+    # Its points are ordered by place: the look tells the stem end.
+    assert loader.stem_looker() is not None
+    assert {model["task"] for model in loader.models} == {"segment", "pose", "fruit"}
 
 
 def tasks_of(loader: NetworkLoader) -> set[str]:

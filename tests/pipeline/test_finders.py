@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
 from cucumbervision.instances.boxes import box_iou
-from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import MethodName, Reason
@@ -153,6 +153,19 @@ def test_a_pose_network_of_ones_own_gives_keypoints_to_the_data_sets_masks(
     instances = make_finder(options, bare_registry).find(row_a).instances
     assert all(instance.keypoints is not None for instance in instances)
     assert all(instance.mask_source is MaskSource.DATASET for instance in instances)
+
+
+def test_the_look_at_each_fruit_orders_the_points_of_a_pose_network(row_a: Capture) -> None:
+    pose = load_registry().resolve("cucumber-pose")["network"]
+    finder = make_finder(MeasureOptions(instances="dataset", pose=pose))
+    posed = [x for x in finder.find(row_a).instances if x.keypoints is not None]
+    assert posed
+    for instance in posed:
+        assert instance.keypoints is not None
+        assert instance.end_confidence not in (None, UNKNOWN_ORDER)
+        # These fruit hang: the stem is above.
+        assert instance.keypoints[-1, 1] < instance.keypoints[0, 1]
+    assert {model["task"] for model in finder.networks.models} == {"pose", "fruit"}
 
 
 def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry: Registry) -> None:

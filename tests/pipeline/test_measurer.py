@@ -4,8 +4,7 @@ import errno
 import pickle
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,15 +18,12 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import DiskFullError
-from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.result import (
     MethodName,
 )
 from cucumbervision.perception.registry import Registry
-from cucumbervision.pipeline.finders import Detections, Finder, dataset_instances
 from cucumbervision.pipeline.measurer import (
     Boundary,
-    DetectedCapture,
     Failure,
     Measurer,
     exit_code,
@@ -37,7 +33,7 @@ from cucumbervision.pipeline.run import measure_inputs
 from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
-    from cucumbervision.perception.networks import NetworkLoader
+    pass
 
 
 def test_lengths_scale_with_the_depth_through_the_whole_run(tmp_path: Path) -> None:
@@ -80,32 +76,6 @@ def test_a_run_has_one_calibration_though_its_file_is_replaced(tmp_path: Path) -
     same = Measurer(replace(options, calibration=after)).hashes.of(stages)
     assert elsewhere.hashes.of(stages) == calibrated.hashes.of(stages) == same
     assert not Measurer(options).hashes.still_hold(stages, same)
-
-
-def test_the_ends_of_a_pictures_tubes_are_judged_in_one_batch() -> None:
-    capture = next(iter(open_source(example_captures()))).load()
-    keypoints = np.column_stack([np.linspace(300, 400, 5), np.full(5, 240.0), np.ones(5)])
-    instances = tuple(
-        replace(instance, keypoints=keypoints, end_confidence=0.6)
-        for instance in dataset_instances(capture)
-    )
-    tubes = tuple(measure_m6(capture.depth_m, mask, capture.intrinsics) for mask in capture.masks)
-    batches: list[int] = []
-
-    def log_odds(_color: object, lines: list[object]) -> list[float]:
-        batches.append(len(lines))
-        return [2.0 + k for k in range(len(lines))]
-
-    measurer = Measurer(MeasureOptions(instances="dataset", end_look=False))
-    ends = SimpleNamespace(log_odds=log_odds)
-    networks = SimpleNamespace(ends=ends, look_at_ends=None, models=[])
-    measurer._finder = Finder(lambda _: Detections(()), cast("NetworkLoader", networks))
-    measured = measurer.measure_detected(
-        DetectedCapture(capture, Detections(instances, tubes=tubes))
-    )
-    assert batches == [len(instances)]
-    sure = [fruit.instance.end_confidence for fruit in measured.fruit]
-    assert sure == pytest.approx([1 / (1 + np.exp(-2.0 - k)) for k in range(len(instances))])
 
 
 ERRORS = {

@@ -576,7 +576,7 @@ def training(folder: Path) -> None:
 
 def model_card(folder: Path) -> None:
     """Copy a published network's card."""
-    copied(_PACKAGE / "perception" / "weights" / "cucumber-ends.json", folder)
+    copied(_PACKAGE / "perception" / "weights" / "cucumber-look.json", folder)
 
 
 def published(folder: Path) -> None:

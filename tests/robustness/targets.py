@@ -267,7 +267,7 @@ def _training(folder: Path, _name: str) -> None:
 def _card(folder: Path, _name: str) -> None:
     from cucumbervision_lab.training.publish import card_markdown, read_card
 
-    card_markdown(read_card(folder / "cucumber-ends.json"))
+    card_markdown(read_card(folder / "cucumber-look.json"))
 
 
 def _uploads(folder: Path, name: str) -> None:

@@ -324,8 +324,7 @@ def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
             chosen,
             full_precision=runtime not in _FAST and not is_fast,
         )
-        small = ("fruit", "look") if is_fast else ("fruit", "ends", "look")
-        for model in filter(None, map(registry.default, small)):
+        for model in filter(None, map(registry.default, ("fruit", "look"))):
             path = registry.resolve(model.name)["network"]
             begin_networks([path], runtime_for_batches(chosen), full_precision=True)
 

@@ -38,6 +38,9 @@ MASK_FAILURES = ("mask-empty", "mask-small", "mask-off-box", "mask-off-detector"
 LEAST_END_CONFIDENCE = 0.9
 """Least probability at which a fruit's ends count as known."""
 
+UNKNOWN_ORDER = 0.5
+"""`Instance.end_confidence` of keypoints that a network ordered by place."""
+
 SKELETON = ((0, 1), (1, 2), (2, 3), (3, 4))
 """Pairs of landmarks that a line joins."""
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +43,6 @@ _MOST_CONFIDENCE = 0.9999
 # Not covered by the fit: a stem end is no hemisphere, and a peduncle deviates from the axis.
 _END_SD_M = 0.0025
 _PEDUNCLE_SD_RAD = 0.26
-
-EndJudge: TypeAlias = Callable[
-    [NDArray[np.uint8], Sequence[NDArray[np.float64]]], Sequence[float | None]
-]
-"""Tells which end of a fruit is the stem's, as `EndClassifier.log_odds`."""
 
 _NEARER_M = 0.01  # an object nearer than the cut place by more is in the way
 
@@ -199,94 +193,6 @@ def stem_first(
         return measurement, sure
     fit = measurement.fit
     return replace(measurement, path_m=path[::-1], fit=fit and _turned(fit)), sure
-
-
-def stem_last(instance: Instance, line_px: NDArray[np.float64], log_odds: float | None) -> Instance:
-    """Return a fruit with its keypoints ordered from blossom end to stem end.
-
-    Parameters
-    ----------
-    instance : Instance
-        The fruit; without keypoints it is returned unchanged.
-    line_px : ndarray of float64, shape (K, 2)
-        u, v along the fruit, as `tube_line_px` returns it.
-    log_odds : float, optional
-        Of the picture, that the line ends at the stem, as `EndClassifier.log_odds` returns it; with
-        None the fruit is returned unchanged.
-
-    Examples
-    --------
-    >>> from cucumbervision.instances.instance import Instance
-    >>> points = np.column_stack([np.linspace(20, 60, 5), np.full(5, 30.0), np.ones(5)])
-    >>> fruit = Instance(np.array([10.0, 20, 70, 40]), keypoints=points, end_confidence=0.9)
-    >>> ordered = stem_last(fruit, points[:, :2], -3.0)
-    >>> float(ordered.keypoints[-1, 0]), round(ordered.end_confidence, 2)
-    (20.0, 0.95)
-    """
-    points = instance.keypoints
-    if points is None or log_odds is None:
-        return instance
-    straight, crossed = (
-        np.linalg.norm(points[[0, -1], :2] - ends_px, axis=1).sum()
-        for ends_px in (line_px[[0, -1]], line_px[[-1, 0]])
-    )
-    points = points if (straight <= crossed) == (log_odds >= 0) else points[::-1].copy()
-    return replace(instance, keypoints=points, end_confidence=_sure(log_odds))
-
-
-def with_stems_last(
-    instances: Sequence[Instance], color_rgb: NDArray[np.uint8], ends: EndJudge
-) -> tuple[Instance, ...]:
-    """Return fruit that are not measured with their keypoints ordered by the picture along them.
-
-    Parameters
-    ----------
-    instances : sequence of Instance
-        Those without keypoints, or whose order is given, are returned unchanged.
-    color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
-    ends : callable
-        As `EndClassifier.log_odds`.
-    """
-    lines = {
-        number: instance.keypoints[:, :2]
-        for number, instance in enumerate(instances)
-        if instance.keypoints is not None and instance.end_confidence is not None
-    }
-    odds = dict(zip(lines, ends(color_rgb, list(lines.values())), strict=True))
-    return tuple(
-        stem_last(instance, lines[number], odds[number]) if number in lines else instance
-        for number, instance in enumerate(instances)
-    )
-
-
-def tube_line_px(
-    instance: Instance, tube: Measurement | None, capture: Capture
-) -> NDArray[np.float64] | None:
-    """Return the line in the picture along which a fruit's ends are asked for.
-
-    The axis of a tube extends from end to end, while keypoints of a network may stop short or lie
-    beside the fruit.
-
-    Parameters
-    ----------
-    instance : Instance
-        The fruit.
-    tube : Measurement, optional
-        M6's.
-    capture : Capture
-        The frame.
-
-    Returns
-    -------
-    ndarray of float64, shape (K, 2), or None
-        u, v along the tube's axis, as many as keypoints; the keypoints without a tube; None without
-        keypoints.
-    """
-    points, path = instance.keypoints, None if tube is None else tube.path_m
-    if points is None or path is None or (path[:, 2] <= 0).any():
-        return None if points is None else points[:, :2]
-    return capture.intrinsics.project(points_along(path, np.linspace(0, 1, len(points))))
 
 
 def _sure(log_odds: float) -> float:

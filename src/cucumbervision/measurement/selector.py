@@ -18,20 +18,13 @@ from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, TableMethod, run_methods
-from cucumbervision.measurement.pose import (
-    CUT_BEYOND_M,
-    fruit_pose,
-    stem_first,
-    stem_last,
-    tube_line_px,
-)
+from cucumbervision.measurement.pose import CUT_BEYOND_M, fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     Choice,
     FruitMeasurement,
     Length,
     LengthDefinition,
     Measurement,
-    MethodName,
     Selector,
     calibration_key,
 )
@@ -45,7 +38,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.intervals import IntervalModels
-    from cucumbervision.measurement.pose import EndJudge
     from cucumbervision.protocols import Method
 
 # Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.
@@ -191,7 +183,7 @@ def choose(
     Examples
     --------
     >>> import numpy as np
-    >>> from cucumbervision.measurement.result import Reason
+    >>> from cucumbervision.measurement.result import MethodName, Reason
     >>> m5 = Measurement(MethodName.M5, reason=Reason.TOO_FEW_BINS)
     >>> m3 = Measurement(MethodName.M3, 0.21)
     >>> box = np.array([0, 0, 9, 40.0])
@@ -260,7 +252,6 @@ def measure_fruit(
     scale_known: bool = False,
     models: IntervalModels | None = None,
     cut_beyond_m: float = CUT_BEYOND_M,
-    ends: EndJudge | None = None,
     tube: Measurement | None = None,
 ) -> FruitMeasurement:
     """Measure one detected fruit, choose among the methods, and compute the length's interval.
@@ -284,9 +275,6 @@ def measure_fruit(
         Interval models; by default those of the package.
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres.
-    ends : callable, optional
-        Tells which end is the stem's, along the tube, or along the keypoints without one
-        (`EndClassifier.log_odds`); the keypoints of the result are in its order.
     tube : Measurement, optional
         M6 of the instance's mask in this capture, if it was already measured.
 
@@ -323,7 +311,6 @@ def measure_fruit(
     )
     method_of = {method if isinstance(method, str) else method.name: method for method in methods}
     measured = _measured(region, method_of, tube)
-    instance = _oriented(instance, measured.get(MethodName.M6), capture, ends)
     turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
     measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
@@ -367,17 +354,6 @@ def measure_fruit(
         pose=pose,
     )
     return with_length(fruit, definition, scale_known=scale_known, models=models)
-
-
-def _oriented(
-    instance: Instance, tube: Measurement | None, capture: Capture, ends: EndJudge | None
-) -> Instance:
-    """Return a fruit with its keypoints in the order that the picture tells, if it is asked."""
-    line_px = None if ends is None else tube_line_px(instance, tube, capture)
-    if ends is None or line_px is None:
-        return instance
-    (log_odds,) = ends(capture.color, [line_px])
-    return stem_last(instance, line_px, log_odds)
 
 
 def _flags(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
-from cucumbervision.instances.instance import with_disjoint_masks
+from cucumbervision.instances.instance import UNKNOWN_ORDER, with_disjoint_masks
 from cucumbervision.instances.masks import mask_iou, without_spurs
 from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.small_network import SmallNetwork
@@ -187,6 +187,27 @@ class PictureLooks:
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
         return with_disjoint_masks(refined_instances, self._depth_m)
 
+    def order(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
+        """Return detections with their keypoints ordered from blossom end to stem end.
+
+        Parameters
+        ----------
+        instances : sequence of Instance
+            Those without a mask, without keypoints, or with keypoints whose order is known, stay
+            as they are.
+        """
+        unordered = {
+            number: instance
+            for number, instance in enumerate(instances)
+            if instance.keypoints is not None and instance.end_confidence == UNKNOWN_ORDER
+        }
+        looks = self._looks([_with_detector_mask(x) for x in unordered.values()])
+        ordered = list(instances)
+        for place, (number, instance) in enumerate(unordered.items()):
+            if place in looks:
+                ordered[number] = stem_last(instance, *looks[place])
+        return tuple(ordered)
+
     def _looks(self, instances: Sequence[Instance]) -> dict[int, tuple[FruitCrop, FruitLook]]:
         """Return crops and what the network says of them, by number, of instances with a mask."""
         masks = {k: x.detector_mask for k, x in enumerate(instances) if x.detector_mask is not None}
@@ -200,6 +221,11 @@ class PictureLooks:
         for (key, crop), look in zip(crops.items(), looks, strict=True):
             self._done[key] = new[key], crop, look
         return {k: self._done[id(mask)][1:] for k, mask in masks.items() if id(mask) in self._done}
+
+
+def _with_detector_mask(instance: Instance) -> Instance:
+    mask = instance.mask if instance.detector_mask is None else instance.detector_mask
+    return replace(instance, detector_mask=mask)
 
 
 def _mean(first: FruitLook, second: FruitLook) -> FruitLook:
@@ -257,11 +283,25 @@ def refined(
             outline &= ~neighbour
         mask = outline if mask_iou(outline, mask) >= LEAST_AGREEMENT else mask
     points = np.column_stack([crop.to_picture(look.points[:, :2]), look.points[:, 2]])
-    if look.stem_last < 0:
-        points = points[::-1].copy()
-    return replace(
-        instance,
-        detector_mask=mask,
-        keypoints=points,
-        end_confidence=float(expit(abs(look.stem_last))),
-    )
+    return stem_last(replace(instance, detector_mask=mask, keypoints=points), crop, look)
+
+
+def stem_last(instance: Instance, crop: FruitCrop, look: FruitLook) -> Instance:
+    """Return a detection with its keypoints ordered from blossom end to stem end, and how surely.
+
+    Parameters
+    ----------
+    instance : Instance
+        With keypoints along the fruit, from either end.
+    crop : FruitCrop
+        Its crop.
+    look : FruitLook
+        What the network says of the crop.
+    """
+    points = instance.keypoints
+    if points is None:
+        return instance
+    run = np.diff(crop.to_crop(points[[0, -1], :2])[:, 0])[0]
+    points = points if (run >= 0) == (look.stem_last >= 0) else points[::-1].copy()
+    sure = float(expit(abs(look.stem_last)))
+    return replace(instance, keypoints=points, end_confidence=sure)

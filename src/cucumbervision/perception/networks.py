@@ -16,7 +16,6 @@ from cucumbervision.perception.confidence import (
 )
 from cucumbervision.perception.detectors import Detectors
 from cucumbervision.perception.end_look import EndLooker
-from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.fruit_look import FruitLooker
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.runtime import open_networks
@@ -104,7 +103,7 @@ def open_segmenter(
     return cast("NetworkSegmenter", opened)
 
 
-Small = TypeVar("Small", FruitLooker, EndClassifier, EndLooker)
+Small = TypeVar("Small", FruitLooker, EndLooker)
 
 
 class NetworkLoader:
@@ -159,15 +158,15 @@ class NetworkLoader:
         self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._small: dict[str, Any] = {}
+        self._orders_ends = False
         self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
         self._begun: dict[str | None, Future[NetworkSegmenter]] = {}
 
-    @property
-    def ends(self) -> EndClassifier | None:
-        """The classifier of stem ends, or None without a network whose keypoints need it."""
-        return self._small.get("ends")
+    def stem_looker(self) -> FruitLooker | None:
+        """Return what tells the stem end, if a loaded network orders keypoints by place."""
+        return self.fruit_looker() if self._orders_ends else None
 
     @property
     def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
@@ -201,8 +200,6 @@ class NetworkLoader:
     ) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
-        If it orders keypoints by position, the registry's network for stem ends is loaded too.
-
         Parameters
         ----------
         chosen : Path or str
@@ -230,8 +227,7 @@ class NetworkLoader:
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)
         else:
             self._note(path.name, network.task, file_sha256(path), network)
-        if network.by_place:
-            self._load_ends()
+        self._orders_ends = self._orders_ends or network.by_place
         return network
 
     def pose(self, path: Path) -> YoloDetector:
@@ -298,30 +294,18 @@ class NetworkLoader:
             pose = self.yolo(pose_model.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        fruit = self.fruit_looker(quick=quick) if by_look else None
+        fruit = self.fruit_looker() if by_look else None
         return Detectors(detector, pose, self._confidence, fruit=fruit, quick=quick)
 
-    def fruit_looker(self, *, quick: bool = False) -> FruitLooker | None:
+    def fruit_looker(self) -> FruitLooker | None:
         """Return the registry's network that looks at each fruit, loaded once; None without one.
-
-        Parameters
-        ----------
-        quick : bool
-            Whether its own word on the stem end is enough; else the network for `ends` is loaded.
 
         Raises
         ------
         ModelError, ModelHashError
             If a file is missing or damaged, or another kind of network.
         """
-        looker = self._small_network("fruit", FruitLooker)
-        if looker is not None and not quick:
-            self._load_ends()
-        return looker
-
-    def _load_ends(self) -> None:
-        """Load the registry's network for `ends`, once."""
-        self._small_network("ends", EndClassifier)
+        return self._small_network("fruit", FruitLooker)
 
     def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:
         """Return the registry's small network for a task, loaded once; None without one."""

@@ -66,24 +66,3 @@ class SmallNetwork:
         """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
         names = [tensor.name for tensor in self._network.inputs]
         return self._network.run(dict(zip(names, (Levels(pictures), *values), strict=True)))
-
-
-class PictureClassifier(SmallNetwork):
-    """A small network that gives one logit per picture."""
-
-    def mean_logits(
-        self, pictures: NDArray[np.uint8], mirrored: NDArray[np.uint8]
-    ) -> NDArray[np.float64]:
-        """Return the mean logit of each picture and its mirror image.
-
-        Parameters
-        ----------
-        pictures, mirrored : ndarray of uint8, shape (N, H, W, 3)
-            RGB; at least one picture.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-        """
-        (logits,) = self._run(np.concatenate([pictures, mirrored])).values()
-        return np.asarray(logits.reshape(2, -1).mean(axis=0), np.float64)

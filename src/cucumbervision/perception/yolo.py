@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.instance import Instance, mirrored
+from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance, mirrored
 from cucumbervision.perception.card import CardArray
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import (
@@ -167,7 +167,7 @@ class YoloDetector:
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
         if not self._layout.by_place:
             return detections
-        return tuple(replace(detection, end_confidence=0.5) for detection in detections)
+        return tuple(replace(detection, end_confidence=UNKNOWN_ORDER) for detection in detections)
 
     def _check_sizes(self) -> None:
         layout = self._layout

@@ -21,7 +21,6 @@ from cucumbervision.errors import CaptureError, wrap_os_errors
 from cucumbervision.files import write_bytes, write_csv, write_json
 from cucumbervision.instances.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.instances.mask_codes import encode_rle
-from cucumbervision.measurement.pose import with_stems_last
 from cucumbervision.pipeline.batch import Item, Outcome, SearchedCapture, Worker, measure_all
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import (
@@ -158,10 +157,7 @@ class PictureWorker(Worker[DetectedPicture]):
         if isinstance(searched.detected, CaptureResult):
             return self.make(searched.detected, "")
         capture, detections = searched.detected.capture, searched.detected.detections
-        ends = self.measurer.load().networks.ends
         instances = detections.instances
-        if ends is not None:
-            instances = with_stems_last(instances, capture.color, ends.log_odds)
         entries = [
             coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
             for instance in instances

@@ -121,7 +121,7 @@ class Finder:
 
     def models_of(self, stages: Collection[Stage]) -> tuple[dict[str, Any], ...]:
         """Return the networks that took part in some stages, and the plug-ins in their place."""
-        tasks = {"pose", "ends"} if Stage.POSED in stages else set()
+        tasks = {"pose", "fruit"} if Stage.POSED in stages else set()
         tasks |= _FINDING if Stage.DETECTED in stages else set()
         drawn = Stage.DRAWN in stages
         tasks |= {"look"} if drawn or Stage.DETECTED in stages else set()
@@ -134,13 +134,7 @@ class Finder:
         return (*networks, *(plugin.as_json() for plugin in self.plugins if plugin.kind in kinds))
 
 
-_FINDING = {
-    "segment",
-    "detect",
-    "fruit",
-    "pose",
-    "ends",
-}  # tasks of networks; all others draw masks
+_FINDING = {"segment", "detect", "fruit", "pose"}  # tasks of networks; all others draw masks
 
 
 def make_finder(
@@ -204,7 +198,7 @@ def make_finder(
         drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
         if (painter is None and name == "none") or not drawn:
             file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
-            return _finished(capture, detections, detections.instances, file_stages)
+            return _finished(capture, detections, detections.instances, file_stages, networks)
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         try:
             if painter is None:
@@ -221,7 +215,7 @@ def make_finder(
             masked.get(k, instance) for k, instance in enumerate(detections.instances)
         )
         file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN))
+        return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN), networks)
 
     parts = (plugin for plugin, _ in filter(None, (detector, painter)))
     # Fruit that a program gives are of no plug-in.
@@ -322,18 +316,23 @@ def _finished(
     detections: Detections,
     instances: tuple[Instance, ...],
     stages: tuple[Stage, ...],
+    networks: NetworkLoader,
 ) -> Detections:
-    """Return detections with final masks and keypoints."""
+    """Return detections with final masks and keypoints, ordered where a pose network did not."""
     cleaned = tuple(
         replace(instance, mask=without_flower(instance.mask, capture.color, instance.detector_mask))
         if instance.mask is not None and instance.mask_source in _MAY_HOLD_FLOWERS
         else instance
         for instance in instances
     )
+    placed = place_keypoints(cleaned)
+    stem_looker = networks.stem_looker()
+    if stem_looker is not None:
+        placed = stem_looker.on(*_seen(capture)).order(placed)
     pairs = zip(detections.tubes, detections.instances, cleaned, strict=False)
     return replace(
         detections,
-        instances=place_keypoints(cleaned),
+        instances=placed,
         stages=detections.stages + stages,
         tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
     )
@@ -447,12 +446,19 @@ def _network_finder(
     labels, posed = detectors.labels, detectors.gives_keypoints
 
     def find(capture: Capture) -> Detections:
-        depth_m = capture.depth_m if capture.depth_m.any() else None  # a plain picture has none
-        focal_px = None if depth_m is None else capture.intrinsics.fx_px
-        instances = detectors.find(capture.color, depth_m, focal_px)
+        instances = detectors.find(*_seen(capture))
         return Detections(instances, stages=(Stage.DETECTED,), labels=labels, posed=posed)
 
     return find
+
+
+def _seen(
+    capture: Capture,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:
+    """Return colour, depth and focal length in pixels, both None for a picture without depth."""
+    if not capture.depth_m.any():
+        return capture.color, None, None
+    return capture.color, capture.depth_m, capture.intrinsics.fx_px
 
 
 def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:

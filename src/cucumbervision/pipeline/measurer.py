@@ -20,7 +20,7 @@ from cucumbervision.errors import (
 )
 from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.pose import FIRST_LINE, EndJudge, tube_line_px
+from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import (
     Choice,
     FruitMeasurement,
@@ -36,7 +36,7 @@ from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping
     from pathlib import Path
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
@@ -374,11 +374,9 @@ class Measurer:
         capture, detections = detected.capture, detected.detections
         doubts = [Flag(doubt) for doubt in capture.doubts]
         pairs = list(zip_longest(detections.instances, detections.tubes))
-        numbers = [k for k in range(len(pairs)) if chosen is None or k in chosen]
-        judges = dict(zip(numbers, self._judges(capture, [pairs[k] for k in numbers]), strict=True))
         measured = [
-            self._measured(capture, instance, tube, judges[k])
-            if k in judges
+            self._measured(capture, instance, tube)
+            if chosen is None or k in chosen
             else FruitMeasurement(instance, {}, None, Choice.WAITING).flagged(*doubts)
             for k, (instance, tube) in enumerate(pairs)
         ]
@@ -408,34 +406,13 @@ class Measurer:
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
     ) -> FruitMeasurement:
         """Measure one fruit of a capture with scaled depth; `tube` as in `Detections.tubes`."""
-        (judge,) = self._judges(capture, [(instance, tube)])
-        return self._judged(capture, [self._measured(capture, instance, tube, judge)])[0]
-
-    def _judges(
-        self, capture: Capture, fruit: Sequence[tuple[Instance, Measurement | None]]
-    ) -> list[EndJudge | None]:
-        """Return for each fruit what tells its ends; of known tubes in one batch."""
-        network = None if self._finder is None else self._finder.networks.ends
-        if network is None:
-            return [None] * len(fruit)
-        # Keypoints without a confidence are a file's: their order is not changed.
-        asked = [instance.end_confidence is not None for instance, _ in fruit]
-        lines = [
-            tube_line_px(instance, tube, capture) if asks and tube is not None else None
-            for (instance, tube), asks in zip(fruit, asked, strict=True)
-        ]
-        odds = iter(network.log_odds(capture.color, [line for line in lines if line is not None]))
-        return [
-            None if not asks else network.log_odds if line is None else _known_odds(next(odds))
-            for asks, line in zip(asked, lines, strict=True)
-        ]
+        return self._judged(capture, [self._measured(capture, instance, tube)])[0]
 
     def _measured(
         self,
         capture: Capture,
         instance: Instance,
         tube: Measurement | None,
-        judge: EndJudge | None,
     ) -> FruitMeasurement:
         options = self.options
         return measure_fruit(
@@ -446,7 +423,6 @@ class Measurer:
             options.length,
             scale_known=self._scale_known,
             cut_beyond_m=options.cut_beyond_m,
-            ends=judge,
             tube=tube,
         )
 
@@ -498,11 +474,6 @@ def _as_pickled(
     site: SiteCalibration | None,
 ) -> Measurer:
     return Measurer(options, registry, plug_ins).calibrated_by(site, options.calibration)
-
-
-def _known_odds(odds: float | None) -> EndJudge:
-    """Return a judge that has already looked along the one line that it will be asked."""
-    return lambda _color, _lines: [odds]
 
 
 def plugin_failures(measurer: Measurer) -> list[Failure]:

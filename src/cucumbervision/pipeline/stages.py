@@ -149,7 +149,7 @@ class StageHashes:
             seeing = [options.confidence, list(options.input_sizes)]
             return [self._detectors(), seeing, computing]
         if stage is Stage.POSED:
-            posed = [options.pose and _path_sha256(options.pose), self._named("ends")]
+            posed = [options.pose and _path_sha256(options.pose), self._named("fruit")]
             return [posed, options.confidence, list(options.input_sizes), computing]
         if stage is Stage.DRAWN:
             chosen = options.segmenter
@@ -167,9 +167,9 @@ class StageHashes:
             return plugins("detectors")[options.instances].as_json()
         has_own_file = options.instances not in ("auto", "models")
         detector = _path_sha256(Path(options.instances)) if has_own_file else self._named("segment")
-        posing: Any = None if has_own_file else [self._named("pose"), self._named("fruit")]
+        posing = None if has_own_file else self._named("pose")
         posing = _path_sha256(options.pose) if options.pose else posing
-        return [detector, posing, self._named("ends"), options.quick]
+        return [detector, posing, self._named("fruit"), options.quick]
 
     def _look(self) -> Any:
         return self._named("look") if self._options.end_look else None

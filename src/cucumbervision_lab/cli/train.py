@@ -201,7 +201,6 @@ def house(
 class SmallNetwork(StrEnum):
     """The small networks that `train classifier` trains."""
 
-    ENDS = "ends"
     FRUIT = "fruit"
     LOOK = "look"
 
@@ -211,15 +210,14 @@ def classifier(
     kind: Annotated[
         SmallNetwork,
         typer.Argument(
-            help="ends: finds the stem end. fruit: looks at each detection, draws its outline and "
-            "keypoints. look: looks at each end of a fruit, and fits its intervals."
+            help="fruit: looks at each detection, draws its outline and keypoints. look: looks at "
+            "each end of a fruit, and fits its intervals."
         ),
     ],
     sets: Annotated[
         list[Path],
         typer.Argument(
-            help="Data sets: with keypoints for ends, completely labelled for fruit, drawn with "
-            "depth (`synth`) for look.",
+            help="Data sets: completely labelled for fruit, drawn with depth (`synth`) for look.",
             metavar="SET...",
         ),
     ],
@@ -228,7 +226,7 @@ def classifier(
         str,
         typer.Option(
             "--init",
-            help="Weights of YOLO26n-seg (.pt), or for fruit and look an earlier training's (.pt).",
+            help="Weights of YOLO26n-seg (.pt), or of an earlier training (.pt).",
         ),
     ],
     name: Annotated[
@@ -239,8 +237,7 @@ def classifier(
         int | None,
         typer.Option(
             min=0,
-            help="Number of epochs; 0, for fruit and look: judge the network of --init, and learn "
-            "the intervals by it.",
+            help="Number of epochs; 0: judge the network of --init, and learn the intervals by it.",
             show_default="20, and 8 for look",
         ),
     ] = None,
@@ -266,39 +263,15 @@ def classifier(
     out.mkdir(parents=True, exist_ok=True)
     if epochs is None:
         epochs = 8 if kind is SmallNetwork.LOOK else 20
-    if epochs == 0 and kind is SmallNetwork.ENDS:
-        raise typer.BadParameter("0 is for fruit and look only", param_hint="--epochs")
     if leaves is not None and kind is not SmallNetwork.LOOK:
         raise typer.BadParameter("is for look only", param_hint="--leaves")
     further: dict[str, int] = {}
     trained: Trained
     if kind is SmallNetwork.LOOK:
         trained, further = _train_look(sets, out, name, init, epochs, seed, leaves)
-    elif kind is SmallNetwork.FRUIT:
-        trained = _train_fruit(sets, out / f"{name}.onnx", init, epochs, seed)
     else:
-        trained = _train_ends(sets, out / f"{name}.onnx", init, epochs, seed)
+        trained = _train_fruit(sets, out / f"{name}.onnx", init, epochs, seed)
     _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
-
-
-def _train_ends(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.ends import collect_strips, train_ends
-
-    opened = [open_dataset(folder) for folder in sets]
-    with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        strips = collect_strips(opened, seed, tick)
-    with ticking("training", epochs) as tick:
-        options = ClassifierOptions(
-            epochs,
-            seed,
-            _threads(),
-            keep=file.with_name(f"{file.stem}-training.pt"),
-            progress=lambda *_: tick(1),
-        )
-        return train_ends(strips, init, file, options)
 
 
 def _train_fruit(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.measurement.pose import with_stems_last
 from cucumbervision.perception.confidence import (
     CANDIDATE_CONFIDENCE,
     DEFAULT_CONFIDENCE,
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.ends import EndClassifier
     from cucumbervision.perception.fruit_look import FruitLooker
     from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.yolo import YoloDetector
@@ -62,8 +60,8 @@ class Networks:
         Confidence threshold for recall, precision and measurement.
     fruit : FruitLooker, optional
         Looks at each fruit, instead of the pose network.
-    ends : EndClassifier, optional
-        Gives the direction of the keypoints.
+    ends : FruitLooker, optional
+        Orders the keypoints of a pose network that does not.
     models : list of dict
         File, SHA-256 and runtime of each network, for the provenance.
     """
@@ -74,7 +72,7 @@ class Networks:
     confidence: float
     models: list[dict[str, Any]] = field(default_factory=list)
     fruit: FruitLooker | None = None
-    ends: EndClassifier | None = None
+    ends: FruitLooker | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +144,7 @@ def open_networks(
     sam = None if segmenter is None else loader.segmenter(segmenter)
     looks = beside and loader.registry.looks_closely and not isinstance(pose, Path)
     fruit = loader.fruit_looker() if looks else None
-    return Networks(detector, points, sam, confidence, loader.models, fruit, loader.ends)
+    return Networks(detector, points, sam, confidence, loader.models, fruit, loader.stem_looker())
 
 
 def detect_picture(
@@ -200,7 +198,7 @@ def detect_picture(
 
     def coded(instances: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
         if networks.ends is not None:
-            instances = with_stems_last(instances, color, networks.ends.log_odds)
+            instances = networks.ends.on(color, depth_m, focal_px).order(instances)
         return tuple(detected_fruit(instance, depth_m) for instance in instances)
 
     frame = replace(

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.pose import EndJudge, FruitPose
+    from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
@@ -183,8 +183,7 @@ def evaluate_detection(
             if networks.segmenter is not None:
                 drawn = networks.segmenter.segment(color, list(instances.values()))
                 instances = dict(zip(instances, drawn, strict=True))
-            ends = None if networks.ends is None else networks.ends.log_odds
-            records += length_records(result.frame, capture, instances, ends)
+            records += length_records(result.frame, capture, instances)
         frames.append(result.frame)
         for name, duration in result.seconds.items():
             seconds.setdefault(name, []).append(duration)
@@ -255,7 +254,6 @@ def length_records(
     frame: Frame,
     capture: Capture,
     perceived: Mapping[int, Instance],
-    ends: EndJudge | None = None,
 ) -> list[LengthRecord]:
     """Measure the fruit of a picture on true and on predicted masks.
 
@@ -267,8 +265,6 @@ def length_records(
         Colour and depth of the picture.
     perceived : mapping of int to Instance
         Detected instances with masks and keypoints, by index in `frame.true`.
-    ends : callable, optional
-        Tells which end of these is the stem's, as in `measure_fruit`.
 
     Returns
     -------
@@ -282,7 +278,7 @@ def length_records(
             continue
         instance = perceived.get(number)
         records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
-        records.append(_record(frame, number, capture, instance, Masks.PERCEIVED, ends))
+        records.append(_record(frame, number, capture, instance, Masks.PERCEIVED))
     return records
 
 
@@ -368,7 +364,6 @@ def _record(
     capture: Capture,
     instance: Instance | None,
     masks: Masks,
-    ends: EndJudge | None = None,
 ) -> LengthRecord:
     fruit = frame.true[number]
     lengths: dict[str, float | None] = dict.fromkeys(READ)
@@ -377,7 +372,7 @@ def _record(
     details["selected"] = None
     fill = None
     if instance is not None:
-        measured = measure_fruit(replace(capture, gravity=None), instance, ends=ends)
+        measured = measure_fruit(replace(capture, gravity=None), instance)
         lengths.update(fruit_lengths(measured, capture)[0])
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)

@@ -1,4 +1,4 @@
-"""Train a small convolutional network with one logit a picture, and export it to ONNX."""
+"""Train a small convolutional network on crops of pictures, and export it to ONNX."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ CHANNELS = 128
 
 _LAYERS = 7
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02  # of AdamW, with one cycle of the learning rate
-_JUDGED_AT_ONCE = 512
 
 
 @dataclass(frozen=True)
@@ -175,85 +174,11 @@ def _resumed(parts: dict[str, Any], training: list[int], keep: Path | None) -> i
     return int(state["epoch"])
 
 
-def fit_classifier(
-    make: Callable[[], Any],
-    pictures: NDArray[np.uint8],
-    target: NDArray[np.float32],
-    augment: Callable[[Any], Any],
-    options: ClassifierOptions,
-) -> Any:
-    """Train a network by binary cross-entropy.
-
-    Parameters
-    ----------
-    make : callable
-        Builds the network.
-    pictures : ndarray of uint8, shape (N, H, W, 3)
-        RGB.
-    target : ndarray of float32, shape (N,)
-        Probabilities, 0 to 1.
-    augment : callable
-        Changes a batch, float32 of shape (N, 3, H, W) in 0 to 1, at random.
-    options : ClassifierOptions
-        Options.
-
-    Returns
-    -------
-    torch.nn.Module
-        The network, ready to predict.
-
-    Raises
-    ------
-    MissingExtraError
-        As `fit`.
-    """
-
-    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
-        import torch
-        from torch.nn.functional import binary_cross_entropy_with_logits
-
-        logits = network(augment(scaled_planes(pictures[chosen])))
-        return binary_cross_entropy_with_logits(logits, torch.from_numpy(target[chosen]))
-
-    return fit(make, len(pictures), loss_of, options)
-
-
-def predict(network: Any, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return a network's logits of pictures, uint8 of shape (N, H, W, 3)."""
-    import torch
-
-    with torch.no_grad():
-        logits = [
-            network(scaled_planes(pictures[start : start + _JUDGED_AT_ONCE])).numpy()
-            for start in range(0, len(pictures), _JUDGED_AT_ONCE)
-        ]
-    return np.concatenate(logits).astype(np.float64)
-
-
 def scaled_planes(pictures: NDArray[np.uint8]) -> Any:
     """Return pictures of shape (N, H, W, C) as a float32 tensor, (N, C, H, W) in 0 to 1."""
     import torch
 
     return torch.from_numpy(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))).float() / 255
-
-
-def export_classifier(network: Any, out: Path, size_px: tuple[int, int], task: str) -> None:
-    """Export a network to ONNX, for any number of pictures, with weights in half precision.
-
-    Parameters
-    ----------
-    network : torch.nn.Module
-        The network.
-    out : Path
-        The file to write.
-    size_px : tuple of int
-        Height and width of a picture.
-    task : str
-        Task to note in the file, such as 'ends'.
-    """
-    import torch
-
-    export_network(network, out, {"pictures": torch.zeros(2, 3, *size_px)}, ("logits",), task)
 
 
 def export_network(
@@ -305,7 +230,7 @@ class Trained(Protocol):
 
     @property
     def task(self) -> str:
-        """'ends', 'fruit' or 'look', as the command that trains it."""
+        """'fruit' or 'look', as the command that trains it."""
 
     @property
     def limits(self) -> Sequence[str]:
@@ -330,7 +255,7 @@ def write_classifier_card(
     Parameters
     ----------
     trained : Trained
-        Result of `train_ends`, `train_fruit` or `train_look`.
+        Result of `train_fruit` or `train_look`.
     name : str
         Name of the network.
     init : Path

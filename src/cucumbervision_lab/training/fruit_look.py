@@ -144,6 +144,12 @@ def make_network(init: Path | str) -> Any:
                 nn.SiLU(),
                 nn.Linear(64, 2),
             )
+            self.stem = nn.Sequential(
+                nn.AvgPool2d((HEIGHT_PX // 16, 1)),
+                nn.Flatten(),
+                nn.Dropout(0.2),
+                nn.Linear(CHANNELS * WIDTH_PX // 16, 1),
+            )
             rows, columns = HEIGHT_PX // 8, WIDTH_PX // 8
             y, x = torch.meshgrid(
                 8 * torch.arange(rows) + 3.5, 8 * torch.arange(columns) + 3.5, indexing="ij"
@@ -168,7 +174,9 @@ def make_network(init: Path | str) -> Any:
             share = maps[:, :, :1].float().softmax(-1)
             moved = torch.cat([self.places + 16 * maps[:, :, 1:3], maps[:, :, 3:]], 2)
             points = (share * moved).sum(-1)
-            return outline, points, self.verdict(ends)
+            verdict = self.verdict(ends)
+            stem = verdict[:, 1:] + self.stem(s16)
+            return outline, points, torch.cat([verdict[:, :1], stem], 1)
 
     return FruitNetwork().requires_grad_(True)
 
@@ -241,11 +249,11 @@ def loss(
     labelled = ~visible.isnan()
     if labelled.any():
         total = total + 0.2 * cross_entropy(placed[..., 2][labelled], visible[labelled])
-    for column, target, weight in ((0, is_fruit, 1.0), (1, stem, 0.5)):
+    for column, target in enumerate((is_fruit, stem)):
         told = ~target.isnan()
         if told.any():
             smooth = 0.02 + 0.96 * target[told]
-            total = total + weight * cross_entropy(verdict[told, column], smooth)
+            total = total + cross_entropy(verdict[told, column], smooth)
     return total
 
 

@@ -23,9 +23,7 @@ _WHAT = {
     "segment": "YOLO26, task segment, one class (cucumber).",
     "pose": "YOLO26, task pose, one class (cucumber), five keypoints. They run from a fruit's "
     "lower left end to its upper right one where the file's metadata say `keypoint_order: place`, "
-    "and `cucumber-ends` tells which is the stem's; else from the blossom end to the stem end.",
-    "ends": "Tells which end of a cucumber is the stem's, from the fruit laid level along its "
-    "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
+    "and `cucumber-fruit` tells which is the stem's; else from the blossom end to the stem end.",
     "fruit": "Draws the outline and five keypoints of one detected cucumber at the camera's "
     "resolution, from colour, depth and the detector's mask around it, turned along the mask; and "
     "tells whether it is a cucumber and which end is the stem's.",
@@ -56,7 +54,7 @@ class ModelCard:
     name : str
         Name of the model in commands.
     task : str
-        'segment', 'pose', 'ends', 'fruit' or 'look'.
+        'segment', 'pose', 'fruit' or 'look'.
     file : str
         Name of the ONNX file.
     sha256 : str
@@ -197,7 +195,6 @@ MOST_BYTES = 45_000_000
 _TITLES = {
     "segment": "YOLO26 for cucumbers: boxes and masks",
     "pose": "YOLO26 for cucumbers: boxes and five keypoints",
-    "ends": "Which end of a cucumber is the stem's",
     "fruit": "Outline and keypoints of one cucumber at the camera's resolution",
     "look": "Whether a cucumber ends where it was measured to",
 }

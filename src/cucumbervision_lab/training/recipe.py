@@ -142,7 +142,7 @@ def with_axis_points(dataset: DataSet) -> DataSet:
     """Add keypoints along the mask's axis to every complete fruit that has none.
 
     If the stem end is unknown, the keypoints are ordered by position, and the label's extras note
-    this. Such labels suit pose networks with `by_place`, but not `train classifier ends`.
+    this. Such labels suit pose networks with `by_place`; they say nothing of the stem end.
 
     Parameters
     ----------

@@ -50,39 +50,6 @@ def test_errors_come_through(command: str, tmp_path: Path) -> None:
 
 @needs_extra
 @pytest.mark.train
-def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
-    pytest.importorskip("onnx")
-    rng, pictures = np.random.default_rng(1), []
-    (tmp_path / "set" / "images").mkdir(parents=True)
-    for number in range(16):
-        color = rng.integers(0, 255, (64, 96, 3), np.uint8)
-        write_png(tmp_path / "set" / "images" / f"{number}.png", color)
-        points = np.column_stack([np.linspace(20, 75, 5), np.full(5, 30.0), np.full(5, 2.0)])
-        label = Label(np.array([15.0, 20.0, 80.0, 40.0]), keypoints=points)
-        name = f"images/{number}.png"
-        pictures.append(LabelledPicture(name, 96, 64, (label,), f"s{number}", "train"))
-    write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
-    words = [
-        "classifier",
-        "ends",
-        str(tmp_path / "set"),
-        "--init",
-        "yolo26n-seg.yaml",
-        "--epochs",
-        "1",
-    ]
-    words += ["--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
-    assert "right, all" in result.output
-    card = read_card(tmp_path / "out" / "cucumber-ends.json")
-    assert card.task == "ends"
-    assert card.metrics["fruit of other scenes judged by"] == 2
-    assert (tmp_path / "out" / card.file).stat().st_size == card.size_bytes
-
-
-@needs_extra
-@pytest.mark.train
 def test_the_look_at_ends_is_learnt_from_pasted_fruit_and_shown(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     rng, pictures = np.random.default_rng(1), []

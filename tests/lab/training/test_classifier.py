@@ -19,12 +19,10 @@ from cucumbervision.perception.runtime import open_network
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
-    export_classifier,
     export_network,
     first_layers,
     fit,
-    fit_classifier,
-    predict,
+    scaled_planes,
     write_classifier_card,
 )
 
@@ -55,12 +53,33 @@ def make() -> Any:
     return torch.nn.Sequential(flat, line, torch.nn.Flatten(0))
 
 
+def learnt(data: tuple[NDArray[np.uint8], NDArray[np.float32]], options: ClassifierOptions) -> Any:
+    import torch
+
+    made, target = data
+
+    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
+        logits = network(scaled_planes(made[chosen]))
+        return torch.nn.functional.binary_cross_entropy_with_logits(
+            logits, torch.from_numpy(target[chosen])
+        )
+
+    return fit(make, len(made), loss_of, options)
+
+
+def predict(network: Any, made: NDArray[np.uint8]) -> NDArray[np.float64]:
+    import torch
+
+    with torch.no_grad():
+        return np.asarray(network(scaled_planes(made)).numpy(), np.float64)
+
+
 def test_it_learns_what_the_targets_say() -> None:
     told: list[tuple[int, float]] = []
     options = ClassifierOptions(
         epochs=8, batch=16, threads=1, progress=lambda *numbers: told.append(numbers)
     )
-    network = fit_classifier(make, *pictures(200, 1), lambda batch: batch, options)
+    network = learnt(pictures(200, 1), options)
     fresh, target = pictures(100, 2)
     logits = predict(network, fresh)
     assert logits.shape == (100,)
@@ -89,35 +108,34 @@ def test_the_same_seed_learns_the_same_and_another_something_else() -> None:
 
     def learn(seed: int) -> NDArray[np.float64]:
         options = ClassifierOptions(epochs=1, batch=16, threads=1, seed=seed)
-        return predict(fit_classifier(make, *data, lambda batch: batch, options), data[0])
+        return predict(learnt(data, options), data[0])
 
     np.testing.assert_array_equal(learn(4), learn(4))
     assert np.abs(learn(4) - learn(5)).max() > 1e-3
 
 
-def test_every_picture_is_augmented_in_the_range_from_0_to_1() -> None:
-    seen: list[tuple[int, float, float]] = []
+def test_the_last_batch_is_no_picture_alone() -> None:
+    import torch
 
-    def augment(batch: Any) -> Any:
-        seen.append((len(batch), float(batch.min()), float(batch.max())))
-        return batch
+    sizes: list[int] = []
 
-    white = np.full((33, SIDE_PX, SIDE_PX, 3), 255, np.uint8)
-    white[:, 0] = 0
-    options = ClassifierOptions(epochs=1, batch=16, threads=1)
-    fit_classifier(make, white, np.ones(33, np.float32), augment, options)
-    # Of 33 no one is a batch of its own.
-    assert seen == [(11, 0.0, 1.0)] * 3
+    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
+        sizes.append(len(chosen))
+        return network(torch.zeros(1, 3, SIDE_PX, SIDE_PX)).sum()
+
+    fit(make, 33, loss_of, ClassifierOptions(epochs=1, batch=16, threads=1))
+    assert sizes == [11] * 3
 
 
 def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) -> None:
     data, target = pictures(60, 5)
     options = ClassifierOptions(epochs=2, batch=16, threads=1)
-    network = fit_classifier(make, data, target, lambda batch: batch, options)
+    network = learnt((data, target), options)
     path = tmp_path / "new" / "halves.onnx"
-    export_classifier(network, path, (SIDE_PX, SIDE_PX), "crops")
+    example = {"pictures": scaled_planes(data[:2])}
+    export_network(network, path, example, ("logits",), "fruit")
     opened = open_network(path, "onnxruntime", full_precision=True)
-    assert opened.metadata["task"] == "crops"
+    assert opened.metadata["task"] == "fruit"
     for count in (1, 7):
         planes = data[:count].transpose(0, 3, 1, 2).astype(np.float32) / 255
         (logits,) = opened.run({"pictures": planes}).values()
@@ -150,7 +168,7 @@ def test_the_first_layers_make_a_sixteenth_of_the_size() -> None:
 @dataclass(frozen=True)
 class Told:
     network: Path
-    task: str = "ends"
+    task: str = "look"
     limits: tuple[str, ...] = ("Learnt from halves.",)
 
     @property
@@ -159,25 +177,25 @@ class Told:
 
 
 def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
-    network = tmp_path / "ends.onnx"
+    network = tmp_path / "look.onnx"
     network.write_bytes(b"a network")
     card = write_classifier_card(
-        Told(network), "my-ends", "weights/yolo26n.pt", epochs=3, seed=9, credits=["Photos: A"]
+        Told(network), "my-look", "weights/yolo26n.pt", epochs=3, seed=9, credits=["Photos: A"]
     )
     assert (card.sha256, card.size_bytes) == (file_sha256(network), 9)
     assert card.began_with == "yolo26n.pt"
     assert card.command.endswith(
-        "train classifier ends SETS --init yolo26n.pt --out DIR --epochs 3 --seed 9"
+        "train classifier look SETS --init yolo26n.pt --out DIR --epochs 3 --seed 9"
     )
-    page = (tmp_path / "my-ends.md").read_text()
+    page = (tmp_path / "my-look.md").read_text()
     for words in ("Learnt from halves.", "Photos: A", "0.75", card.sha256):
         assert words in page
-    saved = json.loads((tmp_path / "my-ends.json").read_text())
-    assert (saved["task"], saved["metrics"]) == ("ends", {"accuracy": 0.75})
+    saved = json.loads((tmp_path / "my-look.json").read_text())
+    assert (saved["task"], saved["metrics"]) == ("look", {"accuracy": 0.75})
 
 
 def test_the_card_of_a_checkpoint_that_is_only_judged_names_it(tmp_path: Path) -> None:
-    network, checkpoint = tmp_path / "ends.onnx", tmp_path / "begun.pt"
+    network, checkpoint = tmp_path / "look.onnx", tmp_path / "begun.pt"
     network.write_bytes(b"a network")
     checkpoint.write_bytes(b"a checkpoint")
 
@@ -186,6 +204,6 @@ def test_the_card_of_a_checkpoint_that_is_only_judged_names_it(tmp_path: Path) -
         def metrics(self) -> dict[str, float]:
             return {"crops learnt from": 12.0, "accuracy": 0.75}
 
-    card = write_classifier_card(Judged(network), "ends", checkpoint, epochs=0, seed=0)
+    card = write_classifier_card(Judged(network), "look", checkpoint, epochs=0, seed=0)
     assert card.checkpoint_sha256 == file_sha256(checkpoint)
     assert card.metrics == {"accuracy": 0.75}

@@ -198,7 +198,6 @@ def _models() -> None:
         "segment": _("finds fruit"),
         "pose": _("finds end points"),
         "prompted-mask": _("outlines fruit"),
-        "ends": _("finds the stem end"),
         "fruit": _("draws each fruit's outline"),
         "look": _("looks at each end"),
     }

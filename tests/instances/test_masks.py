@@ -288,6 +288,18 @@ def test_a_fruit_that_runs_through_the_picture_is_no_box() -> None:
     assert not is_box_mask(mask)
 
 
+def test_a_stalk_leaves_the_outline_of_a_fruit_and_a_tapering_end_stays() -> None:
+    v, u = np.mgrid[:120, :300]
+    fruit = ((u - 150) / 100) ** 2 + ((v - 60) / 25) ** 2 <= 1
+    stalk = (abs(v - 60) <= 6) & (u > 240) & (u < 290)  # a quarter of the fruit's thickness
+    outline = without_spurs(fruit | stalk)
+    assert not outline[60, 260:].any()
+    # Narrows from 25 px to nothing over 60 px, as the necks of some cultivars do.
+    neck = (u > 190) & (u < 250) & (abs(v - 60) < (250 - u) * 25 / 60)
+    tapering = ((abs(v - 60) < 25) & (u > 50) & (u <= 190)) | neck
+    assert without_spurs(tapering)[60, 190:245].all()
+
+
 def test_a_stem_beside_a_fruit_leaves_its_outline_and_both_halves_of_a_crossed_one_stay() -> None:
     v, u = np.mgrid[:120, :300]
     fruit = ((u - 150) / 100) ** 2 + ((v - 60) / 25) ** 2 <= 1  # an ellipse with a radius of 25 px

@@ -149,8 +149,9 @@ def distances_inside(
 def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask without what is much thinner than the fruit, such as a stem beside it.
 
-    A morphological opening by a fifth of the largest radius, without its parts of less than half of
-    that radius; what lies within two pixels of the rest stays, so that corners keep their shape.
+    A morphological opening by a fifth of the largest radius; what lies within two pixels of the
+    rest stays, so that corners keep their shape. A part that is thinner than a third of the fruit
+    goes, too, if it is long: a stalk, while tips taper.
 
     Parameters
     ----------
@@ -168,16 +169,24 @@ def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     import cv2
 
     padded = np.pad(mask.astype(np.uint8), 1)
-    inside_px = distances_inside(padded)
-    radius_px = float(inside_px.max())
-    opened = cv2.morphologyEx(padded, cv2.MORPH_OPEN, _disc(max(round(_SPUR * radius_px), 1)))
-    count, parts = cv2.connectedComponents(opened)
-    part_radii_px = np.zeros(count)
-    np.maximum.at(part_radii_px, np.asarray(parts, np.intp), inside_px)
-    is_body = part_radii_px >= _BODY * radius_px
-    is_body[0] = False
-    near = cv2.dilate(is_body[parts].astype(np.uint8), _disc(_SPUR_LEFT_PX)) > 0
-    return np.asarray(mask & near[1:-1, 1:-1])
+    radius_px = float(distances_inside(padded).max())
+    near = cv2.dilate(_opened(padded, _SPUR * radius_px), _disc(_SPUR_LEFT_PX)) > 0
+    thick = _opened(padded, _STALK * radius_px)
+    beyond_px = cv2.distanceTransform(1 - thick, cv2.DIST_L2, 3) * (near & (padded > 0))
+    count, parts = cv2.connectedComponents((beyond_px > _SPUR_LEFT_PX).astype(np.uint8))
+    length_px = np.zeros(count)
+    np.maximum.at(length_px, np.asarray(parts, np.intp), beyond_px)
+    length_px[0] = 0.0  # all the rest
+    kept = near & (length_px <= _STALK_LENGTH * radius_px)[parts]
+    return np.asarray(mask & kept[1:-1, 1:-1])
+
+
+def _opened(mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.uint8]:
+    """Return a mask without what is thinner than a disc of this radius, of at least one pixel."""
+    import cv2
+
+    disc = _disc(max(round(radius_px), 1))
+    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc), np.uint8)
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:
@@ -334,9 +343,9 @@ def _distances(
     return medians
 
 
-_SPUR = 0.2  # of the largest radius: what is thinner is no part of a fruit
+_SPUR, _STALK = 0.2, 0.35  # of the largest radius: what is thinner, and what is thin and long
 _SPUR_LEFT_PX = 2
-_BODY = 0.5  # of the largest radius: a part that is thinner, and that no body holds, is no fruit
+_STALK_LENGTH = 0.6  # of the largest radius
 _FLOWER_REDNESS = 18.0
 """How much redder than the fruit a withered flower is, in CIELAB a*; skin varies by half of it."""
 

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.benchmark.records import LengthRecord
 
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
-MERGING = "cucumbervision.perception.networks"
+MERGING = "cucumbervision.perception.detectors"
 NO_PIECES = (MERGING, "join_pieces_by_depth", lambda fruit, _, __: tuple(fruit))
 THRESHOLDS = (0.05, 0.1, 0.15, DEFAULT_CONFIDENCE, 0.25, 0.3, 0.4, 0.5, 0.6)
 

@@ -56,7 +56,11 @@ def dashboard(quick: bool) -> Iterator[Figure]:
             "axe": 30 if quick else 150,
         }
     )
-    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+    with (
+        # A server that was stopped may still write into it.
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        chromium() as browser,
+    ):
         environment = compiled(Path(folder) / "compiled")
         steps.begin("a capture in memory")
         capture_s = result_s()

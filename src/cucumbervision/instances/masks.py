@@ -174,10 +174,9 @@ def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     thick = _opened(padded, _STALK * radius_px)
     beyond_px = cv2.distanceTransform(1 - thick, cv2.DIST_L2, 3) * (near & (padded > 0))
     count, parts = cv2.connectedComponents((beyond_px > _SPUR_LEFT_PX).astype(np.uint8))
-    length_px = np.zeros(count)
-    np.maximum.at(length_px, np.asarray(parts, np.intp), beyond_px)
-    length_px[0] = 0.0  # all the rest
-    kept = near & (length_px <= _STALK_LENGTH * radius_px)[parts]
+    lengths_px = [beyond_px[parts == part].max() for part in range(1, count)]
+    is_kept = np.array([True, *(length <= _STALK_LENGTH * radius_px for length in lengths_px)])
+    kept = near & is_kept[parts]
     return np.asarray(mask & kept[1:-1, 1:-1])
 
 

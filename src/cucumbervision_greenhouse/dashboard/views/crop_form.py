@@ -184,15 +184,14 @@ def _fields(name: str, profile: CropProfile) -> CropLimits:
 
 
 def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
-    """Draw the lengths between the classes side by side, and return them in metres."""
+    """Draw the lengths between the classes two abreast, and return them in metres."""
     units = resources.settings().units
     names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
     labels = [_("{name} from").format(name=name) for name in names]
     labels.append(_("{name} below").format(name=names[-1]))
+    places = [place for _pair in labels[::2] for place in st.columns(2)]
     edges_m = []
-    for number, (place, edge_m) in enumerate(
-        zip(st.columns(len(labels)), limits.edges_m, strict=True)
-    ):
+    for number, (place, edge_m) in enumerate(zip(places, limits.edges_m, strict=False)):
         shown = units.value(edge_m) or 0.0
         value = place.number_input(
             sentence(f"{labels[number]} [{units.name}]"),

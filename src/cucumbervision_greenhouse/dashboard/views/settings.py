@@ -162,6 +162,7 @@ def _camera() -> None:
         shown=lambda us: None if us is None else "fixed" if us else "automatic",
         meant={None: None, "automatic": 0.0, "fixed": _USUAL_US}.__getitem__,
         format_func=lambda name: _(_EXPOSURES[name]),
+        placeholder=_(_EXPOSURES[None]),  # a choice of None counts as no choice
     )
     if resources.settings().exposure_us:
         how: dict[str, Any] = {"step": 500.0, "format": "%.0f"}
@@ -198,14 +199,15 @@ def _models() -> None:
         "segment": _("finds fruit"),
         "pose": _("finds end points"),
         "prompted-mask": _("outlines fruit"),
-        "fruit": _("draws each fruit's outline"),
+        "fruit": _("looks at each fruit"),
         "look": _("looks at each end"),
     }
+    states = {"embedded": _("built in"), "pulled": _("fetched"), "not pulled": _("not fetched")}
     lines = [
         {
             _("Network"): model.name,
             _("Does"): tasks.get(model.task, model.task),
-            _("Here"): registry.state(model.name),
+            _("Here"): states[registry.state(model.name)],
             _("Size"): f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
             _("Licence"): model.licence,
         }

@@ -310,7 +310,7 @@ def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
     runtime : str
         Value of the option.
     is_fast : bool
-        Whether a stream is fast: in half precision, without the network for stem ends.
+        Whether a stream is fast: in half precision.
     """
     from cucumbervision.perception.registry import load_registry
     from cucumbervision.perception.runtime import begin_networks, runtime_for_batches

@@ -13,7 +13,9 @@ from cucumbervision.instances.masks import box_of_mask, mask_pixels, mask_window
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_MIN_READINGS = 30
+MIN_READINGS = 30
+"""Number of readings without which depth says nothing."""
+
 # Real fruit with correct depth do not exceed these limits; some drawn in heaps do, and most masks
 # that are moved across by a radius.
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
@@ -119,7 +121,7 @@ def _scores(
         mask.astype(np.uint8), -1, (side_px, side_px), normalize=False, borderType=0
     )
     is_around = read & (sums > 0)
-    if np.count_nonzero(is_around) < _MIN_READINGS:
+    if np.count_nonzero(is_around) < MIN_READINGS:
         return None
     # Relative to the nearest, because the distance at the mask may be that of another object.
     limit_m = near * _nearest_along(depth_m, mask, is_around)
@@ -152,7 +154,7 @@ def _nearest_along(
     lines = [
         (places[section == k].mean(), np.percentile(readings_m[section == k], _NEAREST_PERCENT))
         for k in range(_SECTIONS)
-        if np.count_nonzero(section == k) >= _MIN_READINGS
+        if np.count_nonzero(section == k) >= MIN_READINGS
     ]
     if len(lines) < 3:
         return np.full(mask.shape, np.percentile(readings_m, _NEAREST_PERCENT))

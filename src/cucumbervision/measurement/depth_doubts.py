@@ -11,7 +11,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.axis import principal_axis
 from cucumbervision.geometry.pixels import quick_median
 from cucumbervision.instances.masks import distances_inside, mask_pixels, mask_window
-from cucumbervision.measurement.depth_alignment import fits_better_elsewhere
+from cucumbervision.measurement.depth_alignment import MIN_READINGS, fits_better_elsewhere
 from cucumbervision.measurement.depth_steps import has_coarse_steps
 from cucumbervision.measurement.flags import Flag
 
@@ -25,7 +25,6 @@ Nearer than its range a camera reads a few pixels of the rim, which are wrong.
 """
 
 _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
-_MIN_READINGS = 30
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
 # of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
 _MIDDLE_FROM, _FLANK_RANGE = 0.75, (0.15, 0.5)
@@ -88,7 +87,7 @@ def depth_doubts(
         return ()
     readings = depth_m[window][mask[window] & (depth_m[window] > 0)]
     is_sparse = readings.size < LEAST_FILL * np.count_nonzero(mask[window])
-    if readings.size < _MIN_READINGS:
+    if readings.size < MIN_READINGS:
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     body = _Body.of(depth_m, mask, float(quick_median(readings)), focal_px)
     is_too_near = body.distance_m < _NEAREST_M
@@ -157,7 +156,7 @@ def _is_hollow(body: _Body) -> bool:
     share = body.inside_px / body.radius_px
     middle = body.depth_m[body.read & (share >= _MIDDLE_FROM)]
     flank = body.depth_m[body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])]
-    if min(middle.size, flank.size) < _MIN_READINGS:
+    if min(middle.size, flank.size) < MIN_READINGS:
         return False
     depth_behind_m = float(quick_median(middle) - quick_median(flank))
     error_m = np.hypot(_median_error(middle), _median_error(flank))
@@ -168,7 +167,7 @@ def _is_hollow(body: _Body) -> bool:
         body.read & (outside > _SURROUNDING_RADII[0]) & (outside < _SURROUNDING_RADII[1])
     ]
     nearer = around < body.distance_m
-    return around.size >= _MIN_READINGS and float(nearer.mean()) >= _NEARER_SHARE
+    return around.size >= MIN_READINGS and float(nearer.mean()) >= _NEARER_SHARE
 
 
 def _median_error(values: NDArray[np.float32]) -> float:
@@ -186,7 +185,7 @@ def _has_gap(body: _Body) -> bool:
 
     def is_behind(gap: NDArray[np.bool_]) -> bool:
         depths_m = body.depth_m[gap & body.read]
-        return depths_m.size >= _MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE
+        return depths_m.size >= MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE
 
     pieces = _parts(body.mask)
     if pieces is not None and is_behind(_between(pieces, width_px) & ~body.mask):
@@ -272,7 +271,7 @@ def _is_flat(body: _Body) -> bool:
     outside = body.outside_px / body.radius_px
     around = body.read & (outside > _PLANE_RING_RADII[0]) & (outside < _PLANE_RING_RADII[1])
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
-    if min(np.count_nonzero(around), np.count_nonzero(middle)) < _MIN_READINGS:
+    if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
     spacing = max(1, int(np.count_nonzero(around)) // _PLANE_READINGS)
     places, z_m = _with_one(around, spacing), body.depth_m[around][::spacing]

@@ -1,8 +1,8 @@
 """The captures that come with the package: simulated, free to pass on, with exact truth.
 
-    python website/demo_captures.py FOLDER    # writes them anew; needs Blender's module bpy
+    python website/demo_captures.py FOLDER    # writes them anew, with shaded colours
 
-Colour is path-traced; depth, masks and truth are of the same bodies by ray casting.
+The bundled colours were path-traced once; depth, masks and truth are the same bodies, ray cast.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from cucumbervision_lab.synthesis.colors import jitter
 from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.lighting import Light
-from cucumbervision_lab.synthesis.path_trace import path_trace
 from cucumbervision_lab.synthesis.placing import foliage
 from cucumbervision_lab.synthesis.raycast import Plane, Stem, scaled_camera
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
@@ -49,7 +48,6 @@ _LAYERS = (
     (0.6, 1.5),
 )  # metres behind the fruit, leaf area for each area of view
 _FRAMES = 5
-_SAMPLES = 24
 _JPEG_QUALITY = 90
 _STILL = Exposure(
     highlights=1.2, stops=-0.25, contrast=1.1, saturation=1.1, shot=0.0003, read=0.001, quality=0
@@ -206,7 +204,7 @@ def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
 
 
 def _draw_scene(
-    demo: DemoScene, samples: int, frames: int = _FRAMES
+    demo: DemoScene, frames: int = _FRAMES
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], tuple[FruitTruth, ...]]:
     """Render a burst of a scene.
 
@@ -214,8 +212,6 @@ def _draw_scene(
     ----------
     demo : DemoScene
         What to render.
-    samples : int
-        Paths per pixel, as `path_trace` takes them; 0 for fast shading.
     frames : int
         Size of the burst.
 
@@ -230,7 +226,7 @@ def _draw_scene(
     """
     scene, leaf_roles, stem_roles = build_scene(demo)
     view = render(scene, CAMERA)
-    light = _light(demo, scene, leaf_roles, stem_roles, samples)
+    light = _light(demo, scene, leaf_roles, stem_roles)
     rng = np.random.default_rng([demo.seed, 1])
     sharpest = int(rng.integers(frames))
     colors = [
@@ -248,7 +244,6 @@ def _light(
     scene: Scene,
     leaf_roles: tuple[str, ...],
     stem_roles: tuple[str, ...],
-    samples: int,
 ) -> NDArray[np.float32]:
     rng = np.random.default_rng([demo.seed, demo.color_seed])
     style = random_style(
@@ -266,19 +261,13 @@ def _light(
         material_colors=(_WOOD,),
         gloom_per_m=0.0 if bench else 2.2,
     )
-    if samples:
-        # No stalks for the leaves, which would all reach across the picture to two or three stems.
-        style = replace(style, stem_roles=("stalk",) * len(scene.stems))
-        return path_trace(scene, CAMERA, style, Assets(), rng, samples).linear
     # Shaded at twice the size and averaged, which smooths every outline.
     fine = scaled_camera(CAMERA, 2.0)
     light = shade(scene, render(scene, fine), fine, style, Assets(), rng)
     return np.asarray(cv2.resize(light, CAMERA.size, interpolation=cv2.INTER_AREA))
 
 
-def write_demo(
-    folder: Path, scenes: Sequence[DemoScene] = SCENES, samples: int = _SAMPLES
-) -> list[Path]:
+def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]:
     """Write the bundled captures as native capture folders, each with a `truth.json`.
 
     Parameters
@@ -287,22 +276,17 @@ def write_demo(
         Where the capture folders go.
     scenes : sequence of DemoScene
         Which to render.
-    samples : int
-        Paths per pixel; 0 for fast shading, without bpy.
 
     Returns
     -------
     list of Path
         One folder a scene.
     """
-    return [
-        _write_scene(folder / scene.name, scene, step, samples)
-        for step, scene in enumerate(scenes, 1)
-    ]
+    return [_write_scene(folder / scene.name, scene, step) for step, scene in enumerate(scenes, 1)]
 
 
-def _write_scene(folder: Path, scene: DemoScene, step: int, samples: int) -> Path:
-    colors, depths, truth = _draw_scene(scene, samples)
+def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
+    colors, depths, truth = _draw_scene(scene)
     capture = Capture(
         colors[0],
         depths[0],

@@ -13,8 +13,7 @@ from cucumbervision.capture.source import example_captures
 
 
 def test_the_bundled_captures_are_what_the_scenes_draw(tmp_path: Path) -> None:
-    # Depth, masks and truth: what is drawn without Blender.
-    for folder in write_demo(tmp_path, SCENES[:1], samples=0):
+    for folder in write_demo(tmp_path, SCENES[:1]):
         bundled = example_captures() / folder.name
         assert sorted(p.name for p in folder.rglob("*")) == sorted(
             p.name for p in bundled.rglob("*")

@@ -39,12 +39,6 @@ def synth(
     hard: Annotated[
         bool, typer.Option("--hard", help="Generate more difficult scenes, for training.")
     ] = False,
-    samples: Annotated[
-        int,
-        typer.Option(
-            min=0, max=256, help="Path-traced by `bpy`, with that many paths per pixel; 0: shaded."
-        ),
-    ] = 0,
     shares: Annotated[
         str, typer.Option(help="Weights of hanging, bench and crate scenes.", metavar="A,B,C")
     ] = "0.6,0.22,0.18",
@@ -66,7 +60,6 @@ def synth(
         onto=onto,
         depth=depth,
         hard=hard,
-        samples=samples,
         shares=shares,
         split=split,
     )

@@ -14,7 +14,6 @@ from cucumbervision_lab.synthesis.appearance import random_style
 from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
 from cucumbervision_lab.synthesis.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.path_trace import path_trace
 from cucumbervision_lab.synthesis.scene import render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 
@@ -59,8 +58,6 @@ class FrameOptions:
         Standard deviation of the relative depth scale error; 0 for calibrated cameras.
     hard : bool
         Use `HARD` scenes instead of `PLAIN` ones.
-    samples : int
-        Paths per pixel of a path-traced picture, see `path_trace`; 0 for fast shading.
     """
 
     width: int = 1280
@@ -69,7 +66,6 @@ class FrameOptions:
     depth: bool = True
     scale_sd: float = 0.0
     hard: bool = False
-    samples: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +135,7 @@ def draw_frame(
     style = _style(painter, staged, assets)
     if restyle is not None:
         style = restyle(style)
-    if options.samples:
-        traced = path_trace(staged.scene, camera, style, assets, painter, options.samples)
-        linear, view = traced.linear, view.with_fruit(traced.fruit)
-    else:
-        linear = shade(staged.scene, view, camera, style, assets, painter)
+    linear = shade(staged.scene, view, camera, style, assets, painter)
     truth = truth_of(staged.scene, camera, view)
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter, view.depth_m)

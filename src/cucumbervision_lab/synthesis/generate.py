@@ -48,13 +48,12 @@ def parse_options(
     onto: Path | None = None,
     depth: bool = True,
     hard: bool = False,
-    samples: int = 0,
 ) -> SynthOptions:
     """Parse command-line options.
 
     Parameters
     ----------
-    frames, seed, depth, hard, samples : int, int, bool, bool, int
+    frames, seed, depth, hard : int, int, bool, bool
         See `SynthOptions` and `FrameOptions`.
     size : str
         Width x height in pixels, as in '1280x720'.
@@ -96,10 +95,6 @@ def parse_options(
         )
     if paste is not None and depth:
         raise DataSetError("pasted fruit have no depth", source="--paste", remedy="add --no-depth")
-    if samples and depth:
-        raise DataSetError(
-            "path-traced pictures have no depth", source="--samples", remedy="add --no-depth"
-        )
     if onto is not None and (paste is None or split != "train"):
         raise DataSetError(
             "montages are for training only",
@@ -109,9 +104,7 @@ def parse_options(
     return SynthOptions(
         frames=frames,
         seed=seed,
-        frame=FrameOptions(
-            width, height, parse_shares(shares, ","), depth, hard=hard, samples=samples
-        ),
+        frame=FrameOptions(width, height, parse_shares(shares, ","), depth, hard=hard),
         assets=str(assets.resolve()) if assets else "",
         split=split,
         paste=str(paste.resolve()) if paste else "",

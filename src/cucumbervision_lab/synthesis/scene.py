@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -108,13 +108,6 @@ class View:
     def mask(self, index: int) -> NDArray[np.bool_]:
         """Return the visible pixels of one fruit, shape (H, W)."""
         return np.asarray((self.kind == Kind.FRUIT) & (self.body == index))
-
-    def with_fruit(self, index: NDArray[np.int32]) -> View:
-        """Return the view with the fruit that each pixel sees instead, -1 for none."""
-        covered = (self.kind == Kind.FRUIT) & (index < 0)
-        kind, body = self.kind.copy(), np.where(index >= 0, index, self.body).astype(np.int32)
-        kind[index >= 0], kind[covered], body[covered] = Kind.FRUIT, Kind.LEAF, -1
-        return replace(self, kind=kind, body=body)
 
 
 @dataclass(frozen=True, eq=False)

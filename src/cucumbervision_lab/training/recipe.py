@@ -197,7 +197,6 @@ def _drawn(
             paste=built[source.paste[0]] if source.paste and split == "train" else None,
             depth=False,
             hard=source.hard and split == "train",
-            samples=source.samples if split == "train" else 0,
         )
         return generate(options, out, workers)
 
@@ -325,8 +324,6 @@ class Source:
         For 'drawn': weights of hanging, bench and crate scenes.
     hard : bool
         For 'drawn': see `synth --hard`.
-    samples : int
-        For 'drawn': see `synth --samples`.
     most : int
         For 'photos' and 'set': maximum number of pictures per scene.
     seed : int
@@ -346,7 +343,6 @@ class Source:
     size: tuple[int, ...] = ()
     shares: str = "0.6,0.22,0.18"
     hard: bool = False
-    samples: int = 0
     most: int = 15
     seed: int = 0
     validate: int = 0

@@ -180,13 +180,3 @@ def test_behind_the_camera_is_refused() -> None:
     tube = arc_tube(0.2, 0.02).moved(rotation(tilt_deg=90), (0, 0, 0.05))
     with pytest.raises(ValueError, match="behind the camera"):
         render(Scene.of(tube), CAMERA)
-
-
-def test_a_view_takes_over_the_fruit_that_another_renderer_sees() -> None:
-    camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
-    view = render(Scene.of(arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))), camera)
-    left = np.where(np.arange(320) < 160, view.mask(0), False)
-    other = view.with_fruit(np.where(left, 0, -1).astype(np.int32))
-    assert (other.mask(0) == left).all()
-    assert other.kind[120, 180] == Kind.LEAF
-    assert view.kind[120, 180] == Kind.FRUIT

@@ -292,7 +292,7 @@ def test_files_of_ones_own_are_taken() -> None:
 def test_wrong_names_are_told() -> None:
     with pytest.raises(ModelError, match=r"no prompt is called 'mask'; choose one of box, box\+po"):
         open_segmenter(prompt="mask")
-    with pytest.raises(UnknownModelError, match="'sam3'; choose one of mobile-sam, sam-vit-b"):
+    with pytest.raises(UnknownModelError, match="'sam3'; choose one of mobile-sam"):
         open_segmenter("sam3")
     with pytest.raises(UnknownModelError, match="cucumber-seg draws no masks; choose one of mob"):
         open_segmenter("cucumber-seg")

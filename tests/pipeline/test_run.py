@@ -21,7 +21,7 @@ from cucumbervision.capture.source import (
     ReadOptions,
     example_captures,
 )
-from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
+from cucumbervision.errors import CucumberVisionError, InstancesError, UnknownModelError
 from cucumbervision.files import cell_value
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.finders import make_finder
@@ -233,11 +233,8 @@ def test_a_run_that_cannot_start_says_why() -> None:
         make_finder(MeasureOptions(instances="nowhere.json"))
 
 
-def test_a_segmenter_that_is_not_here_stops_the_run_at_once(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path))
-    with pytest.raises(ModelError, match="models pull sam-vit-b"):
+def test_a_segmenter_that_is_not_here_stops_the_run_at_once() -> None:
+    with pytest.raises(UnknownModelError, match="choose one of mobile-sam"):
         make_finder(MeasureOptions(segmenter="sam-vit-b"))
 
 

@@ -9,7 +9,7 @@ import typer
 
 app = typer.Typer(
     name="models",
-    help="List, fetch, select and export the networks.",
+    help="List, select and export the networks.",
     no_args_is_help=True,
 )
 

@@ -1,10 +1,7 @@
 """The registry of networks: description, origin, licence, verified files, and a user's own.
 
-`models.toml` beside this file lists them. Embedded networks are part of the package;
-`cucumbervision models pull` fetches the others into the user's folder, never at run time.
-
-`in-use.json` in the folder of fetched models lists the user's networks, the newest last. Each is in
-a folder of its own beside it, as fetched networks are.
+`models.toml` beside this file lists those of the package. `in-use.json` in the user's folder lists
+the user's networks, the newest last; each is in a folder of its own beside it.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ class ModelFile:
     file : str
         Its name.
     sha256 : str
-        Empty if it is exported on the user's machine.
+        Empty for a user's network, whose hash is in its folder's manifest.json.
     size_bytes : int
         Zero if not known.
     """
@@ -42,31 +39,6 @@ class ModelFile:
     file: str
     sha256: str = ""
     size_bytes: int = 0
-
-
-@dataclass(frozen=True)
-class ModelSource:
-    """The publisher's own file.
-
-    Parameters
-    ----------
-    file : str
-        Its name.
-    sha256 : str
-        Its SHA-256 in hexadecimal.
-    size_bytes : int
-        Its size.
-    url : str
-        Address of the publisher's file; 'pip:NAME==VERSION' for a Python distribution.
-    member : str
-        Its path inside the archive at `url`; empty if it is not in an archive.
-    """
-
-    file: str
-    sha256: str
-    size_bytes: int
-    url: str
-    member: str = ""
 
 
 @dataclass(frozen=True)
@@ -87,10 +59,6 @@ class Model:
         Publisher.
     files : tuple of ModelFile
         Files that the runtimes load; empty for a segmenter without weights.
-    source : ModelSource, optional
-        The published file from which they were exported.
-    architecture : str
-        Its name in the exporter.
     embedded : bool
         True if it is part of the package.
     card : str
@@ -105,8 +73,6 @@ class Model:
     title: str
     origin: str
     files: tuple[ModelFile, ...] = ()
-    source: ModelSource | None = None
-    architecture: str = ""
     embedded: bool = False
     card: str = ""
     segmenter: str = ""
@@ -117,7 +83,7 @@ _MANIFEST = "manifest.json"
 _CHECKPOINT = ".pt"  # of a segmenter that is named by its file
 
 IN_USE = "in-use.json"
-"""In the folder of fetched models: the user's own networks."""
+"""In the user's folder: the user's own networks."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +97,7 @@ class Registry:
     embedded : Path
         Folder of the embedded files.
     user : Path
-        Folder of the fetched ones, with a subfolder per model; it need not exist.
+        Folder of the user's networks, with a subfolder per model; it need not exist.
     user_models : tuple of Model
         The user's own networks, the newest last.
     """
@@ -225,12 +191,10 @@ class Registry:
         return "pulled" if (self.folder(name) / _MANIFEST).is_file() else "not pulled"
 
     def size_bytes(self, name: str) -> int:
-        """Return the size of the files on this machine, or of the file to fetch."""
+        """Return the size of the files on this machine."""
         model, folder = self.get(name), self.folder(name)
         files = [folder / f.file for f in model.files if (folder / f.file).is_file()]
-        if files:
-            return sum(path.stat().st_size for path in files)
-        return model.source.size_bytes if model.source else sum(f.size_bytes for f in model.files)
+        return sum(path.stat().st_size for path in files)
 
     def hashes(self, name: str) -> dict[str, str]:
         """Return the expected SHA-256 of each file, by file name.
@@ -238,9 +202,7 @@ class Registry:
         Raises
         ------
         ModelError
-            If the model was not pulled, or its manifest cannot be read.
-        ModelHashError
-            If it was exported from another checkpoint than the registered one.
+            If the model is not on this machine, or its manifest cannot be read.
         """
         model = self.get(name)
         if self.state(name) == "not pulled":
@@ -250,14 +212,8 @@ class Registry:
             )
         if model.embedded:
             return {f.file: f.sha256 for f in model.files}
-        manifest = _read_manifest(self.folder(name) / _MANIFEST, _remedy(model))
-        if model.source and manifest["source_sha256"] != model.source.sha256:
-            raise ModelHashError(
-                "exported from another checkpoint than the registry names",
-                source=self.folder(name),
-                remedy=_remedy(model),
-            )
-        return {f.file: str(manifest["files"].get(f.file, "")) for f in model.files}
+        hashes = _read_manifest(self.folder(name) / _MANIFEST, _remedy(model))
+        return {f.file: str(hashes.get(f.file, "")) for f in model.files}
 
     def resolve(self, name: str) -> dict[str, Path]:
         """Return the paths of a model's files by role, each verified.
@@ -267,7 +223,7 @@ class Registry:
         UnknownModelError
             If no model has the name.
         ModelError
-            If it was not pulled, or a file is missing.
+            If it is not on this machine, or a file is missing.
         ModelHashError
             If a file's hash differs.
         """
@@ -283,7 +239,7 @@ class Registry:
         return {f.role: folder / f.file for f in model.files}
 
     def install(self, name: str, files: tuple[Path, ...]) -> dict[str, Path]:
-        """Move a model's exported files into the user's folder and note their hashes.
+        """Move a network's files into the user's folder and note their hashes.
 
         Parameters
         ----------
@@ -304,7 +260,6 @@ class Registry:
         manifest = {
             "name": name,
             "licence": model.licence,
-            "source_sha256": model.source.sha256 if model.source else "",
             "files": {f.file: file_sha256(folder / f.file) for f in model.files},
         }
         (folder / _MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
@@ -347,7 +302,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
     path : Path, optional
         Another registry file; its embedded files lie in a folder `weights` beside it.
     user : Path, optional
-        Another folder for fetched files than `models_folder`.
+        Another folder for the user's networks than `models_folder`.
 
     Raises
     ------
@@ -356,7 +311,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
 
     Examples
     --------
-    >>> load_registry().get("sam-vit-b").licence
+    >>> load_registry().get("mobile-sam").licence
     'Apache-2.0'
     """
     path = path or _HERE / "models.toml"
@@ -368,7 +323,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
 
 
 def models_folder() -> Path:
-    """Return the folder for fetched models: `CUCUMBERVISION_MODELS`, or the user's data folder."""
+    """Return the folder of the user's networks: `CUCUMBERVISION_MODELS`, or in the data folder."""
     if chosen := os.environ.get("CUCUMBERVISION_MODELS"):
         return Path(chosen)
     import platformdirs
@@ -389,9 +344,7 @@ def _model(entry: Any, path: Path, remedy: str) -> Model:
 def _remedy(model: Model) -> str:
     if model.embedded:
         return "install cucumbervision again"
-    if model.source is None:
-        return "run: cucumbervision models use --shipped"
-    return f"run: cucumbervision models pull {model.name}"
+    return "run: cucumbervision models use --shipped"
 
 
 _USE_AGAIN = "delete the file to use the package's own, and give yours again"
@@ -408,7 +361,7 @@ def _read_own(path: Path) -> tuple[Model, ...]:
 def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
     manifest = read_json(path, ModelError, remedy)
     with wrap_reader_errors(path, ModelError, remedy):
-        files, source = manifest["files"], manifest["source_sha256"]
-        if not isinstance(files, dict) or not isinstance(source, str):
+        files = manifest["files"]
+        if not isinstance(files, dict):
             raise ValueError("its entries have the wrong types")
-    return {"files": files, "source_sha256": source}
+    return files

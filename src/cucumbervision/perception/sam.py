@@ -70,13 +70,14 @@ _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
 
 class Sam:
-    """A SAM network; the `Segmenter` that the registry's `mobile-sam` and `sam-vit-b` use.
+    """A SAM network; the `Segmenter` that the registry's `mobile-sam` uses.
 
     Parameters
     ----------
     files : mapping of str to Path
-        The ONNX files 'encoder' and 'decoder', as `cucumbervision_lab.training.export_sam` writes
-        them.
+        The ONNX files 'encoder' and 'decoder'. The encoder maps `image`, float32 (1, 3, rows,
+        1024), to `embedding`; the decoder maps it with `points`, float32 (N, P, 2), and `labels`,
+        int64 (N, P), to `logits`, float32 (N, 3, 256, 256), and `ious`, float32 (N, 3).
     runtime : str
         As in `cucumbervision.perception.runtime.open_network`.
     prompt : str

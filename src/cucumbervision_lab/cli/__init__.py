@@ -20,7 +20,7 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program : typer.Typer
         The command `cucumbervision`.
     groups : mapping of str to typer.Typer
-        Its command groups; `evaluate` gets two commands and `models` one.
+        Its command groups; `evaluate` gets two commands.
     """
     from cucumbervision_lab.cli import data, evaluate, synth, train
 
@@ -30,4 +30,3 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program.add_typer(train.app, name="train")
     groups["evaluate"].command("models")(evaluate.evaluate_models)
     groups["evaluate"].command("photos")(evaluate.evaluate_photos)
-    groups["models"].command("pull")(train.pull)

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    DownloadColumn,
     Progress,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
-    TransferSpeedColumn,
 )
 
 from cucumbervision.cli.console import print_table, progress_bar, screen
@@ -141,48 +139,3 @@ def epoch_line(report: EpochReport) -> str:
         parts.append(f"loss {losses:.3f}")
     parts += [f"{name} {report.metrics[key]:.3f}" for key, name in _SHOWN if key in report.metrics]
     return "  ".join(parts)
-
-
-class DownloadBar:
-    """Progress bar with the interface of pooch: `total`, `update`, `reset`, `close`.
-
-    Parameters
-    ----------
-    title : str
-        Name of the download.
-    """
-
-    def __init__(self, title: str) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            DownloadColumn(),
-            TransferSpeedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-        )
-        self._task = self._progress.add_task(title, total=None)
-        self._total = 0
-
-    @property
-    def total(self) -> int:
-        """Size of the file in bytes; setting it shows the bar."""
-        return self._total
-
-    @total.setter
-    def total(self, size_bytes: int) -> None:
-        self._total = size_bytes
-        self._progress.update(self._task, total=size_bytes)
-        self._progress.start()
-
-    def update(self, size_bytes: int) -> None:
-        """Add downloaded bytes."""
-        self._progress.advance(self._task, size_bytes)
-
-    def reset(self) -> None:
-        """Restart from zero."""
-        self._progress.update(self._task, completed=0)
-
-    def close(self) -> None:
-        """Stop the bar and leave it on the screen."""
-        self._progress.stop()

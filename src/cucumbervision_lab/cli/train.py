@@ -1,4 +1,4 @@
-"""`cucumbervision train` and `models pull`: train, export and download networks."""
+"""`cucumbervision train`: train and export networks."""
 
 from __future__ import annotations
 
@@ -441,17 +441,3 @@ def publish(
     from cucumbervision_lab.training import publish as publishing
 
     show(*publishing.publish(exported, name))
-
-
-def pull(
-    name: Annotated[str, typer.Argument(help="Name shown by `models list`.")],
-    given: Annotated[
-        Path | None,
-        typer.Option("--from", help="The publisher's file, downloaded manually.", metavar="FILE"),
-    ] = None,
-) -> None:
-    """Download a network from its publisher, verify its hash and export it to ONNX."""
-    from cucumbervision_lab.cli.screen import DownloadBar, show
-    from cucumbervision_lab.training.export_sam import pull_model
-
-    show(*pull_model(name, given=given, progress=DownloadBar(name)).values())

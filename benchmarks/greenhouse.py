@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision.pipeline.measurer import CaptureResult
 
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
@@ -62,8 +62,8 @@ class ComparedCapture:
 
     name: str
     trained: bool
-    fruit: list[tuple[dict[str, Any], FruitMeasurement | None]]
-    false: list[FruitMeasurement]
+    fruit: list[tuple[dict[str, Any], Fruit | None]]
+    false: list[Fruit]
     marked_m: list[tuple[float, float]]
     """Lengths between the ends as marked in two passes, of each fruit; NaN where not marked."""
 
@@ -90,9 +90,7 @@ def compare(result: CaptureResult, marks: dict[str, Any]) -> ComparedCapture:
     return ComparedCapture(marks["name"], marks["trained"], pairs, false, marked)
 
 
-def _marked_m(
-    capture: Capture, marks: dict[str, Any], fruit: FruitMeasurement | None
-) -> tuple[float, float]:
+def _marked_m(capture: Capture, marks: dict[str, Any], fruit: Fruit | None) -> tuple[float, float]:
     m6 = None if fruit is None else fruit.measurements.get(MethodName.M6)
     if "ends" not in marks or m6 is None or m6.fit is None:
         return float("nan"), float("nan")
@@ -114,7 +112,7 @@ def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[
     return cv2.inpaint(color, covered, 7, cv2.INPAINT_TELEA)  # type: ignore[return-value]
 
 
-def length_text(fruit: FruitMeasurement | None) -> str:
+def length_text(fruit: Fruit | None) -> str:
     """Return a fruit's confidence, length with its interval, and flags."""
     if fruit is None:
         return "missed"

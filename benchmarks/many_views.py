@@ -47,7 +47,7 @@ from cucumbervision_lab.synthesis.scene import render
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]
@@ -103,7 +103,7 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
     return scene.fruit[0].centreline_m, views
 
 
-def figures(fruit: FruitMeasurement | None) -> tuple[float, float, float, bool] | None:
+def figures(fruit: Fruit | None) -> tuple[float, float, float, bool] | None:
     """Return a fruit's length and interval, and whether it is shown whole; None without them."""
     length = None if fruit is None else fruit.length
     if fruit is None or length is None or length.low_m is None or length.high_m is None:

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
 
 MARKED = Path(__file__).with_suffix(".json")
 PLACES = ("beside_ruler", "on_grid")
@@ -90,7 +90,7 @@ class Comparison:
     """A marked fruit and what was measured of it; None where it was not found."""
 
     truth: Truth
-    fruit: FruitMeasurement | None
+    fruit: Fruit | None
     scale: float
     intrinsics: Intrinsics
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
 from cucumbervision.measurement.methods import Region, TableMethod
-from cucumbervision.measurement.result import FruitMeasurement, Reason
+from cucumbervision.measurement.result import Fruit, Reason
 
 if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions
@@ -109,7 +109,7 @@ BOX_DIAGONAL = TableMethod(
 )
 
 
-def _mean_green(capture: Capture, fruit: FruitMeasurement) -> float | None:
+def _mean_green(capture: Capture, fruit: Fruit) -> float | None:
     return None if fruit.mask is None else float(capture.color[fruit.mask][:, 1].mean() / 255)
 
 

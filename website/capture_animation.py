@@ -19,7 +19,7 @@ from PIL import Image
 from cucumbervision import MeasureOptions, Measurer, draw_overlay, open_source
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import FruitMeasurement
+from cucumbervision.measurement.result import Fruit
 from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
 from cucumbervision_greenhouse.backend.fruit_pictures import depth_picture
 from cucumbervision_greenhouse.backend.settings import Units
@@ -35,9 +35,7 @@ WIDTH_PX, COLOURS = 720, 256
 GROWTH = np.linspace(0.1, 1.0, 8)
 
 
-def partly_measured(
-    capture: Capture, fruit: tuple[FruitMeasurement, ...], share: float
-) -> NDArray[np.uint8]:
+def partly_measured(capture: Capture, fruit: tuple[Fruit, ...], share: float) -> NDArray[np.uint8]:
     """Return the picture with masks, and a share of each measured line."""
     picture, size = capture.color.copy(), max(capture.height / 720, 0.5)
     for measured, colour in zip(fruit, COLORS, strict=False):
@@ -49,9 +47,7 @@ def partly_measured(
     return picture
 
 
-def pictures(
-    capture: Capture, fruit: tuple[FruitMeasurement, ...]
-) -> Iterator[tuple[NDArray[np.uint8], int]]:
+def pictures(capture: Capture, fruit: tuple[Fruit, ...]) -> Iterator[tuple[NDArray[np.uint8], int]]:
     """Yield each picture, with its duration in ms."""
     yield capture.color, 1500
     yield depth_picture(capture.depth_m, Units("cm"))[0], 1500

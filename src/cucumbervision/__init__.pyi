@@ -24,6 +24,7 @@ from .instances.interchange import to_supervision as to_supervision
 from .instances.interchange import to_ultralytics as to_ultralytics
 from .measurement.methods import run_methods as run_methods
 from .measurement.pose import FruitPose as FruitPose
+from .measurement.result import Fruit as Fruit
 from .measurement.result import FruitMeasurement as FruitMeasurement
 from .measurement.result import Length as Length
 from .measurement.result import LengthDefinition as LengthDefinition

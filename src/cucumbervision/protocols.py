@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.methods import Region
-    from cucumbervision.measurement.result import FruitMeasurement, LengthKind, Measurement
+    from cucumbervision.measurement.result import Fruit, LengthKind, Measurement
     from cucumbervision.measurement.trait_values import TraitValue
 
 
@@ -144,14 +144,14 @@ class Trait(Protocol):
         """What it is, in a few words."""
         ...
 
-    def __call__(self, capture: Capture, fruit: FruitMeasurement, /) -> float | TraitValue | None:
+    def __call__(self, capture: Capture, fruit: Fruit, /) -> float | TraitValue | None:
         """Return the value in SI units; None or a `TraitValue` with the reason where there is none.
 
         Parameters
         ----------
         capture : Capture
             The frame.
-        fruit : FruitMeasurement
+        fruit : Fruit
             The fruit with its mask, fit and length.
         """
         ...

@@ -23,7 +23,7 @@ from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
-    FruitMeasurement,
+    Fruit,
     IntervalBasis,
     Length,
     LengthDefinition,
@@ -67,9 +67,9 @@ def fruit(
     kind: LengthDefinition | LengthKind = LengthKind.SURFACE_CHORD,
     mask_source: MaskSource | None = MaskSource.DATASET,
     **interval: Any,
-) -> FruitMeasurement:
+) -> Fruit:
     measured = Measurement(method, length_m, LengthKind.SURFACE_CHORD)
-    return FruitMeasurement(
+    return Fruit(
         Instance(np.array([0.0, 0, 9, 9])), {method: measured}, measured, Choice.DENSE_MASK,
         flags=(Flag.ENDS_UNSURE,), mask_source=mask_source,
         length=Length(length_m, kind, **interval),

@@ -23,7 +23,7 @@ from cucumbervision.measurement.intervals import (
     look_features,
     tube_features,
 )
-from cucumbervision.measurement.result import FruitMeasurement, MethodName, TubeFit
+from cucumbervision.measurement.result import Fruit, MethodName, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.trees import Trees
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
@@ -69,14 +69,14 @@ def capture() -> tuple[Capture, Instance, Instance]:
 
 def measured(
     capture: Capture, *instances: Instance, models: IntervalModels = MODELS
-) -> list[FruitMeasurement]:
+) -> list[Fruit]:
     return [
         measure_fruit(capture, instance, (MethodName.M6,), scale_known=True, models=models)
         for instance in instances
     ]
 
 
-def fit_of(fruit: FruitMeasurement) -> TubeFit:
+def fit_of(fruit: Fruit) -> TubeFit:
     assert fruit.fit is not None
     return fruit.fit
 

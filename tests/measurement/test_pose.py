@@ -17,7 +17,7 @@ from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FruitPose, Part
-from cucumbervision.measurement.result import FruitMeasurement, MethodName
+from cucumbervision.measurement.result import Fruit, MethodName
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
@@ -41,7 +41,7 @@ def seen(body: Tube, leaf: tuple[slice, slice] | None = None) -> tuple[Capture, 
     )
 
 
-def pose_of(fruit: FruitMeasurement) -> FruitPose:
+def pose_of(fruit: Fruit) -> FruitPose:
     assert fruit.pose is not None
     return fruit.pose
 

@@ -15,7 +15,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import PluginError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import FruitMeasurement, MethodName
+from cucumbervision.measurement.result import Fruit, MethodName
 from cucumbervision.measurement.trait_values import TableTrait
 from cucumbervision.pipeline.measurer import CaptureResult, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -75,7 +75,7 @@ def test_a_trait_that_writes_into_the_picture_changes_nothing(capture: Capture) 
 
 
 def test_a_trait_that_writes_into_the_fruit_changes_nothing(capture: Capture) -> None:
-    def empty(_capture: object, fruit: FruitMeasurement) -> float:
+    def empty(_capture: object, fruit: Fruit) -> float:
         assert fruit.mask is not None
         fruit.mask[:] = False
         return 1.0

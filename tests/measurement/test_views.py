@@ -21,7 +21,7 @@ from cucumbervision_lab.synthesis.scene import Scene, render
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
 
 CAMERA = Intrinsics(848, 480, 610.0, 610.0, 424.0, 240.0)
 
@@ -42,7 +42,7 @@ def view_of(
     return FruitView(capture, Instance(box, mask=mask), pose)
 
 
-def alone_of(view: FruitView) -> FruitMeasurement:
+def alone_of(view: FruitView) -> Fruit:
     return measure_fruit(view.capture, view.instance, (MethodName.M6,))
 
 

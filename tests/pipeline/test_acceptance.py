@@ -13,7 +13,7 @@ from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import (
     Choice,
-    FruitMeasurement,
+    Fruit,
     Length,
     LengthKind,
     Measurement,
@@ -55,7 +55,7 @@ def test_bundled_fruit_are_possible(name: str) -> None:
         assert Flag.DEPTH_UNIT not in fruit.flags
 
 
-def raw(length_m: float, width_m: float, reason: Reason) -> tuple[FruitMeasurement, Capture]:
+def raw(length_m: float, width_m: float, reason: Reason) -> tuple[Fruit, Capture]:
     """A fruit that M5 measured, M6's tube having failed, on a bar 1 m away: 1 px is 2 mm."""
     capture = scaled(1)
     pixels = round(length_m * width_m / 0.002**2)
@@ -64,7 +64,7 @@ def raw(length_m: float, width_m: float, reason: Reason) -> tuple[FruitMeasureme
     camera = replace(capture.intrinsics, fx_px=500.0, fy_px=500.0)
     five = Measurement(MethodName.M5, length_m, LengthKind.SURFACE_ARC)
     six = Measurement(MethodName.M6, reason=reason)
-    fruit = FruitMeasurement(
+    fruit = Fruit(
         Instance(np.array([0.0, 0, 9, 9])), {MethodName.M5: five, MethodName.M6: six}, five,
         Choice.DENSE_MASK, mask=mask, length=Length(length_m, LengthKind.SURFACE_ARC),
         distance_m=1.0,

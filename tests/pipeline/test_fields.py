@@ -10,7 +10,15 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, fruit_row
+from cucumbervision.pipeline.fields import (
+    ALL_FIELDS,
+    FIELDS,
+    Cell,
+    fruit_row,
+    stored_length,
+    stored_row,
+    table_row,
+)
 
 field = {one.name: one for one in FIELDS}.__getitem__
 
@@ -48,7 +56,7 @@ def test_columns_start_with_the_named_ones_and_are_unique() -> None:
 
 
 def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) -> None:
-    row = fruit_row(NumberedFruit(capture, 2, measure_fruit(capture, instance)))
+    row = fruit_row(capture, 2, measure_fruit(capture, instance))
     assert list(row) == [c.name for c in FIELDS]
     assert (row["capture"], row["frame"], row["fruit"], row["score"]) == ("plate", 17, 2, 0.91)
     assert row["method"] == "M6"
@@ -66,7 +74,7 @@ def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) ->
 
 def test_a_fruit_that_nothing_measured_has_a_row_too(capture: Capture) -> None:
     nothing = measure_fruit(capture, Instance(np.array([9.5, 9.5, 209.5, 49.5])))
-    row = fruit_row(NumberedFruit(capture, 1, nothing))
+    row = fruit_row(capture, 1, nothing)
     assert row["method"] is None
     assert row["length_cm"] is None
     assert row["reason"] == "no-depth"
@@ -79,7 +87,7 @@ def test_a_tube_gives_the_length_that_was_asked(
     capture: Capture, instance: Instance, definition: LengthDefinition
 ) -> None:
     fruit = measure_fruit(capture, instance, definition=definition)
-    row = fruit_row(NumberedFruit(capture, 1, fruit))
+    row = fruit_row(capture, 1, fruit)
     assert fruit.traits is not None
     by_hand = 100 * getattr(fruit.traits.lengths, f"{definition}_m")
     assert row["length_cm"] == row[f"{definition}_cm"] == pytest.approx(by_hand, abs=5e-4)
@@ -95,7 +103,7 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
     assert pose.cut_covariance_m2 is not None
     assert length is not None
     assert length.low_m is not None
-    seen = NumberedFruit(capture, 1, fruit)
+    row, stored = fruit_row(capture, 1, fruit), stored_row(capture, 1, fruit)
     by_hand: dict[str, Cell] = {
         "interval_low_cm": round(100 * length.low_m, 3),
         "interval_basis": "simulated",
@@ -111,12 +119,12 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
         "cut_xz_mm2": round(1e6 * pose.cut_covariance_m2[0, 2], 2),
         "cut_zz_mm2": round(1e6 * pose.cut_covariance_m2[2, 2], 2),
     }
-    assert {name: field(name).of(seen) for name in by_hand} == by_hand
-    assert field("volume_ml").stored(seen) == round(traits.volume_m3, 9)
-    assert field("length_cm").stored(seen) == round(length.value_m, 9)
-    assert field("cut_zz_mm2").stored(seen) == round(pose.cut_covariance_m2[2, 2], 9)
+    assert {name: row[name] for name in by_hand} == by_hand
+    assert stored["volume_m3"] == round(traits.volume_m3, 9)
+    assert stored["length_m"] == round(length.value_m, 9)
+    assert stored["cut_zz_m2"] == round(pose.cut_covariance_m2[2, 2], 9)
     # Enumerations are plain texts in tables and in the store.
-    assert type(field("mask_source").of(seen)) is type(field("reason").stored(seen)) is str
+    assert type(row["mask_source"]) is type(stored["reason"]) is str
 
 
 def test_the_store_names_fields_by_their_si_units() -> None:
@@ -131,7 +139,21 @@ def test_the_store_names_fields_by_their_si_units() -> None:
 def test_the_method_named_is_the_one_that_measured(capture: Capture, instance: Instance) -> None:
     few = np.zeros_like(instance.mask)
     few[360, 440:480] = True
-    row = fruit_row(NumberedFruit(capture, 1, measure_fruit(capture, replace(instance, mask=few))))
+    row = fruit_row(capture, 1, measure_fruit(capture, replace(instance, mask=few)))
     assert row["method"] == "M2"
     assert row["reason"] == "mask-points-lt-100"
     assert row["fallback"] == "M3:too-few-points"
+
+
+def test_a_row_of_a_store_is_a_row_of_the_tables_again(
+    capture: Capture, instance: Instance
+) -> None:
+    fruit = measure_fruit(capture, instance)
+    stored = stored_row(capture, 1, fruit, ALL_FIELDS)
+    assert table_row(stored) == pytest.approx(fruit_row(capture, 1, fruit), abs=0.02)
+    assert fruit.length is not None
+    again = stored_length(stored)
+    assert again is not None
+    assert (again.kind, again.interval_of, again.basis) == ("centreline", "centreline", "simulated")
+    assert again.low_m == pytest.approx(fruit.length.low_m, abs=1e-9)
+    assert stored_length(stored, "raw_") is None

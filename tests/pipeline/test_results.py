@@ -18,7 +18,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, DepthError, InstancesError, IntrinsicsError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import FruitMeasurement, LengthDefinition
+from cucumbervision.measurement.result import Fruit, LengthDefinition
 from cucumbervision.pipeline.results import measure
 
 CAMERA_1280 = Intrinsics(1280, 720, 924.0, 924.0, 639.5, 359.5)
@@ -34,7 +34,7 @@ def lengths_m(bench: Capture) -> list[float]:
     return values(measure(bench, instances="dataset").fruit)
 
 
-def values(fruit: Sequence[FruitMeasurement]) -> list[float]:
+def values(fruit: Sequence[Fruit]) -> list[float]:
     return [one.length.value_m for one in fruit if one.length is not None]
 
 

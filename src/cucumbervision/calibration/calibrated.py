@@ -13,7 +13,7 @@ from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.errors import CalibrationError
 from cucumbervision.measurement.flags import DOUBTFUL_END, LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.measurement.result import (
-    FruitMeasurement,
+    Fruit,
     IntervalBasis,
     Length,
     LengthDefinition,
@@ -68,7 +68,7 @@ _UNLIKE = frozenset({*LOWER_BOUND, *NO_DEPTH, *DOUBTFUL_END.values()})
 """Flags of fruit unlike those from which a calibration's interval was learnt."""
 
 
-def _is_alike(fruit: FruitMeasurement) -> bool:
+def _is_alike(fruit: Fruit) -> bool:
     """Return whether a fruit is like those that were measured by hand: whole, and well seen."""
     too_wide = fruit.fit is not None and Flag.INTERVAL_TOO_WIDE in fruit.flags
     return _UNLIKE.isdisjoint(fruit.flags) and not too_wide
@@ -86,15 +86,15 @@ def _corrected_length(raw: Length, entry: CorrectionEntry, *, keep: bool) -> Len
 
 
 def calibrated_fruit(
-    fruit: FruitMeasurement,
+    fruit: Fruit,
     site: SiteCalibration,
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
-) -> FruitMeasurement:
+) -> Fruit:
     """Return a fruit with a corrected length; the measurements of the methods are unchanged.
 
     Parameters
     ----------
-    fruit : FruitMeasurement
+    fruit : Fruit
         As `measure_fruit` returns it.
     site : SiteCalibration
         The calibration.
@@ -103,7 +103,7 @@ def calibrated_fruit(
 
     Returns
     -------
-    FruitMeasurement
+    Fruit
         The fruit with `calibration`, the uncorrected `raw_length`, the corrected `length` and, if
         the calibration has one, its interval. A fruit that may go on out of sight, or whose depth
         cannot be its distance, keeps its interval from simulated fruit, corrected. If the

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.intervals import IntervalModels
-    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+    from cucumbervision.measurement.result import Fruit, Measurement
 
 LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
 """Looks at many crops in one batch, as `EndLooker.look`."""
@@ -33,13 +33,13 @@ _DRAWN = (MaskSource.DETECTOR, MaskSource.SAM, MaskSource.SEGMENTER)
 
 def with_end_looks(
     capture: Capture,
-    fruit: Sequence[FruitMeasurement],
+    fruit: Sequence[Fruit],
     look: LookAtEnds,
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
     scale_known: bool = False,
     models: IntervalModels | None = None,
-) -> list[FruitMeasurement]:
+) -> list[Fruit]:
     """Return the fruit of a capture with the evaluation of their ends, computed in one batch.
 
     Intervals are computed again. A fruit whose end may continue out of sight is flagged with the
@@ -49,7 +49,7 @@ def with_end_looks(
     ----------
     capture : Capture
         The frame.
-    fruit : sequence of FruitMeasurement
+    fruit : sequence of Fruit
         Fruit without M6, or with masks that no network drew, are returned unchanged.
     look : callable
         Evaluates crops of ends.
@@ -75,12 +75,12 @@ def with_end_looks(
     ]
 
 
-def _tube(fruit: FruitMeasurement) -> Measurement | None:
+def _tube(fruit: Fruit) -> Measurement | None:
     tube, drawn = fruit.measurements.get(MethodName.M6), fruit.mask_source in _DRAWN
     return tube if tube is not None and tube.fit is not None and drawn else None
 
 
-def _crops(capture: Capture, fruit: FruitMeasurement, tube: Measurement) -> list[EndCrop]:
+def _crops(capture: Capture, fruit: Fruit, tube: Measurement) -> list[EndCrop]:
     if tube.fit is None or fruit.mask is None:
         return []
     traits = tube.fit.traits
@@ -100,10 +100,10 @@ def _crops(capture: Capture, fruit: FruitMeasurement, tube: Measurement) -> list
 
 def _looked_at(
     capture: Capture,
-    fruit: FruitMeasurement,
+    fruit: Fruit,
     tube: Measurement,
     looks: tuple[EndLook, EndLook],
-) -> FruitMeasurement:
+) -> Fruit:
     if tube.fit is None:
         return fruit
     looked_at = replace(tube, fit=replace(tube.fit, looks=looks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -290,7 +291,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class FruitMeasurement:
+class Fruit:
     """The complete result of one fruit in one capture.
 
     Parameters
@@ -352,7 +353,7 @@ class FruitMeasurement:
         words = f"not measured: {self.reason}"
         if self.length is not None:
             words = f"{100 * self.length.value_m:.1f} cm {self.length.kind} by {self.method}"
-        return f"<FruitMeasurement: {words}>"
+        return f"<Fruit: {words}>"
 
     @property
     def errors(self) -> tuple[PluginError, ...]:
@@ -395,6 +396,22 @@ class FruitMeasurement:
     def unflagged(self, flag: Flag) -> Self:
         """Return a copy without a flag."""
         return replace(self, flags=tuple(other for other in self.flags if other is not flag))
+
+
+if TYPE_CHECKING:
+    FruitMeasurement = Fruit
+else:
+
+    def __getattr__(name: str) -> object:
+        """Return `Fruit` by its name of 0.1.0, until 0.3.0."""
+        if name == "FruitMeasurement":
+            warnings.warn(
+                "FruitMeasurement is called Fruit, and goes with 0.3.0",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            return Fruit
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def calibration_key(method: str, kind: LengthDefinition | LengthKind) -> str:

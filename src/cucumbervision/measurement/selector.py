@@ -21,7 +21,7 @@ from cucumbervision.measurement.methods import AVAILABLE, Region, TableMethod, r
 from cucumbervision.measurement.pose import CUT_BEYOND_M, fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     Choice,
-    FruitMeasurement,
+    Fruit,
     Length,
     LengthDefinition,
     Measurement,
@@ -253,7 +253,7 @@ def measure_fruit(
     models: IntervalModels | None = None,
     cut_beyond_m: float = CUT_BEYOND_M,
     tube: Measurement | None = None,
-) -> FruitMeasurement:
+) -> Fruit:
     """Measure one detected fruit, choose among the methods, and compute the length's interval.
 
     Parameters
@@ -280,7 +280,7 @@ def measure_fruit(
 
     Returns
     -------
-    FruitMeasurement
+    Fruit
         Always: a fruit that no method measured says why in `reason` and `fallback`.
 
     Examples
@@ -340,7 +340,7 @@ def measure_fruit(
             scale_known=scale_known,
         )
     )
-    fruit = FruitMeasurement(
+    fruit = Fruit(
         instance=instance,
         measurements=measurements,
         selected=chosen,
@@ -381,12 +381,12 @@ def _flags(
 
 
 def with_length(
-    fruit: FruitMeasurement,
+    fruit: Fruit,
     definition: LengthDefinition,
     *,
     scale_known: bool = False,
     models: IntervalModels | None = None,
-) -> FruitMeasurement:
+) -> Fruit:
     """Return a fruit with the length of the measurement that was selected, and its interval.
 
     Parameters as those of `measure_fruit`.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
 
 YELLOW_DEG = (60.0, 105.0)
 """Hue of yellowed skin in CIELAB, degrees: green skin has 108 to 140, brown less than 60."""
@@ -131,7 +131,7 @@ def _lightness_chroma_hue(
     return lightness, np.hypot(a, b).astype(np.float32), hue_deg.astype(np.float32)
 
 
-def _of_fruit(capture: Capture, fruit: FruitMeasurement) -> TraitValue:
+def _of_fruit(capture: Capture, fruit: Fruit) -> TraitValue:
     if fruit.mask is None:
         return TraitValue(None, "no-mask")
     return yellow_share(capture.color, fruit.mask)

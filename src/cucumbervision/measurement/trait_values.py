@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision.protocols import Trait
 
 
@@ -61,30 +61,28 @@ class TableTrait:
     name: str
     unit: str
     says: str
-    function: Callable[[Capture, FruitMeasurement], float | TraitValue | None]
+    function: Callable[[Capture, Fruit], float | TraitValue | None]
 
-    def __call__(self, capture: Capture, fruit: FruitMeasurement, /) -> float | TraitValue | None:
+    def __call__(self, capture: Capture, fruit: Fruit, /) -> float | TraitValue | None:
         """Return the value of a fruit."""
         return self.function(capture, fruit)
 
 
-def with_traits(
-    capture: Capture, fruit: FruitMeasurement, traits: Iterable[tuple[Plugin, Trait]]
-) -> FruitMeasurement:
+def with_traits(capture: Capture, fruit: Fruit, traits: Iterable[tuple[Plugin, Trait]]) -> Fruit:
     """Return a fruit with the values of traits.
 
     Parameters
     ----------
     capture : Capture
         The frame.
-    fruit : FruitMeasurement
+    fruit : Fruit
         The fruit.
     traits : iterable of (Plugin, Trait)
         Each with its line of the table.
 
     Returns
     -------
-    FruitMeasurement
+    Fruit
         A trait of another package that raised, or returned what is no finite number, has the reason
         'plugin-failed' and the error; the fruit is flagged, and otherwise as it was.
     """
@@ -97,9 +95,7 @@ def with_traits(
     return fruit.flagged(Flag.PLUGIN_FAILED) if failed else fruit
 
 
-def trait_value(
-    plugin: Plugin, trait: Trait, capture: Capture, fruit: FruitMeasurement
-) -> TraitValue:
+def trait_value(plugin: Plugin, trait: Trait, capture: Capture, fruit: Fruit) -> TraitValue:
     """Return the value of a trait; what fails is a value with an error."""
     try:
         return _checked(plugin, plugin.call(trait, capture, fruit))

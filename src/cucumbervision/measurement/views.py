@@ -14,7 +14,7 @@ from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, vie
 from cucumbervision.measurement.pose import fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     Choice,
-    FruitMeasurement,
+    Fruit,
     LengthDefinition,
     Measurement,
     MethodName,
@@ -78,7 +78,7 @@ class JointFruit:
 
     Parameters
     ----------
-    fruit : FruitMeasurement
+    fruit : Fruit
         Measurement of M6 in the camera coordinates of the view `first`, with the instance and mask
         of that view; flags apply to all views together.
     first : int
@@ -87,7 +87,7 @@ class JointFruit:
         Refined transforms from the coordinates of that camera to those of each fitted view.
     """
 
-    fruit: FruitMeasurement
+    fruit: Fruit
     first: int
     poses: Mapping[int, NDArray[np.float64]]
 
@@ -176,7 +176,7 @@ def measure_views(
 
 def _joint(
     chosen: Sequence[_FittedView],
-) -> tuple[FruitMeasurement, tuple[NDArray[np.float64], ...]] | None:
+) -> tuple[Fruit, tuple[NDArray[np.float64], ...]] | None:
     """Return the fruit with one tube for all views, and the camera poses; None if it fails."""
     first = chosen[0]
     cameras = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
@@ -214,12 +214,12 @@ def _beyond_ends(
 
 
 def _joint_measurement(
-    alone: FruitMeasurement,
+    alone: Fruit,
     one_tube: Measurement,
     stem_confidence: float,
     chosen: Sequence[_FittedView],
     poses: Sequence[NDArray[np.float64]],
-) -> FruitMeasurement:
+) -> Fruit:
     """Return the fruit with the tube of all views, and the flags that apply to all views."""
     fit = one_tube.fit
     flags: list[Flag] = []

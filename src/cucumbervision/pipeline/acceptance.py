@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Choice, FruitMeasurement, MethodName, Reason
+from cucumbervision.measurement.result import Choice, Fruit, MethodName, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,16 +19,16 @@ _REFUSED = frozenset({Choice.IMPLAUSIBLE, Choice.IMPLAUSIBLE_DIAMETER})
 
 
 def accepted_fruit(
-    fruit: FruitMeasurement,
+    fruit: Fruit,
     lengths_m: tuple[float, float],
     diameters_m: tuple[float, float],
     intrinsics: Intrinsics,
-) -> FruitMeasurement:
+) -> Fruit:
     """Return a fruit, without its length if the size is implausible for the crop.
 
     Parameters
     ----------
-    fruit : FruitMeasurement
+    fruit : Fruit
         The fruit with its length, a lower bound if it continues out of sight.
     lengths_m : tuple of float
         Shortest and longest, metres.
@@ -39,7 +39,7 @@ def accepted_fruit(
 
     Returns
     -------
-    FruitMeasurement
+    Fruit
         If the size is outside the limits, nothing is selected, the reason is 'implausible-length'
         or 'implausible-diameter', and `fallback` ends with the rejected method. A fruit that is
         too large is flagged 'depth-unit'. The measurements of the methods are unchanged.
@@ -66,7 +66,7 @@ def accepted_fruit(
     return refused.flagged(Flag.DEPTH_UNIT) if large else refused
 
 
-def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
+def _mean_diameter(fruit: Fruit, intrinsics: Intrinsics) -> float:
     """Return the mean diameter, metres; NaN, which passes every limit, if it is unknown."""
     if fruit.traits is not None:
         return fruit.traits.diameter_mean_m
@@ -78,7 +78,7 @@ def _mean_diameter(fruit: FruitMeasurement, intrinsics: Intrinsics) -> float:
     return float(fruit.mask.sum() * pixel_m2 / fruit.length.value_m)
 
 
-def with_unit_doubts(fruit: Sequence[FruitMeasurement]) -> tuple[FruitMeasurement, ...]:
+def with_unit_doubts(fruit: Sequence[Fruit]) -> tuple[Fruit, ...]:
     """Return the fruit of one picture, all flagged 'depth-unit' if half of them are too large.
 
     They share one depth picture: if its unit is wrong, fruit of plausible size are wrong, too.

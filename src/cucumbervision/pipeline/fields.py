@@ -13,11 +13,15 @@ import numpy as np
 from pydantic import BaseModel, create_model
 from pydantic import Field as Described
 
+from cucumbervision.measurement.flags import SHOWS_LESS
+from cucumbervision.measurement.result import IntervalBasis, Length, LengthDefinition, LengthKind
 from cucumbervision.plugins import own
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision.plugins import Plugin
     from cucumbervision.protocols import Trait
 
@@ -86,6 +90,11 @@ class Column:
         return f"{self.name.removesuffix(self.unit)}{si}" if si else self.name
 
     @property
+    def python_type(self) -> type[str | int | float | bool]:
+        """The type of its cells in Python."""
+        return _PYTHON[self.type]
+
+    @property
     def _scale(self) -> tuple[str, float, int | None]:
         # A ratio per 10 cm has no SI unit.
         scaled = self.name.endswith(f"_{self.unit}")
@@ -102,7 +111,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Field(Column):
-    """A column, and the path to its value in a `NumberedFruit` (for the table of fruit).
+    """A column, and the path to its value in a line (for the table of fruit: `_line`).
 
     Parameters
     ----------
@@ -113,6 +122,8 @@ class Field(Column):
         is empty if a part of the path is None.
     digits : int, optional
         Number of decimals; by default that of the unit.
+    owner : {'fruit', 'capture', 'stop', 'store'}
+        What it is a property of; 'store': of the fruit, in a store and not in the tables.
 
     Examples
     --------
@@ -123,6 +134,7 @@ class Field(Column):
 
     path: str
     digits: int | None = None
+    owner: str = "fruit"
 
     def value(self, line: Any) -> Any:
         """Return the value in SI units, or None."""
@@ -143,57 +155,16 @@ class Field(Column):
             return None
         if self.name.endswith("_utc") and not isinstance(cell, str):
             return utc(cell)
-        return _PYTHON[self.type](cell)
+        return self.python_type(cell)
 
     def stored(self, line: Any) -> Cell:
-        """Return the cell of the store: in SI units."""
-        value: Cell = self.value(line)
-        if isinstance(value, str):
-            return str(value)
-        if isinstance(value, float):
-            value = float(value)  # of an array
+        """Return the cell of a store: in SI units, of the column's type."""
+        value = self.value(line)
+        if value is None or value != value:
+            return None
+        cell = self.python_type(value)
         digits = _STORED_DIGITS if self._scale[0] else self.digits
-        return value if digits is None or value is None else round(value, digits)
-
-
-@dataclass(frozen=True, eq=False)
-class NumberedFruit:
-    """One fruit of one capture: the source of a row.
-
-    Parameters
-    ----------
-    capture : Capture
-        The frame.
-    number : int
-        The fruit's number in it, from 1.
-    fruit : FruitMeasurement
-        The fruit.
-    """
-
-    capture: Capture
-    number: int
-    fruit: FruitMeasurement
-
-    @property
-    def fallback(self) -> str:
-        """The methods tried before, as one text."""
-        return " > ".join(self.fruit.fallback)
-
-    @property
-    def flags(self) -> str:
-        """The flags, as one text."""
-        return " ".join(self.fruit.flags)
-
-    @property
-    def box(self) -> dict[str, float]:
-        """The edges of the box, pixels."""
-        edges = self.fruit.instance.box.tolist()
-        return dict(zip(("x1", "y1", "x2", "y2"), edges, strict=True))
-
-    @property
-    def mask_px(self) -> int | None:
-        """Number of pixels of the measured mask."""
-        return None if self.fruit.mask is None else int(np.count_nonzero(self.fruit.mask))
+        return round(cell, digits) if isinstance(cell, float) and digits is not None else cell
 
 
 def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
@@ -203,12 +174,14 @@ def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
     ----------
     path : Path
         CSV with the columns name, unit, type, digits, says and path; without a path it is the name.
+        A column `of` is the `owner`.
     """
     fields = []
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
         digits = int(line["digits"]) if line["digits"] else None
         description = line["name"], line["unit"], cast("CellType", line["type"]), line["says"]
-        fields.append((line, Field(*description, line["path"] or line["name"], digits)))
+        path_to_value, owner = line["path"] or line["name"], line.get("of", "fruit")
+        fields.append((line, Field(*description, path_to_value, digits, owner)))
     return fields
 
 
@@ -262,8 +235,14 @@ def _fields() -> tuple[Field, ...]:
     return tuple(table)
 
 
-FIELDS = _fields()
-"""The columns of `measurements.csv`, in order, as the package itself fills them."""
+ALL_FIELDS = _fields()
+"""Every column of a fruit's row, as the package itself fills them."""
+
+FIELDS = tuple(column for column in ALL_FIELDS if column.owner != "store")
+"""The columns of `measurements.csv`, in order."""
+
+STORED_FIELDS = tuple(column for column in ALL_FIELDS if column.owner in ("fruit", "store"))
+"""The columns of a store's table of fruit: all but those of the capture and its stop."""
 
 
 def fields_with(
@@ -276,14 +255,102 @@ def fields_with(
     return (*FIELDS, *{field.name: field for field in added if field.name not in names}.values())
 
 
-def fruit_row(fruit: NumberedFruit, fields: Iterable[Field] = FIELDS) -> dict[str, Cell]:
-    """Return a fruit's row: a cell for every field, in the units of the tables."""
-    return {fruit_field.name: fruit_field.of(fruit) for fruit_field in fields}
+def fruit_row(
+    capture: Capture, number: int, fruit: Fruit, fields: Iterable[Field] = FIELDS
+) -> dict[str, Cell]:
+    """Return the row of a capture's fruit by its number from 1, in the units of the tables."""
+    line = _line(capture, number, fruit)
+    return {column.name: column.of(line) for column in fields}
 
 
-def si_values(fruit: NumberedFruit) -> dict[str, Cell]:
-    """Return the values of a fruit in SI units, by `Column.si_name`."""
-    return {fruit_field.si_name: fruit_field.stored(fruit) for fruit_field in FIELDS}
+def stored_row(
+    capture: Capture, number: int, fruit: Fruit, fields: Iterable[Field] = STORED_FIELDS
+) -> dict[str, Cell]:
+    """Return a fruit's row in SI units, by `Column.si_name`, as a store keeps it."""
+    line = _line(capture, number, fruit)
+    return {column.si_name: column.stored(line) for column in fields}
+
+
+def table_row(stored: Mapping[str, Cell], fields: Iterable[Field] = FIELDS) -> dict[str, Cell]:
+    """Return a row of a store in the units of the tables; a column that it lacks is empty.
+
+    Examples
+    --------
+    >>> row = table_row({"length_m": 0.1622941, "method": "M6"})
+    >>> row["length_cm"], row["method"], row["flags"]
+    (16.229, 'M6', None)
+    """
+    return {
+        column.name: column.cell(stored.get(column.si_name), column.digits) for column in fields
+    }
+
+
+def stored_length(stored: Mapping[str, Any], before: str = "") -> Length | None:
+    """Return the length of a row of a store; `before='raw_'` for that before the calibration.
+
+    Examples
+    --------
+    >>> row = {"length_m": 0.3, "length_kind": "centreline", "interval_low_m": 0.29}
+    >>> stored_length(row | {"interval_high_m": 0.31}).kind
+    <LengthDefinition.CENTRELINE: 'centreline'>
+    """
+    value_m = stored[f"{before}length_m"]
+    if value_m is None:
+        return None
+    kind = stored[f"{before}length_kind"]
+    low_m, high_m, of, basis = (
+        stored.get(f"{before}interval_{part}") for part in ("low_m", "high_m", "of", "basis")
+    )
+    return Length(
+        value_m,
+        LengthDefinition(kind) if kind in tuple(LengthDefinition) else LengthKind(kind),
+        low_m,
+        high_m,
+        of and LengthDefinition(of),
+        basis and IntervalBasis(basis),
+    )
+
+
+def _line(capture: Capture, number: int, fruit: Fruit) -> dict[str, Any]:
+    """Return what the paths of `fields.csv` lead through."""
+    box = dict(zip(("x1", "y1", "x2", "y2"), fruit.instance.box.tolist(), strict=True))
+    return {
+        "capture": capture,
+        "number": number,
+        "fruit": fruit,
+        "fallback": " > ".join(fruit.fallback),
+        "flags": " ".join(fruit.flags),
+        "box": box,
+        "mask_px": None if fruit.mask is None else np.count_nonzero(fruit.mask),
+        "centre_m": _centre_m(capture, fruit),
+        "view_score": _view_score(fruit),
+    }
+
+
+def _centre_m(capture: Capture, fruit: Fruit) -> NDArray[np.float64] | None:
+    """Return the middle of the measured line, or of the box at the fruit's distance."""
+    path = None if fruit.selected is None else fruit.selected.path_m
+    if path is not None and len(path):
+        return np.asarray(path.mean(axis=0))
+    if fruit.distance_m is None:
+        return None
+    left, top, right, bottom = fruit.instance.box
+    x, y = capture.intrinsics.rays((left + right) / 2, (top + bottom) / 2)
+    return fruit.distance_m * np.array([float(x), float(y), 1.0])
+
+
+def _view_score(fruit: Fruit) -> float:
+    """Return how well a view shows its fruit, 0 to 1; 0 where nothing was measured.
+
+    The detector's confidence times the share of readings in the mask times the share that
+    nothing hides; half of that without a fitted tube, and half again for each flag that
+    questions it. An order among views of one fruit, and no probability.
+    """
+    if fruit.selected is None:
+        return 0.0
+    hidden = 0.0 if fruit.fit is None else fruit.fit.hidden_share
+    score = fruit.instance.confidence * (fruit.fill or 0.0) * (1.0 - hidden)
+    return float(score * 0.5 ** (len(SHOWS_LESS & set(fruit.flags)) + (fruit.fit is None)))
 
 
 def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[BaseModel]:
@@ -306,7 +373,7 @@ def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[B
     """
     cells: dict[str, Any] = {
         row_field.name: (
-            _PYTHON[row_field.type] | None,
+            row_field.python_type | None,
             Described(None, description=row_field.says),
         )
         for row_field in fields

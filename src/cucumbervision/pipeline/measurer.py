@@ -23,12 +23,12 @@ from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import (
     Choice,
-    FruitMeasurement,
+    Fruit,
 )
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.trait_values import with_traits
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
-from cucumbervision.pipeline.fields import FIELDS, NumberedFruit, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns, RunPlugins
@@ -163,7 +163,7 @@ class CaptureResult:
     ----------
     capture : Capture
         The measured frame, with depth scaled by the calibration, if there is one.
-    fruit : tuple of FruitMeasurement
+    fruit : tuple of Fruit
         One entry for every detection.
     failures : tuple of Failure
         Why nothing was measured, and invalid entries of a file of instances.
@@ -181,7 +181,7 @@ class CaptureResult:
     """
 
     capture: Capture
-    fruit: tuple[FruitMeasurement, ...] = ()
+    fruit: tuple[Fruit, ...] = ()
     failures: tuple[Failure, ...] = ()
     error: CucumberVisionError | None = None
     stages: tuple[Stage, ...] = ()
@@ -198,14 +198,10 @@ class CaptureResult:
         named = named_error(error, capture.source or capture.name)
         return cls(capture, (), (Failure.of(named, capture.source, capture.name),), named)
 
-    @property
-    def numbered_fruit(self) -> tuple[NumberedFruit, ...]:
-        """The fruit, numbered from 1."""
-        return tuple(NumberedFruit(self.capture, n, fruit) for n, fruit in enumerate(self.fruit, 1))
-
     def rows(self) -> list[dict[str, Cell]]:
         """Return the rows of the table of fruit."""
-        return [fruit_row(numbered, self.fields) for numbered in self.numbered_fruit]
+        numbered = enumerate(self.fruit, 1)
+        return [fruit_row(self.capture, number, fruit, self.fields) for number, fruit in numbered]
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +373,7 @@ class Measurer:
         measured = [
             self._measured(capture, instance, tube)
             if chosen is None or k in chosen
-            else FruitMeasurement(instance, {}, None, Choice.WAITING).flagged(*doubts)
+            else Fruit(instance, {}, None, Choice.WAITING).flagged(*doubts)
             for k, (instance, tube) in enumerate(pairs)
         ]
         fruit = self._judged(capture, measured)
@@ -404,7 +400,7 @@ class Measurer:
 
     def measure_instance(
         self, capture: Capture, instance: Instance, tube: Measurement | None = None
-    ) -> FruitMeasurement:
+    ) -> Fruit:
         """Measure one fruit of a capture with scaled depth; `tube` as in `Detections.tubes`."""
         return self._judged(capture, [self._measured(capture, instance, tube)])[0]
 
@@ -413,7 +409,7 @@ class Measurer:
         capture: Capture,
         instance: Instance,
         tube: Measurement | None,
-    ) -> FruitMeasurement:
+    ) -> Fruit:
         options = self.options
         return measure_fruit(
             capture,
@@ -426,7 +422,7 @@ class Measurer:
             tube=tube,
         )
 
-    def _judged(self, capture: Capture, measured: list[FruitMeasurement]) -> list[FruitMeasurement]:
+    def _judged(self, capture: Capture, measured: list[Fruit]) -> list[Fruit]:
         """Add the look at the ends, the calibration and the size limits to measured fruit.
 
         The ends of all fruit are evaluated in one batch. Implausible sizes get no length. Traits

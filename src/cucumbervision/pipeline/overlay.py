@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+    from cucumbervision.measurement.result import Fruit, Measurement
 
 # Okabe and Ito's palette, suitable for colour-blind people (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -34,14 +34,14 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SUBPIXEL_BITS = 4  # of OpenCV's lines
 
 
-def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray[np.uint8]:
+def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
     """Draw each fruit's mask, measured line, tips and length, and a scale bar.
 
     Parameters
     ----------
     capture : Capture
         The frame; its colour picture is not changed.
-    fruit : sequence of FruitMeasurement
+    fruit : sequence of Fruit
         The fruit in it, measured, numbered from 1.
 
     Returns
@@ -65,7 +65,7 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
 
 
 def draw_region(
-    picture: NDArray[np.uint8], fruit: FruitMeasurement, color: tuple[int, int, int], size: float
+    picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
 ) -> None:
     """Tint a fruit's mask, or draw its box if it has none, in place.
 
@@ -73,7 +73,7 @@ def draw_region(
     ----------
     picture : ndarray of uint8, shape (H, W, 3)
         RGB; changed.
-    fruit : FruitMeasurement
+    fruit : Fruit
         The fruit.
     color : tuple of int
         RGB.
@@ -186,7 +186,7 @@ def draw_line(
         cv2.circle(picture, centre_px, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
-def _label(number: int, fruit: FruitMeasurement) -> str:
+def _label(number: int, fruit: Fruit) -> str:
     length = fruit.length
     if length is None:
         return f"{number}: not measured ({fruit.reason})"
@@ -220,7 +220,7 @@ def draw_text(
 
 
 def _draw_scale(
-    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[FruitMeasurement], size: float
+    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[Fruit], size: float
 ) -> None:
     depths = [np.median(d) for f in fruit if len(d := _fruit_depths(capture, f))]
     if not depths:
@@ -239,7 +239,7 @@ def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: floa
     draw_text(picture, text, (left_px, y - round(14 * size)), size)
 
 
-def _fruit_depths(capture: Capture, fruit: FruitMeasurement) -> NDArray[np.float32]:
+def _fruit_depths(capture: Capture, fruit: Fruit) -> NDArray[np.float32]:
     if fruit.mask is None:
         return np.empty(0, np.float32)
     depths = capture.depth_m[fruit.mask]

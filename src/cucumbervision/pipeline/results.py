@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
@@ -58,7 +58,7 @@ class Results:
     failures: tuple[Failure, ...] = ()
 
     @property
-    def fruit(self) -> tuple[FruitMeasurement, ...]:
+    def fruit(self) -> tuple[Fruit, ...]:
         """The fruit of all captures."""
         return tuple(fruit for result in self.captures for fruit in result.fruit)
 

@@ -18,7 +18,7 @@ from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.measurement.result import Choice, MethodName
 from cucumbervision.perception.runtime import CARD_RUNTIMES
 from cucumbervision.pipeline.batch import cores
-from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit, row_model
+from cucumbervision.pipeline.fields import FIELDS, Field, fruit_row, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.sources import ahead
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement, Length
+    from cucumbervision.measurement.result import Fruit, Length
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.measurer import CaptureResult, DetectedCapture
     from cucumbervision.streaming.sources import Arrival
@@ -68,13 +68,17 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedFruit(NumberedFruit):
+class TrackedFruit:
     """One fruit of one frame, with the results of all its frames.
 
     Parameters
     ----------
-    capture, number, fruit
-        As in `NumberedFruit`; a fruit that was not selected has no measurement in this frame.
+    capture : Capture
+        The frame.
+    number : int
+        The fruit's number in it, from 1.
+    fruit : Fruit
+        The fruit; one that was not selected has no measurement in this frame.
     track : int
         Number of the fruit, the same in all frames.
     seen_frames : int
@@ -87,6 +91,9 @@ class TrackedFruit(NumberedFruit):
         Number of frames and places that contribute to `length`.
     """
 
+    capture: Capture
+    number: int
+    fruit: Fruit
     track: int
     seen_frames: int
     length: Length | None = None
@@ -107,12 +114,8 @@ TRACK_FIELDS = (
 )
 """Fields of a fruit in a stream, beside the table of fields."""
 
-_OF_CAPTURE = tuple(
-    fruit_field for fruit_field in FIELDS if fruit_field.path.startswith("capture.")
-)
-_OF_FRUIT = tuple(
-    fruit_field for fruit_field in FIELDS if not fruit_field.path.startswith("capture.")
-)
+_OF_FRUIT = tuple(column for column in FIELDS if column.owner == "fruit")
+_OF_CAPTURE = tuple(column for column in FIELDS if column not in _OF_FRUIT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,12 +187,17 @@ def line_model() -> type[BaseModel]:
 
 
 def _fruit_json(tracked: TrackedFruit, fields: tuple[Field, ...]) -> dict[str, Any]:
-    cells = _cells((*TRACK_FIELDS, *_OF_FRUIT, *fields[len(FIELDS) :]), tracked)
+    of_fruit = (*_OF_FRUIT, *fields[len(FIELDS) :])
+    row = fruit_row(tracked.capture, tracked.number, tracked.fruit, of_fruit)
+    cells = _cells(TRACK_FIELDS, tracked) | _filled(row)
     return cells if tracked.fruit.pose is None else {**cells, "pose": tracked.fruit.pose.as_json()}
 
 
 def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:
-    cells = {column.name: column.of(line) for column in fields}
+    return _filled({column.name: column.of(line) for column in fields})
+
+
+def _filled(cells: dict[str, Cell]) -> dict[str, Cell]:
     return {name: cell for name, cell in cells.items() if cell not in (None, "")}
 
 
@@ -384,7 +392,7 @@ class FruitStream:
         return frozenset(sorted(due, key=gains.__getitem__, reverse=True)[: self._fits])
 
     def _tracked(
-        self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, sighting: Sighting
+        self, capture: Capture, k: int, fruit: Fruit, number: int, sighting: Sighting
     ) -> TrackedFruit:
         state = self._states[number]
         length = None if is_length_unknown(fruit.flags) else fruit.length

@@ -24,7 +24,6 @@ from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.pipeline.batch import in_turn
-from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision_greenhouse.rounds.adding import (
     RoundCapture,
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.options import MeasureOptions
@@ -100,7 +99,7 @@ class SharedMeasurer:
 
     def _measure_stored(
         self, capture: Capture, stop: StopRecord, instance: Instance, options: MeasureOptions
-    ) -> FruitMeasurement:
+    ) -> Fruit:
         """Measure a fruit of a stored capture with the calibration that its depth has already.
 
         The one in the options may be another camera's, or newer.
@@ -297,11 +296,9 @@ class SharedMeasurer:
             return self._segmenter
 
 
-def _placed(
-    capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
-) -> DetectionRecord:
+def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> DetectionRecord:
     """Return a fruit of a stored capture, with its offset along the row."""
-    record = fruit_record(NumberedFruit(capture, number, fruit))
+    record = fruit_record(capture, number, fruit)
     return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
 
@@ -400,7 +397,7 @@ _STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2
 _UNSURE, _STOUT = 0.15, 0.5
 
 
-def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
+def is_doubtful(fruit: Fruit, capture: Capture) -> bool:
     """Return whether a measurement may not be of a fruit, by its shape and the depth around it.
 
     A fruit is a tube (M6) that fits well, is no thicker than half its length, has an interval that
@@ -408,7 +405,7 @@ def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
 
     Parameters
     ----------
-    fruit : FruitMeasurement
+    fruit : Fruit
         As it was measured.
     capture : Capture
         Where.

@@ -20,7 +20,6 @@ from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.matching import ALONG
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
-from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure
 from cucumbervision_greenhouse.rounds.from_store import joint_groups, read_round
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, stored_pose
@@ -216,7 +215,7 @@ def _joint_record(
     fruit = fruit.flagged(*(Flag(doubt) for doubt in sorted(doubts)))
     if site is not None:
         fruit = calibrated_fruit(fruit, site, definition)
-    record = fruit_record(NumberedFruit(first.capture, first.record.number, fruit))
+    record = fruit_record(first.capture, first.record.number, fruit)
     poses = {
         stored[k].view.key: tuple(pose.round(9).ravel().tolist()) for k, pose in joint.poses.items()
     }

@@ -19,7 +19,6 @@ from cucumbervision.pipeline.batch import (
     ResultWorker,
     measure_all,
 )
-from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
@@ -176,7 +175,7 @@ def measure_stop_again(
             fruit = measurer.measure_instance(
                 result.capture, instance_of(by_hand[fruit_key], result.capture.depth_m.shape)
             )
-            record = fruit_record(NumberedFruit(result.capture, numbers[fruit_key], fruit))
+            record = fruit_record(result.capture, numbers[fruit_key], fruit)
             corrected[fruit_key] = placed_fruit(record, stored_pose(stop.pose, stop.side))
         results_with_old.append(result)
     store.measure_again(_stop_of(stop, results_with_old, measurer, store), same, corrected)

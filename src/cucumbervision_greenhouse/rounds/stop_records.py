@@ -21,8 +21,7 @@ from cucumbervision.files import json_value
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle, encode_rle
-from cucumbervision.measurement.flags import SHOWS_LESS
-from cucumbervision.pipeline.fields import si_values
+from cucumbervision.pipeline.fields import stored_row
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
 from cucumbervision.pipeline.stages import Stage
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
@@ -41,8 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import FruitMeasurement, Measurement
-    from cucumbervision.pipeline.fields import NumberedFruit
+    from cucumbervision.measurement.result import Fruit, Measurement
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
     from cucumbervision.pipeline.stages import StageHashes
     from cucumbervision_greenhouse.store.images import ImageStore
@@ -133,7 +131,9 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
         provenance=json_value(capture.provenance),
         doubts=tuple(map(str, capture.doubts)) or None,
-        fruit=tuple(fruit_record(numbered) for numbered in result.numbered_fruit),
+        fruit=tuple(
+            fruit_record(capture, number, fruit) for number, fruit in enumerate(result.fruit, 1)
+        ),
         **_pictures(capture, images),
     )
 
@@ -188,22 +188,18 @@ def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
     }
 
 
-def fruit_record(numbered: NumberedFruit) -> DetectionRecord:
+def fruit_record(capture: Capture, number: int, fruit: Fruit) -> DetectionRecord:
     """Return the record of one fruit.
 
     The fruit's offset along the row is how far right of the camera its middle lies; who knows that
     the row runs the other way, or the camera's pose, replaces it.
     """
-    fruit = numbered.fruit
     keypoints = fruit.instance.keypoints
-    cells: dict[str, Any] = {k: v for k, v in si_values(numbered).items() if k in _STORED}
-    centre = _centre(numbered)
-    if centre is not None:
-        cells["centre_x_m"], cells["centre_y_m"], cells["centre_z_m"] = centre
-        cells["offset_m"] = centre[0]
+    row: dict[str, Any] = stored_row(capture, number, fruit)
+    cells = {name: cell for name, cell in row.items() if name in _STORED}
     return DetectionRecord(
-        number=numbered.number,
-        view_score=view_score(fruit),
+        number=number,
+        offset_m=row["centre_x_m"],
         length=fruit.length,
         raw_length=fruit.raw_length,
         keypoints=() if keypoints is None else _rows_of(keypoints),
@@ -211,21 +207,6 @@ def fruit_record(numbered: NumberedFruit) -> DetectionRecord:
         methods=tuple(_method_record(measurement) for measurement in fruit.measurements.values()),
         **cells,
     )
-
-
-def view_score(fruit: FruitMeasurement) -> float:
-    """Return how well a view shows its fruit, 0 to 1; 0 where nothing was measured.
-
-    The detector's confidence times the share of readings in the mask times the share that
-    nothing hides; half of that without a fitted tube, and half again for each flag that
-    questions it. An order among views of one fruit, and no probability.
-    """
-    if fruit.selected is None:
-        return 0.0
-    hidden = 0.0 if fruit.fit is None else fruit.fit.hidden_share
-    score = fruit.instance.confidence * (fruit.fill or 0.0) * (1.0 - hidden)
-    halved = len(SHOWS_LESS & set(fruit.flags)) + (fruit.fit is None)
-    return round(score * 0.5**halved, 6)
 
 
 def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
@@ -330,19 +311,6 @@ def _method_record(measurement: Measurement) -> MethodRecord:
         path_m=() if path is None else _rows_of(np.round(path[kept_points], 6)),
         diameter_m=() if diameter is None else tuple(np.round(diameter[kept_points], 6).tolist()),
     )
-
-
-def _centre(numbered: NumberedFruit) -> Point | None:
-    fruit = numbered.fruit
-    path = None if fruit.selected is None else fruit.selected.path_m
-    if path is not None and len(path):
-        return tuple(np.round(path.mean(axis=0), 5).tolist())
-    z = fruit.distance_m
-    if z is None:
-        return None
-    x_min, top, right, bottom = fruit.instance.box
-    x, y = numbered.capture.intrinsics.rays((x_min + right) / 2, (top + bottom) / 2)
-    return round(float(x) * z, 5), round(float(y) * z, 5), round(z, 5)
 
 
 def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:

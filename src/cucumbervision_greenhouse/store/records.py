@@ -199,7 +199,7 @@ class DetectionRecord:
     view_score : float
         How well this view shows it, 0 to 1; the highest of several views represents the fruit.
     length, raw_length : Length, optional
-        As in `FruitMeasurement`: what the fruit counts for, and what was read before the site's
+        As in `Fruit`: what the fruit counts for, and what was read before the site's
         calibration.
     keypoints : tuple of (u, v, visibility)
         Pixels; empty where there are none.

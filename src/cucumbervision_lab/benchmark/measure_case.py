@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]
@@ -200,13 +200,13 @@ def _record(
 
 
 def fruit_lengths(
-    fruit: FruitMeasurement, capture: Capture
+    fruit: Fruit, capture: Capture
 ) -> tuple[dict[str, float | None], dict[Selector, str | None]]:
     """Return the lengths of a fruit by every method and selector, and the selected methods.
 
     Parameters
     ----------
-    fruit : FruitMeasurement
+    fruit : Fruit
         Measurement by all methods with `Selector.BEST`.
     capture : Capture
         The measured capture.
@@ -237,7 +237,7 @@ def fruit_lengths(
     return lengths, chosen
 
 
-def interval_details(fruit: FruitMeasurement) -> dict[str, Any]:
+def interval_details(fruit: Fruit) -> dict[str, Any]:
     """Return the details of a measurement that interval models use as features."""
     m6 = fruit.measurements[MethodName.M6]
     details: dict[str, Any] = {

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.pose import FruitPose
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
@@ -343,7 +343,7 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def _with_gravity(
-    measured: FruitMeasurement, axis_m: NDArray[np.float64], capture: Capture, swapped: bool
+    measured: Fruit, axis_m: NDArray[np.float64], capture: Capture, swapped: bool
 ) -> dict[str, Any]:
     """Return what gravity would make of a pose's ends, and whether the fruit hangs."""
     if capture.gravity is None or measured.selected is None:

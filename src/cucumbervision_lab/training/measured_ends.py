@@ -34,7 +34,7 @@ from cucumbervision_lab.detection.pictures import capture_of
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.measurement.result import Fruit
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 AXIS_POINTS = 33
@@ -277,7 +277,7 @@ def _measurer() -> Measurer:
     return Measurer(MeasureOptions(instances="models", methods=(MethodName.M6,)))
 
 
-def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
+def _measured_given(capture: Capture, label: Label) -> Fruit | None:
     mask = label.mask
     if mask is None or np.count_nonzero(mask) < _LEAST_SEEN:
         return None
@@ -285,9 +285,7 @@ def _measured_given(capture: Capture, label: Label) -> FruitMeasurement | None:
     return measure_fruit(capture, instance, (MethodName.M6,))
 
 
-def _matched(
-    fruits: tuple[FruitMeasurement, ...], labels: list[Label]
-) -> Iterator[tuple[FruitMeasurement, Label]]:
+def _matched(fruits: tuple[Fruit, ...], labels: list[Label]) -> Iterator[tuple[Fruit, Label]]:
     ious = box_ious(
         np.array([fruit.instance.box for fruit in fruits]).reshape(-1, 4),
         np.array([label.box for label in labels]),
@@ -299,7 +297,7 @@ def _matched(
 
 
 def _record(
-    fruit: FruitMeasurement, label: Label, picture: LabelledPicture, *, given: bool
+    fruit: Fruit, label: Label, picture: LabelledPicture, *, given: bool
 ) -> MeasuredFruit | None:
     m6 = fruit.measurements.get(MethodName.M6)
     if m6 is None or m6.fit is None or m6.tube is None or fruit.mask is None:

@@ -15,12 +15,11 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import MethodName
+from cucumbervision.measurement.result import Fruit, MethodName
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stop_record, view_score
+from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stop_record
 from cucumbervision_greenhouse.store.records import Round, record_json
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
@@ -129,7 +128,7 @@ def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> Non
 
 
 def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: CaptureResult) -> None:
-    record = fruit_record(measured.numbered_fruit[0])
+    record = fruit_record(measured.capture, 1, measured.fruit[0])
     tube = next(m for m in record.methods if m.method == "M6")
     assert tube.centreline_m is not None
     assert len(tube.path_m) == len(tube.diameter_m) == 48
@@ -146,7 +145,7 @@ def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> N
     nothing = measure_fruit(measured.capture, Instance(np.array([0.5, 0.5, 9.5, 9.5])))
     dark = replace(measured.capture, depth_m=np.zeros_like(measured.capture.depth_m))
     nothing = measure_fruit(dark, nothing.instance)
-    record = fruit_record(NumberedFruit(dark, 1, nothing))
+    record = fruit_record(dark, 1, nothing)
     assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
     assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
     assert record_json(record)["methods"][0]["reason"] == "no-depth"
@@ -155,11 +154,14 @@ def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> N
 def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
     fruit = measured.fruit[0]
 
+    def score(fruit: Fruit) -> float:
+        return fruit_record(measured.capture, 1, fruit).view_score
+
     def seen(hidden: float, *flags: Flag) -> float:
         assert fruit.fit is not None
         assert fruit.selected is not None
         selected = replace(fruit.selected, fit=replace(fruit.fit, hidden_share=hidden))
-        return view_score(replace(fruit, selected=selected, fill=0.9, flags=flags))
+        return score(replace(fruit, selected=selected, fill=0.9, flags=flags))
 
     best = seen(0.0)
     assert best == pytest.approx(0.9 * fruit.instance.confidence)
@@ -167,7 +169,7 @@ def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
     assert seen(0.0, Flag.CUT_BY_FRAME) == pytest.approx(best / 2)
     assert seen(0.0, Flag.CUT_BY_FRAME, Flag.END_HIDDEN) == pytest.approx(best / 4)
     plain = replace(fruit, selected=fruit.measurements[MethodName.M3], fill=0.9, flags=())
-    assert view_score(plain) == pytest.approx(best / 2)
+    assert score(plain) == pytest.approx(best / 2)
 
 
 def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: CaptureResult) -> None:

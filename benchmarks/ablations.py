@@ -9,8 +9,6 @@ so each line gives recall and false positives at one threshold, by default that 
 F1 score of any threshold. A step may also bring the tests to one scale: then the best thresholds
 without it differ between tests. The passes of the networks over a picture are shared by all lines;
 the processor time of a line counts them in full.
-
-Below the table: the lengths of the drawn fruit that joining pieces changes, joined and not.
 """
 
 from __future__ import annotations
@@ -35,11 +33,9 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.fruit_look import PictureLooks
 from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_lab.detection.outcomes import match_detections, match_fruit
+from cucumbervision_lab.detection.outcomes import match_detections
 from cucumbervision_lab.detection.photos import audited_photos, half_size
 from cucumbervision_lab.detection.picture_result import Networks, merge_detections, open_networks
 from cucumbervision_lab.detection.pictures import (
@@ -51,18 +47,15 @@ from cucumbervision_lab.detection.pictures import (
     frame_of,
     read_held_out,
 )
-from cucumbervision_lab.detection.run import chosen_networks, length_records
+from cucumbervision_lab.detection.run import chosen_networks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.benchmark.records import LengthRecord
 
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
-MERGING = "cucumbervision.perception.detectors"
-NO_PIECES = (MERGING, "join_pieces_by_depth", lambda fruit, _, __: tuple(fruit))
 THRESHOLDS = (0.05, 0.1, 0.15, DEFAULT_CONFIDENCE, 0.25, 0.3, 0.4, 0.5, 0.6)
 
 
@@ -130,25 +123,12 @@ class SharedPasses:
 
 def ablations() -> list[Ablation]:
     """Return every line of the table."""
-
-    def pass_straight(
-        network: YoloDetector, color: NDArray[np.uint8], size: tuple[int, int], confidence: float
-    ) -> tuple[Any, ...]:
-        return network._detect_at(color, size, confidence)
-
-    straight = (YoloDetector, "_detect_mirrored", pass_straight)
     no_close_look = (PictureLooks, "rescore", lambda _, instances: tuple(instances))
     return [
         Ablation("as shipped"),
-        Ablation("without the mirror image", (straight,)),
         Ablation("without the second size", single_size=True),
         Ablation("without the close look's vote", (no_close_look,)),
-        Ablation("without joined pieces", (NO_PIECES,)),
-        Ablation(
-            "without all of these",
-            (no_close_look, NO_PIECES),
-            single_size=True,
-        ),
+        Ablation("without both", (no_close_look,), single_size=True),
     ]
 
 
@@ -238,45 +218,6 @@ def score_scene(
             score.false[k] += len(matches.false)
 
 
-def piece_lengths(drawn: Path, passes: SharedPasses) -> list[str]:
-    """Return how well the drawn fruit are measured that joining pieces changes, joined and not."""
-    held_out, finder = read_held_out(drawn, "all"), make_finder(MeasureOptions(instances="models"))
-    pairs: list[tuple[LengthRecord, ...]] = []
-    for picture in track(held_out.pictures, "lengths"):
-        passes.clear()
-        capture = capture_of(picture, held_out, read_color(held_out.path(picture)))
-        if capture is None:
-            continue
-        frame, by_line = frame_of(picture, held_out, capture.depth_m), []
-        for replaced in ((), (NO_PIECES,)):
-            with replacing(replaced):
-                by_line.append(finder.find(capture).instances)
-        joined, single = ([fruit.box.tolist() for fruit in fruits] for fruits in by_line)
-        if joined == single:
-            continue
-        records = []
-        for instances in by_line:
-            matches, required = match_fruit(frame, [instance.box for instance in instances])
-            perceived = {required[true]: instances[index] for true, index in matches.pairs}
-            records.append(length_records(frame, capture, perceived)[1::2])
-        pairs += zip(*records, strict=True)
-    changed = [pair for pair in pairs if pair[0].lengths_m != pair[1].lengths_m]
-    lines = [f"joining pieces changes {len(changed)} drawn fruit"]
-    for title, sides in zip(("joined", "not joined"), zip(*changed, strict=True), strict=False):
-        measured = [
-            (100 * (length / side.centreline_m - 1), side.details["flags"])
-            for side in sides
-            if (length := side.lengths_m["M6"]) and side.centreline_m
-        ]
-        off = np.array([error for error, _ in measured])
-        silent = sum(abs(error) > 5 and not flags for error, flags in measured)
-        lines.append(
-            f"{title}: {len(off)} measured, median error {np.median(np.abs(off)):.1f} %, mean "
-            f"{off.mean():+.1f} %, off by more than 5 % without a flag: {silent}"
-        )
-    return lines
-
-
 def score_table(scores: dict[tuple[str, str], Score], tests: list[str], confidence: float) -> Table:
     """Return one line an ablation: recall and false positives by test, best F1, time."""
     table = Table("step", *tests, "processor time", title="found / fruit, false positives; best F1")
@@ -323,10 +264,9 @@ def main() -> None:
                 score = scores.setdefault((line.name, scene.test), Score())
                 networks = single if line.single_size else shipped
                 score_scene(scene, line, networks, passes, score)
-        lengths = piece_lengths(paths.drawn, passes)
     kinds = list(dict.fromkeys(test for _, test in scores))
     console = Console(width=150, highlight=False)
-    console.print(score_table(scores, kinds, paths.confidence), *lengths, sep="\n")
+    console.print(score_table(scores, kinds, paths.confidence))
 
 
 if __name__ == "__main__":

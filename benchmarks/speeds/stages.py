@@ -26,7 +26,6 @@ STAGES = {
         "perception.fruit_look:PictureLooks.rescore",
         "perception.fruit_look:PictureLooks.refine",
     ),
-    "pieces by depth": ("perception.pieces:join_pieces_by_depth",),
     "each fruit once": ("perception.detectors:each_fruit_once",),
     "SAM's prompts and masks": ("perception.sam:Sam.segment",),
     "flower": ("instances.masks:without_flower",),

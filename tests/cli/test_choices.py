@@ -10,12 +10,8 @@ import typer
 from typer.testing import CliRunner
 
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.capture.source import example_captures
-from cucumbervision.cli import app
 from cucumbervision.cli.choices import loop_options, measure_options, takes
 from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.perception.runtime import runtime_for_batches
 from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -124,53 +120,3 @@ def test_the_number_of_processes_chooses_the_engine() -> None:
     alone, many = loop_options(workers=1), loop_options(workers=3)
     assert type(alone.engine) is not type(many.engine)
     assert loop_options().engine == alone.engine
-
-
-@pytest.mark.parametrize(
-    ("words", "begun"),
-    [
-        (["measure", "BARE", "--out", "NEW"], ("auto", True, 2)),
-        (["measure", "HOUSE", "--out", "NEW", "--runtime", "cuda-fast"], ("cuda", False, 2)),
-        (["measure", "MASKED", "--out", "NEW", "--instances", "models"], ("auto", True, 2)),
-        (["detect", "BARE", "--out", "NEW"], ("auto", True, 2)),
-        (["stream", "a.bag", "--fast"], ("auto", False, 1)),
-        (["stream", "camera", "--runtime", "fast"], ("auto", False, 2)),
-        (["measure", "MASKED", "--out", "NEW"], None),
-        (["measure", "MASKS", "--out", "NEW"], None),
-        (["measure", "BARE", "--out", "OLD"], None),
-        (["measure", "BARE", "--out", "NEW", "--workers", "2"], None),
-        (["measure", "BARE", "--out", "NEW", "--instances", "fruit.json"], None),
-        (["measure", "BARE", "--out", "NEW", "--pose", "pose.onnx"], None),
-        (["stream", "BARE", "--fast"], None),
-    ],
-)
-def test_networks_are_begun_where_they_are_sure_to_search(
-    words: list[str],
-    begun: tuple[str, bool, int] | None,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    places = {name: tmp_path / name for name in ("BARE", "HOUSE", "OLD", "NEW")}
-    for name in ("BARE", "HOUSE/a", "OLD"):
-        (tmp_path / name).mkdir(parents=True)
-    places |= {"MASKED": example_captures() / "simulated-row-a", "MASKS": example_captures()}
-    asked: list[tuple[str, bool, int]] = []
-
-    def begin(paths: list[Path], runtime: str, *, full_precision: bool) -> None:
-        asked.append((runtime, full_precision, len(paths)))
-
-    def measuring(*_: object, **__: object) -> None:
-        raise typer.Exit
-
-    monkeypatch.setattr("cucumbervision.perception.runtime.begin_networks", begin)
-    monkeypatch.setattr("cucumbervision.pipeline.options.MeasureOptions.__post_init__", measuring)
-    done = CliRunner().invoke(app.app, [str(places.get(word, word)) for word in words])
-    assert done.exit_code == 0, done.output
-    if begun is None:
-        assert asked == []
-        return
-    runtime, is_precise, most = begun
-    assert asked[0] == (runtime, is_precise, min(most, len(load_registry().searching)))
-    small = ("fruit", "look") if "--fast" in words else ("fruit", "ends", "look")
-    count = sum(load_registry().default(task) is not None for task in small)
-    assert asked[1:] == count * [(runtime_for_batches(runtime), True, 1)]

@@ -112,30 +112,11 @@ def test_a_registry_without_detector(tmp_path: Path) -> None:
         loader.detectors()
 
 
-def test_a_segmenter_that_was_begun_is_loaded_once_and_noted_when_it_is_asked_for() -> None:
-    loader = NetworkLoader(runtime="onnxruntime")
-    loader.preload_segmenter("mobile-sam")
-    loader.preload_segmenter("mobile-sam")
-    assert loader.models == []
-    segmenter = loader.segmenter("mobile-sam")
-    loader.preload_segmenter("mobile-sam")
-    assert loader.segmenter("mobile-sam") is segmenter
-    assert [model["name"] for model in loader.models] == ["mobile-sam"]
-
-
-def test_a_segmenter_that_could_not_be_begun_says_so_when_it_is_asked_for() -> None:
-    loader = NetworkLoader()
-    loader.preload_segmenter("no-such-sam")
-    for _ in range(2):
-        with pytest.raises(ModelError, match="no-such-sam"):
-            loader.segmenter("no-such-sam")
-
-
 def test_the_shipped_detector_runs_at_the_sizes_that_the_documentation_names() -> None:
     # An export without sizes once replaced it, and no test noticed.
     detector = NetworkLoader().yolo("cucumber-seg")
     assert detector.looks == len(DETECTOR_SIZES_PX) == 2
     page = Path(__file__).parents[2].joinpath("docs/models.md").read_text(encoding="utf-8")
     first, second = DETECTOR_SIZES_PX
-    assert f"on the picture at {first} pixels, and on its mirror image at {second} pixels" in page
+    assert f"The detector runs twice, at {first} and at {second} pixels." in page
     assert f"writes {first},{second} for a detector" in page

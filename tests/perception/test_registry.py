@@ -7,7 +7,6 @@ import pytest
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
 from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import (
-    Model,
     Registry,
     file_sha256,
     load_registry,
@@ -82,16 +81,6 @@ def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path)
     assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
     assert registry.state("inside") == "embedded"
     assert registry.size_bytes("inside") == 3
-
-
-def test_pictures_are_searched_by_detector_and_pose_network_or_the_look_in_its_place() -> None:
-    def tasks(*shipped: str) -> list[str]:
-        models = (Model(task, task, "", "", "", embedded=True) for task in shipped)
-        return [model.task for model in Registry(tuple(models), Path(), Path()).searching]
-
-    assert tasks("pose", "ends", "segment") == ["segment", "pose"]
-    assert tasks("segment", "pose", "fruit") == ["segment"]
-    assert tasks("ends") == []
 
 
 def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:

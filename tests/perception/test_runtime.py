@@ -4,7 +4,6 @@ import importlib.util
 import logging
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,7 @@ import pytest
 from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.network import Network
 from cucumbervision.perception.openvino_runtime import _openvino_core
-from cucumbervision.perception.runtime import (
-    _begun,
-    begin_networks,
-    open_network,
-    open_networks,
-)
+from cucumbervision.perception.runtime import open_network
 
 onnx = pytest.importorskip("onnx")
 
@@ -262,54 +256,6 @@ def test_two_threads_may_load_the_first_networks_of_a_process(tmp_path: Path) ->
         "print(len(list(ThreadPoolExecutor(4).map(load, range(4)))))\n"
     )
     assert printed_alone(code, tmp_path / "tiny.onnx", tmp_path) == "4"
-
-
-@pytest.mark.parametrize("runtime", ["auto", "onnxruntime"])
-def test_several_files_are_loaded_as_each_alone(runtime: str, tmp_path: Path) -> None:
-    files = [tmp_path / "a.onnx", tmp_path / "b.onnx"]
-    for file in files:
-        file.write_bytes(scaled_sum())
-    alone = open_network(files[0], runtime, verified=True)
-    for file, network in zip(files, open_networks(files, runtime), strict=True):
-        assert (network.source, network.runtime) == (str(file), alone.runtime)
-        assert (network.inputs, network.outputs) == (alone.inputs, alone.outputs)
-    files[1].write_bytes(b"no network")
-    with pytest.raises(ModelError, match=r"b\.onnx"):
-        open_networks(files, runtime)
-
-
-def test_networks_that_were_begun_are_taken_up_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, threads = tmp_path / "a.onnx", []
-    file.write_bytes(scaled_sum())
-
-    def opened(paths: list[Path], *_: object) -> list[Network]:
-        threads.append(threading.current_thread())
-        return [open_network(path, "onnxruntime") for path in paths]
-
-    monkeypatch.setattr("cucumbervision.perception.runtime._open_together", opened)
-    begin_networks([file])
-    for precise in (False, True, False):
-        (network,) = open_networks([file], full_precision=precise)
-        assert network.source == str(file)
-    assert [thread is threading.main_thread() for thread in threads] == [False, True, True]
-
-
-def test_a_network_that_was_begun_is_that_of_whoever_opens_it_alone(tmp_path: Path) -> None:
-    file = tmp_path / "a.onnx"
-    file.write_bytes(scaled_sum())
-    begin_networks([file], "onnxruntime", full_precision=True)
-    begun = _begun[((file,), "onnxruntime", True)]
-    assert open_network(file, "onnxruntime", full_precision=True) is begun.result()[0]
-    assert open_network(file, "onnxruntime", full_precision=True) is not begun.result()[0]
-
-
-def test_what_could_not_be_begun_is_said_where_it_is_asked_for(tmp_path: Path) -> None:
-    (tmp_path / "b.onnx").write_bytes(b"no network")
-    begin_networks([tmp_path / "b.onnx"], "onnxruntime")
-    with pytest.raises(ModelError, match=r"b\.onnx"):
-        open_networks([tmp_path / "b.onnx"], "onnxruntime")
 
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:

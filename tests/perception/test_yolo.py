@@ -155,17 +155,6 @@ def test_an_input_size_scales_the_picture_and_is_told() -> None:
     assert (large.box.tolist(), large.input_size_px) == ([3.5, 1.5, 19.5, 5.5], 128)
 
 
-def test_every_second_size_sees_the_mirror_image() -> None:
-    rows = chosen([8, 4, 40, 12, 0.8, 0])
-    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
-    both = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
-    # At 128 px the box is at 3.5 to 19.5 in the mirror image of a picture 64 px wide.
-    assert {one.input_size_px: one.box.tolist() for one in both} == {
-        64: [7.5, 3.5, 39.5, 11.5],
-        128: [43.5, 1.5, 59.5, 5.5],
-    }
-
-
 def test_a_file_says_at_which_sizes_it_is_run_where_nobody_asks() -> None:
     rows = chosen([8, 4, 40, 12, 0.8, 0])
     props = CUCUMBER | {"task": "detect", "end2end": True, SIZES_KEY: "128,64"}

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Collection, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
 import typer
 
 from cucumbervision.capture.conventions import DepthAlong, Stream
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
@@ -277,56 +275,6 @@ def takes(
         return run
 
     return decorate
-
-
-def begins_detection(is_sure: Callable[[Mapping[str, Any]], bool]) -> Callable[[Command], Command]:
-    """Return a decorator: the command's networks load in a thread while the rest is imported.
-
-    Parameters
-    ----------
-    is_sure : callable
-        Whether a command with these values, those of `measure_options` included, will search
-        pictures of a camera by the package's networks.
-    """
-
-    def decorate(command: Command) -> Command:
-        @functools.wraps(command)
-        def run(**values: Any) -> None:
-            by_networks = values["instances"] in ("auto", "models") and values["pose"] is None
-            if by_networks and is_sure(values):
-                begin_detection(values["runtime"], is_fast=values.get("fast", False))
-            command(**values)
-
-        return run
-
-    return decorate
-
-
-def begin_detection(runtime: str = "auto", *, is_fast: bool = False) -> None:
-    """Begin to load the package's networks in a thread, as a command's `--runtime` says.
-
-    Parameters
-    ----------
-    runtime : str
-        Value of the option.
-    is_fast : bool
-        Whether a stream is fast: in half precision.
-    """
-    from cucumbervision.perception.registry import load_registry
-    from cucumbervision.perception.runtime import begin_networks, runtime_for_batches
-
-    chosen = _FAST.get(runtime, runtime)
-    with suppress(CucumberVisionError):  # whoever asks for the networks raises it
-        registry = load_registry()
-        models = registry.searching[: 1 if is_fast else None]
-        begin_networks(
-            [registry.resolve(model.name)["network"] for model in models],
-            chosen,
-            full_precision=runtime not in _FAST and not is_fast,
-        )
-        for model in filter(None, map(registry.default, ("fruit", "look"))):
-            path = registry.resolve(model.name)["network"]
-            begin_networks([path], runtime_for_batches(chosen), full_precision=True)
 
 
 def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:

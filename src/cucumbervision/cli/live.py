@@ -18,15 +18,13 @@ from cucumbervision.cli.choices import (
     Quiet,
     Retries,
     Serial,
-    begins_detection,
     measure_options,
     takes,
 )
 from cucumbervision.errors import CameraError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from typing import Any
+    from collections.abc import Iterator
 
     from cucumbervision.capture.recorder import Recorded
     from cucumbervision.errors import CucumberVisionError
@@ -162,15 +160,6 @@ Frames = Annotated[
 ]
 
 
-def _is_camera(values: Mapping[str, Any]) -> bool:
-    """Return whether a stream's pictures come without masks."""
-    if values["instances"] == "models":
-        return True
-    source = str(values["source"])
-    return source == "camera" or source.endswith((".bag", ".db3"))
-
-
-@begins_detection(_is_camera)
 @takes("options", measure_options, {"depth", "burst"} | OF_CAMERA_FILE)
 def stream(
     source: Source,

@@ -7,22 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cucumbervision.capture.conventions import MASKS
 from cucumbervision.cli.choices import (
     OF_CAMERA_FILE,
     Quiet,
-    begin_detection,
-    begins_detection,
     loop_options,
     measure_options,
     takes,
 )
-from cucumbervision.urls import as_path, is_remote
+from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Any
-
     from cucumbervision.pipeline.batch import LoopOptions
     from cucumbervision.pipeline.options import MeasureOptions
 
@@ -48,25 +42,6 @@ Out = Annotated[
 ]
 
 
-def _needs_networks(values: Mapping[str, Any]) -> bool:
-    """Return whether this process will search: not its workers, nor a folder that may be done."""
-    by_workers = values["workers"] > 1 or bool(values["ray"])
-    if by_workers or is_remote(values["out"]) or values["out"].exists():
-        return False
-    return values["instances"] == "models" or not _shows_masks(values["inputs"][0])
-
-
-def _shows_masks(folder: Path) -> bool:
-    """Return whether a folder, or the first in it, has a data set's masks; true if not local."""
-    if is_remote(folder):
-        return True
-    if not folder.is_dir():
-        return False
-    inner = next((path for path in folder.iterdir() if path.is_dir()), folder)
-    return (folder / MASKS).is_dir() or (inner / MASKS).is_dir()
-
-
-@begins_detection(_needs_networks)
 @takes("options", measure_options)
 @takes("loop", loop_options)
 def measure(
@@ -114,7 +89,6 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Measure the bundled simulated captures, found by the package's own networks."""
-    begin_detection()
     from cucumbervision.capture.source import example_captures
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.pipeline.options import MeasureOptions
@@ -131,7 +105,6 @@ _MEASURING = {
 }
 
 
-@begins_detection(lambda _: True)
 @takes("options", measure_options, _MEASURING)
 def detect(
     inputs: Annotated[

@@ -2,8 +2,7 @@
 
 Masks identify three kinds of duplicates: two boxes of one fruit (the masks agree), a box within a
 box (one mask contains the other), and the parts of a fruit behind a leaf beside the whole (which
-contains each part). Boxes alone are not enough, since crossing fruit have nested boxes. Parts
-without the whole are joined by depth (`perception.pieces`).
+contains each part). Boxes alone are not enough, since crossing fruit have nested boxes.
 """
 
 from __future__ import annotations
@@ -197,41 +196,6 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
         keypoints=keypoints,
         mask_failure=instance.mask_failure if instance.mask_failure in MASK_FAILURES else "",
     )
-
-
-def mirrored(instance: Instance, width: int) -> Instance:
-    """Return an instance with left and right swapped, as in the mirror image of its picture.
-
-    Parameters
-    ----------
-    instance : Instance
-        With box, masks and keypoints of the picture.
-    width : int
-        Width of the picture, pixels.
-
-    Examples
-    --------
-    >>> mask = np.zeros((20, 60), bool)
-    >>> mask[5:15, 10:50] = True
-    >>> mirror = mirrored(Instance.of_mask(mask), 60)
-    >>> mirror.box.tolist(), mirror.mask[10].nonzero()[0][[0, -1]].tolist()
-    ([9.5, 4.5, 49.5, 14.5], [10, 49])
-    """
-    x1, y1, x2, y2 = instance.box
-    mask, detector_mask, points = instance.mask, instance.detector_mask, instance.keypoints
-    return replace(
-        instance,
-        box=np.array([width - 1 - x2, y1, width - 1 - x1, y2]),
-        mask=_flipped(mask),
-        detector_mask=_flipped(detector_mask),
-        keypoints=None if points is None else points * [-1, 1, 1] + [width - 1, 0, 0],
-    )
-
-
-def _flipped(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    import cv2
-
-    return None if mask is None else np.asarray(cv2.flip(mask.view(np.uint8), 1)).view(np.bool_)
 
 
 TRUSTED_SHARE = 0.5

@@ -11,7 +11,6 @@ from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import merge_instances, with_disjoint_masks, with_keypoints
 from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
 from cucumbervision.perception.input_sizes import SAME_IOU
-from cucumbervision.perception.pieces import join_pieces_by_depth
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -123,7 +122,7 @@ def each_fruit_once(
     posed : sequence of Instance, optional
         The pose network's detections; None without a pose network.
     depth_m : ndarray of float32, shape (H, W), optional
-        Metres, aligned to colour: joins the parts of a fruit.
+        Metres, aligned to colour: separates overlapping masks.
     confidence : float
         Threshold for a fruit after the vote; poses above it are matched first.
     looks : int
@@ -140,9 +139,6 @@ def each_fruit_once(
     voted = voted if posed is None else with_pose_votes(voted, posed, looks)
     voted = sorted(voted, key=lambda detection: -detection.confidence)
     fruit = merge_instances([detection for detection in voted if detection.confidence > confidence])
-    if depth_m is not None:
-        weak = [detection for detection in voted if detection.confidence <= confidence]
-        fruit = join_pieces_by_depth(fruit, weak, depth_m)
     return with_disjoint_masks(
         with_keypoints(fruit, merge_instances(posed or ()), sure=confidence), depth_m
     )

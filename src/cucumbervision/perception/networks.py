@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -18,19 +17,16 @@ from cucumbervision.perception.detectors import Detectors
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.fruit_look import FruitLooker
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
-from cucumbervision.perception.runtime import open_networks
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.protocols import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from cucumbervision.instances.end_crops import EndCrop, EndLook
-    from cucumbervision.perception.network import Network
 
 
 class NetworkSegmenter(Segmenter, Protocol):
@@ -159,10 +155,8 @@ class NetworkLoader:
         self._pose_confidence = pose_floor(confidence)
         self._small: dict[str, Any] = {}
         self._orders_ends = False
-        self._opened: dict[Path, Network] = {}
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
-        self._begun: dict[str | None, Future[NetworkSegmenter]] = {}
 
     def stem_looker(self) -> FruitLooker | None:
         """Return what tells the stem end, if a loaded network orders keypoints by place."""
@@ -213,9 +207,8 @@ class NetworkLoader:
             If a file is missing, damaged, or not a known kind of network.
         """
         path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
-        opened = self._opened.pop(path, None)
         network = YoloDetector(
-            opened or path,
+            path,
             self._runtime,
             self._confidence if confidence is None else confidence,
             full_precision=self._full_precision,
@@ -283,11 +276,6 @@ class NetworkLoader:
         by_look = looks and file is None and pose is None and self.registry.looks_closely
         votes_by_pose = file is None and pose_model is not None and not (by_look or quick)
         least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
-        if file is None:
-            models = self.registry.searching[: 1 if quick or pose is not None else None]
-            paths = [self.verify(model.name)["network"] for model in models]
-            networks = open_networks(paths, self._runtime, full_precision=self._full_precision)
-            self._opened = dict(zip(paths, networks, strict=True))
         chosen = segment_model.name if file is None and segment_model is not None else file or ""
         detector = self.yolo(chosen, least_confidence)
         if pose is None and votes_by_pose and pose_model is not None:
@@ -318,16 +306,6 @@ class NetworkLoader:
             )
         return self._small.get(task)
 
-    def preload_segmenter(self, name: str | None = None) -> None:
-        """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.
-
-        Runtimes compile mostly on one core, so another network can load meanwhile.
-        """
-        if name not in self._segmenters and name not in self._begun:
-            executor = ThreadPoolExecutor(1, thread_name_prefix="load segmenter")
-            self._begun[name] = executor.submit(self._open_segmenter, name)
-            executor.shutdown(wait=False)
-
     def segmenter(self, name: str | None = None) -> NetworkSegmenter:
         """Return a segmenter of the registry, or the default one, loaded once.
 
@@ -337,23 +315,19 @@ class NetworkLoader:
             If it is not on this machine, or a file is missing or damaged.
         """
         if name not in self._segmenters:
-            begun = self._begun.pop(name, None)
-            segmenter = self._open_segmenter(name) if begun is None else begun.result()
+            segmenter = open_segmenter(
+                name,
+                runtime=self._runtime,
+                prompt=self._prompt,
+                full_precision=self._full_precision,
+                registry=self.registry,
+            )
             model = self.registry.segmenter(name)
             registered, files = self.registry.hashes(model.name), self.verify(model.name)
             hashes = {role: registered[file.name] for role, file in files.items()}
             self._note(model.name, model.task, hashes, segmenter)
             self._segmenters[name] = segmenter
         return self._segmenters[name]
-
-    def _open_segmenter(self, name: str | None) -> NetworkSegmenter:
-        return open_segmenter(
-            name,
-            runtime=self._runtime,
-            prompt=self._prompt,
-            full_precision=self._full_precision,
-            registry=self.registry,
-        )
 
     def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:
         entry = {"name": name, "task": task, "sha256": sha256, "runtime": network.runtime}

@@ -149,12 +149,6 @@ class Registry:
         )
 
     @property
-    def searching(self) -> tuple[Model, ...]:
-        """The networks in use that see whole pictures: detector, and what gives its keypoints."""
-        tasks = ("segment",) if self.looks_closely else ("segment", "pose")
-        return tuple(model for model in map(self.default, tasks) if model is not None)
-
-    @property
     def looks_closely(self) -> bool:
         """Whether a network looks at each fruit alone, instead of a pose network at the picture.
 

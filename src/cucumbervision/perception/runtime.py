@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from collections.abc import Mapping
 from pathlib import Path
 
 from cucumbervision.errors import ModelError
@@ -65,22 +63,6 @@ def open_network(
     MissingExtraError
         If 'openvino' is asked for and not installed.
     """
-    begun = None
-    if not isinstance(path, bytes):
-        begun = _begun.pop(((Path(path),), runtime, full_precision), None)
-    if begun is not None:
-        return begun.result()[0]
-    return _open_alone(path, runtime, full_precision, name=name, verified=verified)
-
-
-def _open_alone(
-    path: Path | str | bytes,
-    runtime: str,
-    full_precision: bool,
-    *,
-    name: str = "",
-    verified: bool = False,
-) -> Network:
     source = (name or "network in memory") if isinstance(path, bytes) else str(path)
     if runtime not in RUNTIMES:
         raise ModelError(
@@ -134,60 +116,6 @@ def _open_alone(
 
 def _by_openvino(files: Mapping[str, Path | bytes], full_precision: bool) -> list[Network]:
     return open_with_openvino(files, full_precision=full_precision, threads=_most_threads)
-
-
-# Two: while a large network compiles, small ones are loaded in turn.
-_loading = ThreadPoolExecutor(2, thread_name_prefix="load networks")
-_begun: dict[tuple[tuple[Path, ...], str, bool], Future[list[Network]]] = {}
-
-
-def begin_networks(
-    paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
-) -> None:
-    """Begin in a thread what `open_networks` does, which then waits for it; so does `open_network`.
-
-    A runtime compiles without Python's lock, so that a program can import and read meanwhile.
-
-    Parameters
-    ----------
-    paths, runtime, full_precision
-        As in `open_networks`. What was begun is taken up once, and with the same values only.
-    """
-    _begun[(tuple(paths), runtime, full_precision)] = _loading.submit(
-        _open_together, paths, runtime, full_precision
-    )
-
-
-def open_networks(
-    paths: Sequence[Path], runtime: str = "auto", *, full_precision: bool = False
-) -> list[Network]:
-    """Load files whose hashes were verified, side by side where OpenVINO runs them.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files, no two of them the same.
-    runtime, full_precision
-        As in `open_network`, whose errors it raises.
-
-    Examples
-    --------
-    >>> from cucumbervision.perception.registry import load_registry
-    >>> names = ("cucumber-fruit", "cucumber-seg")
-    >>> files = [load_registry().resolve(name)["network"] for name in names]
-    >>> [network.inputs[0].name for network in open_networks(files)]
-    ['crops', 'images']
-    """
-    begun = _begun.pop((tuple(paths), runtime, full_precision), None)
-    return _open_together(paths, runtime, full_precision) if begun is None else begun.result()
-
-
-def _open_together(paths: Sequence[Path], runtime: str, full_precision: bool) -> list[Network]:
-    if runtime in ("auto", "openvino") and importlib.util.find_spec("openvino"):
-        # `open_network` takes another runtime, or says which file it is.
-        with suppress(ModelError):
-            return _by_openvino({str(path): path for path in paths}, full_precision)
-    return [_open_alone(path, runtime, full_precision, verified=True) for path in paths]
 
 
 def _inspected(network: bytes, source: str) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance, mirrored
+from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.perception.card import CardArray
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import (
@@ -133,7 +133,7 @@ class YoloDetector:
     def detect(
         self, color_rgb: NDArray[np.uint8], confidence: float | None = None
     ) -> tuple[Instance, ...]:
-        """Find fruit in one picture, at every input size; every second one sees the mirror image.
+        """Find fruit in one picture, at every input size.
 
         Parameters
         ----------
@@ -156,13 +156,7 @@ class YoloDetector:
         """
         confidence = self._confidence if confidence is None else confidence
         least_confidence = detector_floor(confidence, votes=len(self._sizes_px) > 1)
-        # Mistakes on a mirror image are independent, those at another size often are not.
-        by_size = [
-            self._detect_mirrored(color_rgb, size_px, least_confidence)
-            if number % 2
-            else self._detect_at(color_rgb, size_px, least_confidence)
-            for number, size_px in enumerate(self._sizes_px)
-        ]
+        by_size = [self._detect_at(color_rgb, size, least_confidence) for size in self._sizes_px]
         merged = merge_sizes(by_size)[: self._most_fruit]
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
         if not self._layout.by_place:
@@ -190,15 +184,6 @@ class YoloDetector:
                     source=layout.source,
                     remedy="choose another --input-size",
                 )
-
-    def _detect_mirrored(
-        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
-    ) -> tuple[Instance, ...]:
-        import cv2
-
-        flipped = np.asarray(cv2.flip(color_rgb, 1), np.uint8)  # a tenth of NumPy's time
-        detections = self._detect_at(flipped, size_px, confidence)
-        return tuple(mirrored(detection, color_rgb.shape[1]) for detection in detections)
 
     def _detect_at(
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float

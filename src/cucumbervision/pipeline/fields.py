@@ -90,7 +90,7 @@ class Column:
         return f"{self.name.removesuffix(self.unit)}{si}" if si else self.name
 
     @property
-    def python_type(self) -> type[str | int | float | bool]:
+    def python_type(self) -> Any:
         """The type of its cells in Python."""
         return _PYTHON[self.type]
 
@@ -155,14 +155,15 @@ class Field(Column):
             return None
         if self.name.endswith("_utc") and not isinstance(cell, str):
             return utc(cell)
-        return self.python_type(cell)
+        of_type: Cell = self.python_type(cell)
+        return of_type
 
     def stored(self, line: Any) -> Cell:
         """Return the cell of a store: in SI units, of the column's type."""
         value = self.value(line)
         if value is None or value != value:
             return None
-        cell = self.python_type(value)
+        cell: Cell = self.python_type(value)
         digits = _STORED_DIGITS if self._scale[0] else self.digits
         return round(cell, digits) if isinstance(cell, float) and digits is not None else cell
 

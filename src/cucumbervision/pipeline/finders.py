@@ -438,8 +438,6 @@ def _network_finder(
     file: Path | None = None,
     pose: YoloDetector | Path | None = None,
 ) -> Find:
-    if options.segmenter not in (None, "none"):  # used for every detection: load it in parallel
-        networks.preload_segmenter(options.segmenter)
     # The paper's M4 has the keypoints of a pose network.
     looks = options.selector is Selector.BEST
     detectors = networks.detectors(file, pose, quick=options.quick, looks=looks)

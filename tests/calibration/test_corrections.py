@@ -130,3 +130,9 @@ def test_the_interval_holds_on_new_fruit() -> None:
         hits += abs(truth[15] / length - 1) <= fit.half_width
     # ceil(0.9 x 16) = 15 of 15, so 15/16 = 93.75 % is what the theory promises; binomial sd 1.7 %.
     assert 0.90 <= hits / 200 <= 0.985
+
+
+def test_readings_that_fall_with_the_length_are_not_corrected() -> None:
+    fit = fit_correction(0.5 - TRUTH, TRUTH, NAMES)
+    assert (fit.form, fit.scale, fit.offset_m) == (Form.NONE, 1.0, 0.0)
+    assert fit.reason.endswith("it reads shorter, the longer the fruit is: no correction")

@@ -85,6 +85,24 @@ def test_a_capture_that_stays_broken_is_reported_once(capture: Capture, tmp_path
             camera.capture_burst()
 
 
+def test_a_copy_that_pauses_too_long_is_read_when_it_goes_on(
+    capture: Capture, tmp_path: Path
+) -> None:
+    ticks = itertools.count(0.0, 1.0)
+    camera = FolderCamera(
+        tmp_path, timeout_s=20, settle_s=3, clock=lambda: next(ticks), sleep=lambda _: None
+    )
+    with camera:
+        write_native(capture, tmp_path / "slow")
+        depth = tmp_path / "slow" / "depth_000000.png"
+        data = depth.read_bytes()
+        depth.write_bytes(data[:-9])
+        with pytest.raises(CaptureError, match="slow"):
+            camera.capture_burst()
+        depth.write_bytes(data)
+        assert (camera.capture_burst().depth_m == capture.depth_m).all()
+
+
 def test_a_folder_is_remembered_no_longer_than_its_captures(
     capture: Capture, tmp_path: Path
 ) -> None:

@@ -316,3 +316,11 @@ def test_an_outline_with_a_fifth_corner_is_an_outline(tmp_path: Path) -> None:
     outline = [2, 1, 12, 1, 13, 3, 12, 4, 2, 4]
     (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": [outline]})).instances
     assert fruit.mask is not None
+
+
+def test_names_of_a_mac_are_those_of_others(tmp_path: Path) -> None:
+    # A Mac writes u and a combining diaeresis, others the single letter.
+    mac, other = "su\u0308d/su\u0308d_1", "s\u00fcd/s\u00fcd_1"
+    for label, name in ((mac, other), (other, mac)):
+        path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, file_name=f"{label}.png")
+        assert len(get(path, name).instances) == 1

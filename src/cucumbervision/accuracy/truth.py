@@ -8,6 +8,7 @@ import io
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+from unicodedata import normalize
 
 import numpy as np
 
@@ -324,7 +325,7 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
     definition = LengthDefinition(kind)
     return TrueLength(
         line=line.number,
-        capture=cells["capture"],
+        capture=normalize("NFC", cells["capture"]),
         fruit=fruit,
         kind=definition,
         lengths_m=lengths,

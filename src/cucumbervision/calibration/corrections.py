@@ -136,6 +136,9 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
         else:
             reasons.append(f"{verdict}: no help")
     scale, offset = _fit(chosen, raw, truth, _weights(member))
+    if scale <= 0:
+        reasons.append("it reads shorter, the longer the fruit is: no correction")
+        chosen, scale, offset = Form.NONE, 1.0, 0.0
     predicted = held_out[chosen]
     relative, weights = predicted / truth - 1, _weights(member) / len(names)
     centred = relative - float(weights @ relative)

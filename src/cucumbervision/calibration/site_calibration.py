@@ -257,12 +257,12 @@ def _entry(
 
 
 def _interval(fit: Fit) -> IntervalEntry:
-    width = fit.half_width
+    width = fit.half_width if fit.half_width is not None and fit.half_width < 1 else None
     least_fruit = int(np.ceil(LEVEL / (1 - LEVEL) - 1e-9))
     if width is not None:
         reason = f"conformal on {fit.fruit} fruit, each left out of the fit in turn"
     elif fit.fruit < least_fruit:
         reason = f"{100 * LEVEL:g} % needs {least_fruit} fruit, there are {fit.fruit}"
     else:
-        reason = "a fruit left out of the fit came out negative"
+        reason = "a fruit left out of the fit is off by more than its length"
     return IntervalEntry(level=LEVEL, half_width=width, reason=reason)

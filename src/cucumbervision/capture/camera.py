@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, Self
@@ -99,8 +100,9 @@ class FolderCamera:
     """A camera that reads captures which another program writes to a folder.
 
     Captures that exist when it is opened are skipped unless `old` is set. A capture is returned as
-    soon as it can be read completely, or reported as an error after `settle_s`. What leaves the
-    folder is forgotten: another capture may come under its name.
+    soon as it can be read completely, or reported as an error when its files have not changed for
+    `settle_s`; if they change later, it is read again. What leaves the folder is forgotten: another
+    capture may come under its name.
 
     Parameters
     ----------
@@ -113,7 +115,7 @@ class FolderCamera:
     timeout_s : float
         Maximum time to wait for the next capture.
     settle_s : float
-        Maximum time to write a capture.
+        Maximum pause while a capture is written.
     clock, sleep : callable
         Monotonic clock in seconds, and a function that waits.
 
@@ -141,7 +143,8 @@ class FolderCamera:
         self._timeout_s, self._settle_s = timeout_s, settle_s
         self._clock, self._sleep = clock, sleep
         self._taken: dict[str, str] = {}  # by the name in the folder, as what it was given
-        self._since_s: dict[str, float] = {}
+        # Unreadable captures: their files as last seen, since when, infinity once reported.
+        self._unread: dict[str, tuple[object, float]] = {}
 
     def __enter__(self) -> Self:
         if not self._folder.is_dir():
@@ -150,7 +153,7 @@ class FolderCamera:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._since_s.clear()
+        self._unread.clear()
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
         """Return the next new capture, in order of names.
@@ -160,7 +163,7 @@ class FolderCamera:
         CameraError
             If no capture appears in time.
         CaptureError
-            If a capture remains unreadable; it is not tried again.
+            If a capture remains unreadable; it is tried again when its files change.
         """
         until_s = self._clock() + self._timeout_s
         while True:
@@ -189,24 +192,38 @@ class FolderCamera:
         except CucumberVisionError:
             return []  # still empty or incomplete, or out of reach for a moment
         there = {ref.name for ref in refs}
-        for kept in (self._taken, self._since_s):
+        for kept in (self._taken, self._unread):
             for name in kept.keys() - there:
                 del kept[name]
         return refs
 
     def _load(self, ref: CaptureRef) -> Capture | None:
         """Return a complete capture; None while it may still be being written."""
-        now_s = self._clock()
+        stamp, now_s = _stamp(ref), self._clock()
+        before, since_s = self._unread.get(ref.name, (None, now_s))
+        if stamp != before:
+            since_s = now_s
+        elif since_s == math.inf:
+            return None
         try:
             capture = ref.load()
         except CucumberVisionError:
-            if now_s - self._since_s.setdefault(ref.name, now_s) < self._settle_s:
-                return None
-            self._taken[ref.name] = ref.name.casefold()
-            raise
-        self._taken[ref.name] = ref.name.casefold()
-        self._since_s.pop(ref.name, None)
+            is_late = now_s - since_s >= self._settle_s
+            self._unread[ref.name] = stamp, math.inf if is_late else since_s
+            if is_late:
+                raise
+            return None
+        self._unread.pop(ref.name, None)
         return capture
+
+
+def _stamp(ref: CaptureRef) -> object:
+    """Return size and time of change of a capture's files, to be compared; None if unknown."""
+    try:
+        files = [part for part in (ref.parts() if ref.parts else ()) if not isinstance(part, bytes)]
+        return [(str(file), stat.st_size, stat.st_mtime) for file in files for stat in [file.stat()]]
+    except (CucumberVisionError, OSError):
+        return None
 
 
 _POLL_S = 0.1

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
-from unicodedata import category
+from unicodedata import category, normalize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -278,7 +278,7 @@ def safe_name(text: str) -> str:
     (200, False)
     """
     # Keep combining marks, which are vowels in Hindi.
-    letters = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
+    letters = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in normalize("NFC", text))
     name = no_device("".join(letters).strip(".") or "capture")
     if len(name.encode()) <= _LONGEST_NAME:
         return name

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
+from unicodedata import normalize
 from urllib.parse import unquote
 
 import numpy as np
@@ -170,6 +171,7 @@ class InstanceFile:
         ]
 
     def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
+        names = [normalize("NFC", name) for name in names]
         for short, called in self._by_name.items():
             # A capture's name may contain dots without having an extension.
             keys = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
@@ -177,7 +179,7 @@ class InstanceFile:
                 picture
                 for name in keys
                 for picture in called.get(name, ())
-                if short is str or _in_folder(picture.name, names)
+                if short is str or _in_folder(normalize("NFC", picture.name), names)
             ]
             if len(matches) == 1:
                 return matches[0]
@@ -200,7 +202,7 @@ class InstanceFile:
             called = shortened[short] = defaultdict(list)
             for picture in self.pictures:
                 if picture.name:
-                    called[short(picture.name)].append(picture)
+                    called[normalize("NFC", short(picture.name))].append(picture)
         return shortened
 
 

@@ -11,7 +11,7 @@ A package makes them known by entry points in its `pyproject.toml`:
     [project.entry-points."cucumbervision.traits"]
     mean_green = "plugins:MEAN_GREEN"
     [project.entry-points."cucumbervision.readers"]
-    stacked = "plugins:find_stacked"
+    tum = "plugins:find_tum"
 
 Then `cucumbervision measure captures --instances rt-detr --segmenter grabcut --out run` uses them.
 """
@@ -31,6 +31,8 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
+from cucumbervision.capture.pictures import read_color, read_depth
+from cucumbervision.errors import IntrinsicsError
 from cucumbervision.measurement.methods import Region, TableMethod
 from cucumbervision.measurement.result import Fruit, Reason
 
@@ -116,27 +118,27 @@ def _mean_green(capture: Capture, fruit: Fruit) -> float | None:
 MEAN_GREEN = TableTrait("mean_green", "", "mean of the green channel, 0 to 1", _mean_green)
 
 
-def find_stacked(folder: Folder, /) -> CaptureLister | None:
-    """Find files `NAME.stack.npy`: float32, shape (H, W, 4), red, green, blue 0 to 1, metres."""
-    places = []
+def find_tum(folder: Folder, /) -> CaptureLister | None:
+    """Find TUM sequences: `associations.txt` with time, colour, time, depth; a step is 1/5000 m."""
+    pairs = []
     for place, names in folder.files.items():
-        for name in [name for name in names if name.endswith(".stack.npy")]:
-            names.remove(name)
-            places.append(folder.path / place / name)
-    return partial(_list_stacked, places) if places else None
+        if "associations.txt" in names:
+            names.remove("associations.txt")
+            text = (folder.path / place / "associations.txt").read_text()
+            rows = [line.split() for line in text.splitlines() if not line.startswith("#")]
+            pairs += [[folder.path / place / row[k] for k in (1, 3)] for row in rows if row]
+    return partial(_list_tum, pairs) if pairs else None
 
 
-def _list_stacked(places: list[Path], options: ReadOptions, camera: Any) -> Iterator[Any]:
-    for path in places:
-        name = path.name.removesuffix(".stack.npy")
-        intrinsics = camera.intrinsics if camera else None
-        yield name, 0, partial(_load_stacked, path, intrinsics), path, None
+def _list_tum(pairs: list[list[Path]], options: ReadOptions, camera: Any) -> Iterator[Any]:
+    if camera is None:
+        raise IntrinsicsError("has none", source=pairs[0][0], remedy="give --intrinsics FILE")
+    unit_m = options.depth_unit_m or 1 / 5000
+    for number, (color, depth) in enumerate(pairs):
+        load = partial(_load_tum, color, depth, camera.intrinsics, unit_m)
+        yield color.stem, number, load, color, partial(list, (color, depth, camera.path))
 
 
-def _load_stacked(path: Path, intrinsics: Intrinsics | None, name: str) -> Capture:
-    stack = np.load(path)
-    color = np.rint(255 * stack[..., :3]).astype(np.uint8)
-    height, width = color.shape[:2]
-    centre_px = (width - 1) / 2, (height - 1) / 2
-    camera = intrinsics or Intrinsics(width, height, width, width, *centre_px)
-    return Capture(color, stack[..., 3].astype(np.float32), camera, name=name)
+def _load_tum(color: Path, depth: Path, camera: Intrinsics, unit_m: float, name: str) -> Capture:
+    steps = read_depth(depth)
+    return Capture.from_arrays(read_color(color), steps, camera, depth_unit_m=unit_m, name=name)

@@ -33,6 +33,7 @@ import numpy as np
 _COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
 _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # REP 118
 _LENSES = ("plumb_bob", "rational_polynomial")
+_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 _ASIDE_RAD = 0.26  # what a peduncle turns aside
 _TIMEOUT_S = 60.0
 
@@ -92,15 +93,18 @@ def ask(url: str, arrays: dict[str, np.ndarray], token: str = "") -> dict[str, A
     OSError, ValueError
         If it does not answer, refuses, or could not measure the frame.
     """
-    file, border = io.BytesIO(), secrets.token_hex(16)
-    np.savez(file, **arrays)
-    head = 'Content-Disposition: form-data; name="files"; filename="frame.npz"'
-    body = (
-        f"--{border}\r\n{head}\r\n\r\n".encode()
-        + file.getvalue()
-        + f"\r\n--{border}--\r\n".encode()
+    border, depth = secrets.token_hex(16), io.BytesIO()
+    np.save(depth, arrays["depth"])
+    files = {
+        "color_0.png": cv2.imencode(".png", arrays["color"][..., ::-1], _FAST)[1].tobytes(),
+        "depth_0.npy": depth.getvalue(),
+        "cam_K.json": json.dumps(arrays["matrix"].tolist()).encode(),
+    }
+    head = '--{}\r\nContent-Disposition: form-data; name="files"; filename="{}"\r\n\r\n'
+    body = b"".join(
+        head.format(border, name).encode() + data + b"\r\n" for name, data in files.items()
     )
-    request = urllib.request.Request(f"{url}/measure", body)
+    request = urllib.request.Request(f"{url}/measure", body + f"--{border}--\r\n".encode())
     request.add_header("Content-Type", f"multipart/form-data; boundary={border}")
     if token:
         request.add_header("Authorization", f"Bearer {token}")

@@ -44,7 +44,6 @@ _OWN: Mapping[Kind, Mapping[str, str]] = {
         "native": "cucumbervision.capture.readers.native:find_native",
         "bop": "cucumbervision.capture.readers.bop:find_scenes",
         "viewer": "cucumbervision.capture.readers.viewer:find_snapshots",
-        "set": "cucumbervision.capture.readers.labelled_set:find_sets",
         "pair": "cucumbervision.capture.readers.pair:find_pairs",
     },
     "traits": {

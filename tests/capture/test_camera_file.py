@@ -51,15 +51,12 @@ def without(*keys: str) -> dict[str, Any]:
             "height": 720,
             "matrix": [n for row in MATRIX for n in row],
         },
-        # BOP's own camera.json.
-        without("stream") | {"depth_scale": 0.1},
     ],
 )
 def test_the_forms_that_are_read(data: dict[str, Any], tmp_path: Path) -> None:
     calibration = read_camera_file(write(tmp_path, data))
     assert calibration.intrinsics == COLOR
-    # BOP's scale is in millimetres.
-    assert calibration.depth_unit_m == (0.0001 if "depth_scale" in data else None)
+    assert calibration.depth_unit_m is None
     assert calibration.depth_to_color is None
 
 

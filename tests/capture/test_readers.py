@@ -29,9 +29,10 @@ def test_what_holds_no_captures(tmp_path: Path) -> None:
 
 def test_a_folder_of_several_kinds_gives_all_of_them(tmp_path: Path, capture: Capture) -> None:
     write_native(capture, tmp_path / "a")
-    np.savez(tmp_path / "depth_1.npz", depth=capture.depth_m)
-    matrix = capture.intrinsics.matrix
-    np.savez(tmp_path / "whole.npz", color=capture.color, depth=capture.depth_m, matrix=matrix)
+    write_png(tmp_path / "color_1.png", capture.color)
+    np.save(tmp_path / "depth_1.npy", capture.depth_m)
+    camera = CameraModel.of(capture.intrinsics).model_dump_json()
+    (tmp_path / "intrinsics.json").write_text(camera)
     source = open_source(tmp_path)
     assert (source.kind, source.total) == ("native+pair", 2)
     for ref in source:

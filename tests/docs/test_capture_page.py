@@ -61,9 +61,7 @@ def made_samples(folder: Path) -> None:
     """Write a sample of each source under the name that the page's table gives it."""
     matrix = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
     (folder / "camera.json").write_text(json.dumps(CAMERA))
-    for name in ("scene/rgb", "scene/depth", "scene/mask_visib", "SET/images", "SET/depth"):
-        (folder / name).mkdir(parents=True)
-    for name in ("tum/rgb", "tum/depth"):
+    for name in ("scene/rgb", "scene/depth", "scene/mask_visib"):
         (folder / name).mkdir(parents=True)
     for name in ("pairs", "loose", "fine", "tables", "viewer"):
         (folder / name).mkdir()
@@ -72,7 +70,7 @@ def made_samples(folder: Path) -> None:
     depth_m = (DEPTH_MM / 1000).astype(np.float32)
     lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     write_native(Capture(COLOR, depth_m, lens, "one", masks=(mask,)), folder / "captures/one")
-    names = ("one", "scene_000000", "rgb_7", "rgb", "color_7", "1.10", "frame", "row3", "SET_7")
+    names = ("one", "scene_000000", "rgb_7", "rgb", "color_7", "row3")
     size = {"width": 64, "height": 48}
     coco = {
         "images": [{"id": k, "file_name": f"{n}.png", **size} for k, n in enumerate(names)],
@@ -89,9 +87,7 @@ def made_samples(folder: Path) -> None:
         "pairs/rgb_7.png": COLOR, "pairs/depth_7.png": DEPTH_MM,
         "loose/rgb_7.png": COLOR, "loose/depth_7.png": DEPTH_MM,
         "fine/rgb_7.png": COLOR, "fine/depth_7.png": 10 * DEPTH_MM,
-        "SET/images/7.png": COLOR, "SET/depth/7.png": DEPTH_MM,
         "tables/color_7.png": COLOR,
-        "tum/rgb/1.10.png": COLOR, "tum/depth/1.12.png": 5 * DEPTH_MM,
         "viewer/row3_Color.png": COLOR,
     }  # fmt: skip
     for name, picture in pictures.items():
@@ -101,14 +97,9 @@ def made_samples(folder: Path) -> None:
     for name in ("pairs", "fine", "tables"):
         (folder / name / "camera.json").write_text(json.dumps(CAMERA))
     np.savetxt(folder / "tables/depth_7.csv", DEPTH_MM, fmt="%d", delimiter=",")
-    (folder / "tum/associations.txt").write_text("1.10 rgb/1.10.png 1.12 depth/1.12.png\n")
-    (folder / "tum/cam_K.txt").write_text("60 0 32 0 60 24 0 0 1")
-    np.savez(folder / "frame.npz", color=COLOR, depth=DEPTH_MM, matrix=matrix)
     (folder / "viewer/row3_Depth.raw").write_bytes(DEPTH_MM.astype("<u2").tobytes())
     depth_camera = {key: CAMERA[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
     turn = {"rotation": np.eye(3).tolist(), "translation_m": [0.015, 0, 0]}
-    images = {"file_name": "images/7.png", "depth_file": "depth/7.png", "camera": CAMERA}
-    (folder / "SET/annotations.json").write_text(json.dumps({"images": [images]}))
     both = CAMERA | {"depth": depth_camera, "depth_to_color": turn}
     (folder / "both.json").write_text(json.dumps(both))
     said: dict[str, object] = {
@@ -144,4 +135,4 @@ def test_what_the_table_says_to_type_reads_a_sample(
 
 
 def test_the_table_has_a_row_a_source() -> None:
-    assert len(table_commands()) == 12
+    assert len(table_commands()) == 9

@@ -27,6 +27,8 @@ from cucumbervision import (
     open_source,
     plugins,
 )
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import PluginError
 from cucumbervision.instances.boxes import box_ious
 from cucumbervision.measurement.flags import Flag
@@ -47,7 +49,7 @@ M8 = cucumber_extras:nothing
 [cucumbervision.traits]
 mean_green = cucumber_extras:MEAN_GREEN
 [cucumbervision.readers]
-stacked = cucumber_extras:find_stacked
+tum = cucumber_extras:find_tum
 """
 
 
@@ -185,12 +187,16 @@ def test_the_command_uses_what_is_installed_and_says_so(
         "from cucumbervision.cli.app import main\n"
         "main()\n"
     )
-    folder = tmp_path / "stacks"
-    folder.mkdir()
-    stack = np.dstack([bench.color / 255, bench.depth_m]).astype(np.float32)
-    np.save(folder / "bench.stack.npy", stack)
+    folder = tmp_path / "sequence"
+    (folder / "rgb").mkdir(parents=True)
+    write_png(folder / "rgb" / "bench.png", bench.color)
+    write_png(folder / "1.02.png", np.rint(5000 * bench.depth_m).astype(np.uint16))
+    (folder / "associations.txt").write_text("# list\n1.0 rgb/bench.png 1.02 1.02.png\n")
+    camera = CameraModel.of(bench.intrinsics).model_dump_json()
+    (tmp_path / "camera.json").write_text(camera)
     out = tmp_path / "run"
-    arguments = ["measure", str(folder), "--instances", "rt-detr", "--segmenter", "grabcut"]
+    arguments = ["measure", str(folder), "--intrinsics", str(tmp_path / "camera.json")]
+    arguments += ["--instances", "rt-detr", "--segmenter", "grabcut"]
 
     def run() -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-c", code, *arguments, "--out", str(out)]

@@ -191,13 +191,15 @@ def reply(node: ModuleType) -> dict[str, Any]:
     capture = next(iter(open_source(example_captures() / "simulated-row-a"))).load()
     fruit = [Instance.of_mask(mask) for mask in capture.masks]
     work = Work(Measurer(plug_ins=PlugIns(detector=lambda _: fruit)), ServiceSettings())
-    sent: list[bytes] = []
+    sent: list[tuple[str, io.BytesIO]] = []
 
     def answer(request: Any, timeout: float) -> Any:
-        head, _, rest = request.data.partition(b"\r\n\r\n")
-        border = head.split(b"\r\n")[0]
-        sent.append(rest.partition(b"\r\n" + border)[0])
-        answered = work.measure([("frame.npz", io.BytesIO(sent[-1]))])
+        border = request.data.partition(b"\r\n")[0]
+        for part in request.data.split(border)[1:-1]:
+            head, _, rest = part.partition(b"\r\n\r\n")
+            name = head.rpartition(b'filename="')[2].rstrip(b'"').decode()
+            sent.append((name, io.BytesIO(rest.removesuffix(b"\r\n"))))
+        answered = work.measure(sent)
         return io.BytesIO(json.dumps(answered.model_dump(mode="json")).encode())
 
     arrays = {
@@ -257,7 +259,7 @@ def test_a_frame_that_fails_is_an_error(node: ModuleType, monkeypatch: pytest.Mo
     text = b'{"captures": [], "failures": [{"message": "no depth"}]}'
     monkeypatch.setattr(node.urllib.request, "urlopen", lambda *_, **__: io.BytesIO(text))
     with pytest.raises(ValueError, match="no depth"):
-        node.ask("http://127.0.0.1:8600", {"color": COLOR})
+        node.ask("http://127.0.0.1:8600", {"color": COLOR, "depth": DEPTH, "matrix": np.eye(3)})
 
 
 def test_the_newest_is_worked_on_and_older_ones_are_dropped(node: ModuleType) -> None:

@@ -52,18 +52,6 @@ def intrinsics_json() -> bytes:
 
 
 @pytest.fixture(scope="session")
-def frame_npz() -> bytes:
-    stream = io.BytesIO()
-    np.savez(
-        stream,
-        color=np.full((48, 64, 3), 90, np.uint8),
-        depth=np.full((48, 64), 450, np.uint16),
-        matrix=CAMERA.matrix,
-    )
-    return stream.getvalue()
-
-
-@pytest.fixture(scope="session")
 def native_zip(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Two native captures of one fruit each, in a folder, and a page about them."""
     folder = tmp_path_factory.mktemp("native")

@@ -12,7 +12,7 @@ import pytest
 from tests.intake.conftest import faults, send, zip_of
 
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError, UploadError
+from cucumbervision.errors import CaptureError, IntrinsicsError, UploadError
 from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 
@@ -117,23 +117,11 @@ def test_what_it_is_goes_by_the_bytes_and_not_by_the_ending(
     assert "empty" in faults(got)["empty.png"]
 
 
-def test_an_npz_is_a_capture_and_a_pickle_is_none(
-    tmp_path: Path, frame_npz: bytes, intrinsics_json: bytes
-) -> None:
-    color_png = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
-    plain = io.BytesIO()
-    np.save(plain, np.array([print], dtype=object))
-    got = send(
-        tmp_path,
-        walk__npz=frame_npz,
-        rgb_2__png=color_png,
-        depth_2__npy=plain.getvalue(),
-        intrinsics__json=intrinsics_json,
-    )
-    walk, pickled = got.sources[0].open()
-    assert walk.load().name == "walk"
-    with pytest.raises(DepthError, match=r"^depth_2\.npy: .*pickle"):
-        pickled.load()
+def test_an_npz_is_refused_and_not_unpacked(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    np.savez(stream, depth_1=np.zeros(3))
+    got = send(tmp_path, walk__npz=stream.getvalue())
+    assert "not a file type we can read" in faults(got)["walk.npz"]
 
 
 def test_a_bop_scene_is_read_with_its_masks(tmp_path: Path, depth_png: bytes) -> None:

@@ -73,12 +73,6 @@ def test_broken_zips(native_zip: bytes, damage: tuple[list[tuple[float, int]], f
 
 @FUZZ
 @given(damage=DAMAGE)
-def test_broken_arrays(frame_npz: bytes, damage: tuple[list[tuple[float, int]], float]) -> None:
-    receive("walk.npz", damaged(frame_npz, damage))
-
-
-@FUZZ
-@given(damage=DAMAGE)
 def test_broken_pictures(
     depth_png: bytes,
     color_jpg: bytes,

@@ -77,6 +77,8 @@ class CameraFile:
         The camera whose pixels both pictures have.
     is_sized : bool
         Whether the file contains the picture size.
+    rectified : Intrinsics, optional
+        Those of rectified pictures, where the file has them beside those of raw ones.
     """
 
     intrinsics: Intrinsics
@@ -87,6 +89,7 @@ class CameraFile:
     depth_along: DepthAlong | None = None
     aligned_to: Stream | None = None
     is_sized: bool = True
+    rectified: Intrinsics | None = None
 
 
 class StrictModel(BaseModel):
@@ -222,7 +225,7 @@ def _only(folder: Path, names: list[str], picture: str) -> Path | None:
 
 
 def _is_picture(name: str) -> bool:
-    return name.lower().endswith((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm", ".npz"))
+    return name.lower().endswith((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"))
 
 
 def _stem_words(name: str) -> tuple[str, ...]:
@@ -274,6 +277,7 @@ def read_camera_file(path: Path) -> CameraFile:
         sized = {"width", "height"} <= data.keys()
         if not sized:
             data |= {"width": max(1, round(2 * values[2])), "height": max(1, round(2 * values[3]))}
+    rectified = data.pop("rectified", None)
     model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
     with as_errors_of(path):
         return CameraFile(
@@ -287,6 +291,9 @@ def read_camera_file(path: Path) -> CameraFile:
             depth_along=model.depth_along,
             aligned_to=model.aligned_to,
             is_sized=sized,
+            rectified=None
+            if rectified is None
+            else Intrinsics.from_matrix(rectified, model.width, model.height, model.stream),
         )
 
 

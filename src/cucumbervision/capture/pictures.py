@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-import zipfile
 import zlib
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.lib import format as npy
@@ -23,15 +22,12 @@ if TYPE_CHECKING:
 
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"})
 PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
-DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".npz", ".csv"})
+DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".csv"})
 
 MOST_PIXELS = 64_000_000
 """Maximum size of a picture; OpenCV is configured to reject larger ones by their header."""
 MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
 """Maximum total size of the frames of a burst, and of the masks of a frame."""
-_MOST_ARRAYS, _MOST_ARRAY_BYTES = 16, 16 * MOST_PIXELS  # of an .npz
-_MOST_ITEM_BYTES = 1024  # of a word of 256 letters
-_TOO_LARGE = f"more than colour and depth of {MOST_PIXELS / 1e6:g} million pixels"
 
 _ROWS_AT_ONCE = 64  # blended in float32: all rows at once would take four times the memory
 _GREY = 114  # padding value of network inputs
@@ -144,7 +140,7 @@ def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """Read the raw values of a depth picture: PNG, TIFF, PGM, CSV, `.npy` or `.npz`.
+    """Read the raw values of a depth picture: PNG, TIFF, PGM, CSV or `.npy`.
 
     Returns
     -------
@@ -159,15 +155,15 @@ def read_depth(path: Path) -> NDArray[Any]:
         If the file contains no array, or Python objects, which are never loaded.
     """
     suffix = path.suffix.lower()
-    if suffix in {".npy", ".npz"}:
-        return read_arrays(path)["depth"]
+    if suffix == ".npy":
+        return read_array(path)
     if suffix == ".csv":
         return _read_table(path)
     if suffix not in DEPTH_SUFFIXES:
         raise CaptureError(
             f"'{suffix}' is not a depth picture",
             source=path,
-            remedy="give a 16-bit PNG, a TIFF, a PGM, .csv, .npy or .npz",
+            remedy="give a 16-bit PNG, a TIFF, a PGM, .csv or .npy",
         )
     import cv2
 
@@ -216,91 +212,26 @@ def _read_table(path: Path) -> NDArray[Any]:
     return table.astype(np.int32) if is_integer and np.abs(table).max(initial=0) < 2**31 else table
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read an `.npz`'s arrays, or an `.npy` as {'depth': array}; never Python objects.
+def read_array(path: Path) -> NDArray[Any]:
+    """Read an `.npy` file of numbers; never Python objects.
 
     Raises
     ------
     DepthError
-        If it holds Python objects (pickle) or more than pictures of `MOST_PIXELS` have, is no
-        NumPy file, or has no 'depth'.
+        If it is another file, or its items are no numbers.
     """
     data = read_bytes(path)
-    try:
-        if data.startswith(b"PK"):
-            _require_arrays(data)
-            arrays = dict(np.load(io.BytesIO(data), allow_pickle=False))
-        else:
-            check_array_head(io.BytesIO(data), len(data))
-            arrays = {"depth": np.load(io.BytesIO(data), allow_pickle=False)}
-    except MemoryError:
-        raise
-    except Exception as error:  # its parsers raise what they like, a tokenizer's errors too
-        # NumPy calls every file that it does not know a pickle; a real one begins with 0x80.
-        pickled = "Object arrays" in str(error) or data.startswith(b"\x80")
-        fault = "holds Python objects (pickle), which are never loaded" if pickled else ""
-        if isinstance(error, _TooLargeError):
-            fault = f"holds {error}"
-        raise DepthError(
-            fault or "is truncated or no NumPy file",
-            source=path,
-            remedy="save the array as uint16 or float32 with numpy.save",
-        ) from None
-    if "depth" not in arrays:
-        raise DepthError(
-            f"has no array 'depth', only {', '.join(sorted(arrays)) or 'nothing'}",
-            source=path,
-            remedy="save it with numpy.savez(file, depth=...)",
-        )
-    return arrays
-
-
-class _TooLargeError(ValueError):
-    """More than a picture has."""
-
-
-def _require_arrays(data: bytes) -> None:
-    """Reject arrays with implausible sizes in their header, because memory is allocated from it."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        if len(members) > _MOST_ARRAYS:
-            raise _TooLargeError(f"more than {_MOST_ARRAYS} arrays")
-        if sum(member.file_size for member in members) > _MOST_ARRAY_BYTES:
-            raise _TooLargeError(_TOO_LARGE)
-        for member in members:
-            if not member.filename.endswith(".npy"):
-                raise _TooLargeError("something other than arrays")
-            with archive.open(member) as stream:
-                check_array_head(stream, member.file_size)
-
-
-def check_array_head(stream: IO[bytes], size: int) -> None:
-    """Check an array by its head, before NumPy allocates what that says.
-
-    Parameters
-    ----------
-    stream : binary file
-        At the beginning of the array's file.
-    size : int
-        The file's bytes.
-
-    Raises
-    ------
-    ValueError
-        If the array is longer than the file, larger than pictures are, or of items that are no
-        numbers or words: an array of no items may still say that each has gigabytes.
-    """
-    version = npy.read_magic(stream)
-    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, _, dtype = read(stream, max_header_size=4000)
-    if dtype.itemsize > _MOST_ITEM_BYTES or dtype.names or dtype.subdtype:
-        raise _TooLargeError(f"an array of {dtype.itemsize} bytes an item, which is no number")
-    # Arrays of Python objects have no fixed size; they are rejected when they are read.
-    room = math.prod(shape) * dtype.itemsize
-    if not dtype.hasobject and stream.tell() + room > size:
-        raise ValueError("the array is longer than the file")
-    if max(room, size) > _MOST_ARRAY_BYTES:
-        raise _TooLargeError(_TOO_LARGE)
+    remedy = "save the array as uint16 or float32 with numpy.save"
+    with wrap_reader_errors(path, DepthError, remedy):
+        stream = io.BytesIO(data)
+        is_first = npy.read_magic(stream) == (1, 0)
+        read_head = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
+        shape, is_by_columns, dtype = read_head(stream, max_header_size=4000)
+        if dtype.kind not in "biuf":
+            raise DepthError("holds no numbers", source=path, remedy=remedy)
+        # Unlike numpy.load it takes no memory for what the head promises and the file lacks.
+        flat = np.frombuffer(data, dtype, math.prod(shape), stream.tell())
+        return flat.reshape(shape, order="F" if is_by_columns else "C")
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:

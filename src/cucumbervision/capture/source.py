@@ -183,7 +183,7 @@ class CaptureSource:
     path : Path
         Path given by the user.
     kind : str
-        Format: 'native', 'bop', 'viewer', 'set', 'pair' or 'recording'.
+        Format: 'native', 'bop', 'viewer', 'pair' or 'recording'.
     refs : callable
         Returns an iterator over the captures.
     total : int, optional
@@ -224,7 +224,7 @@ class CaptureSource:
 
         Examples
         --------
-        >>> parts = [("a b", 1, print, "a b.npz", None), ("A_b", 2, print, "A_b.npz", None)]
+        >>> parts = [("a b", 1, print, "a b.png", None), ("A_b", 2, print, "A_b.png", None)]
         >>> [ref.name for ref in CaptureSource.listed("here", "native", parts)]
         ['a_b', 'A_b-2']
         """

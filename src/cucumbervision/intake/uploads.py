@@ -45,9 +45,7 @@ LOOSE = "upload"
 _CHUNK = 1 << 20
 _TEXTS = frozenset({".json", ".txt", ".yaml", ".yml", ".xml"})
 _PICTURES = (COLOR_SUFFIXES | DEPTH_SUFFIXES) - {".csv"}
-_REMEDY = (
-    "pack capture folders, BOP scenes, .npz files, or colour and depth pictures with matching names"
-)
+_REMEDY = "pack capture folders, BOP scenes, or colour and depth pictures with matching names"
 
 
 @dataclass(frozen=True)
@@ -338,5 +336,5 @@ def _left_alone(file_title: str, suffix: str) -> CaptureError:
     return UploadError(
         "is not a file type we can read",
         source=file_title,
-        remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, JSON, or a zip of them",
+        remedy="send PNG, JPEG or TIFF pictures, .npy, JSON, or a zip of them",
     )

@@ -141,7 +141,7 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
 
     @routes.post("/measure", response_model=MeasureReply, **secured)
     def measure(request: Request, files: Files) -> MeasureReply:
-        """Measure every fruit of every capture: zipped capture folders, pairs, .npz."""
+        """Measure every fruit of every capture: zipped capture folders, pairs."""
         reply = work.measure(_streams(files), _has_left(request))
         metrics.results.labels("captures").inc(len(reply.captures))
         metrics.results.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))

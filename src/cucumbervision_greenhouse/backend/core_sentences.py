@@ -148,7 +148,7 @@ _COUNT = "{n} fruit"  # the only one with a plural
 SENTENCES = (
     # Files and folders that were sent.
     marked("is not a file type we can read"),
-    marked("send PNG, JPEG or TIFF pictures, .npy or .npz, JSON, or a zip of them"),
+    marked("send PNG, JPEG or TIFF pictures, .npy, JSON, or a zip of them"),
     marked("has no matching picture: a capture is a colour and a depth picture"),
     marked("send both, named alike but for the words color and depth, and an intrinsics.json"),
     marked("has no colour picture of a matching name"),
@@ -163,12 +163,12 @@ SENTENCES = (
     ),
     marked("holds no captures that can be recognised, but {kinds}"),
     marked(
-        "pack capture folders, BOP scenes, .npz files, or colour and depth pictures with "
+        "pack capture folders, BOP scenes, or colour and depth pictures with "
         "matching names"
     ),
     marked(
         "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth "
-        "pictures named alike but for the words color and depth, .npz files or a .bag or .db3"
+        "pictures named alike but for the words color and depth, or a .bag or .db3"
         " recording"
     ),
     marked("the file is empty"),
@@ -314,7 +314,6 @@ SENTENCES = (
     marked("give k1, k2, p1, p2, k3 of this camera"),
     marked("{names} hold different cameras, and no name tells which is {picture}'s"),
     marked("begin its name as the pictures' (cam1_intrinsics.json), or send one camera file alone"),
-    marked("holds several cameras, and nothing tells which is the colour camera"),
     marked("keep its block alone"),
     marked("has another camera model than pinhole with radtan"),
     marked("rectify the pictures, or calibrate with these"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.readers.native import MANIFEST
-from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file
+from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file, tum_lists
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.source import (
     CaptureRef,
@@ -45,8 +45,9 @@ RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
 _REMEDY = (
     "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
-    "named alike but for the words color and depth, .npz files or a .bag or .db3 recording"
+    "named alike but for the words color and depth, or a .bag or .db3 recording"
 )
+_PLUG_IN = "convert it, or plug in a reader, as examples/plugins.py does for TUM sequences"
 
 
 def open_source(
@@ -58,8 +59,8 @@ def open_source(
     ----------
     path : Path or str
         A path, or a URL that `urls.as_path` knows: a folder in which a reader
-        finds captures, one colour picture with `options.depth`, an `.npz` with colour and depth,
-        or, on this machine, a `.bag` or `.db3` recording.
+        finds captures, one colour picture with `options.depth`, or, on this machine, a `.bag` or
+        `.db3` recording.
     options : ReadOptions, optional
         Intrinsics, depth picture, depth unit and burst length.
     readers : sequence of Reader
@@ -107,6 +108,8 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
         return open_recording(path, options)
     if path.name == MANIFEST and path.is_file():
         path = path.parent
+    if path.suffix.lower() == ".npz":
+        raise _no_longer_read("an .npz file", path)
     # On a web server, the listing of a folder is also a file.
     if path.is_file() and (path.suffix or not is_remote(path)):
         return open_pair_file(path, options)
@@ -117,6 +120,13 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
     folder = list_folder(path)
     kinds = folder.kinds()
     openers = find_captures(folder, readers)
+    folder.faults += [
+        _no_longer_read("a TUM sequence", path / place / name)
+        for place, name in tum_lists(folder).items()
+    ]
+    arrays = [name for name in folder if name.lower().endswith(".npz")]
+    if arrays and not openers:
+        folder.faults.append(_no_longer_read(f"{len(arrays)} .npz files", path))
     if not openers and not folder.faults:
         raise CaptureError(
             f"holds no captures that can be recognised, but {kinds}", source=path, remedy=_REMEDY
@@ -134,6 +144,10 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
     parts += [(Path(f.source).name, -1, partial(fail, f), Path(f.source), None) for f in faults]
     unused = tuple(name for name in folder if is_half_a_pair(name))
     return replace(CaptureSource.listed(path, "+".join(openers), parts), unused=unused)
+
+
+def _no_longer_read(what: str, source: Path) -> CaptureError:
+    return CaptureError(f"{what}: not read any more", source=source, remedy=_PLUG_IN)
 
 
 def find_captures(folder: Folder, readers: Sequence[Reader] = ()) -> dict[str, CaptureLister]:

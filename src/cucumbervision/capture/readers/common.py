@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
     from cucumbervision.capture.source import ReadOptions
 
+_RECTIFIED, _RAW = (
+    re.compile(rf"(?<![a-z]){word}(?![a-z])", re.IGNORECASE) for word in ("rect(ified)?", "raw")
+)
+_SAME_FOCAL = 0.005
 _SAME_VIEW = 0.01  # most by which the factors of width and height differ
 _MIDDLE = 0.4  # minimum relative position of the principal point of a matrix without a size
 
@@ -57,6 +62,8 @@ def choose_intrinsics(
         camera = camera_file.intrinsics
         if aligned_to is Stream.DEPTH:
             camera = replace(camera_file.depth or camera, stream=Stream.COLOR)
+        if camera_file.rectified is not None:
+            camera = _of_raw_or_rectified(camera_file, camera_file.rectified, source)
         if not camera_file.is_sized:
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
@@ -73,6 +80,24 @@ def choose_intrinsics(
     if frame_intrinsics is not None:
         return check_intrinsics(frame_intrinsics, width, height, source=source)
     raise no_intrinsics(source)
+
+
+def _of_raw_or_rectified(
+    camera_file: CameraFile, rectified: Intrinsics, source: object
+) -> Intrinsics:
+    """Return the intrinsics of the pictures, which are rectified or raw by their names."""
+    raw = camera_file.intrinsics
+    name = f"{source} {camera_file.path.name}"
+    if _RECTIFIED.search(name):
+        return rectified
+    if abs(rectified.fx_px / raw.fx_px - 1) > _SAME_FOCAL and not _RAW.search(name):
+        raise IntrinsicsError(
+            f"P has fx {rectified.fx_px:g} px for rectified pictures, K {raw.fx_px:g} px for raw "
+            "ones, and no name tells which these are",
+            source=camera_file.path,
+            remedy="put 'rect' or 'raw' into the name of the pictures or of this file",
+        )
+    return raw
 
 
 def no_intrinsics(source: object) -> CaptureError:

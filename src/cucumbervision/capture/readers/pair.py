@@ -1,29 +1,24 @@
-"""Read colour and depth pictures with matching names, and `.npz` files with both."""
+"""Read colour and depth pictures with matching names."""
 
 from __future__ import annotations
 
 import re
-import zipfile
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 from unicodedata import normalize
 
-import numpy as np
-
 from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import (
     COLOR_SUFFIXES,
     DEPTH_SUFFIXES,
-    read_arrays,
     read_color,
     read_depth,
 )
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
-from cucumbervision.capture.source import CaptureSource, fail
-from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
-from cucumbervision.files import read_head, read_text
+from cucumbervision.capture.source import CaptureSource
+from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.files import read_head
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,18 +28,14 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
-_LISTS = frozenset({"associations.txt", "associated.txt", "associate.txt", "assoc.txt"})
-_TIMES = ("rgb.txt", "depth.txt")
-_LENS = re.compile(r"dist(ort|_?coef|$)|coef|lens", re.IGNORECASE)  # names of arrays in an `.npz`
-_UNIT = re.compile(r"depth_?(scale|unit)", re.IGNORECASE)
-_TUM_STEP_M = 1 / 5000
-_TUM_APART_S = 0.02  # most between a colour picture and its depth
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
+# Lists of a TUM sequence: its depth has steps of 1/5000 m, or others, which no file says.
+_TUM_LIST = re.compile(r"assoc(iat(e|ed|ions))?\.txt|rgb\.txt", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Files of one frame; None for a missing file, the same `.npz` for both if it contains both.
+    """Files of one frame; None for a missing file.
 
     Parameters
     ----------
@@ -52,8 +43,6 @@ class Pair:
         The pictures.
     camera : Path, optional
         Nearest intrinsics file, in the folder of the colour picture or above.
-    unit_m : float, optional
-        Metres per depth step, if defined by the format.
     fault : CaptureError, optional
         Why no intrinsics file can be chosen.
     """
@@ -61,31 +50,30 @@ class Pair:
     color: Path | None
     depth: Path | None
     camera: Path | None = None
-    unit_m: float | None = None
     fault: CaptureError | None = None
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether one file contains both."""
-        return self.color is not None and self.color == self.depth
 
 
 def find_pairs(folder: Folder) -> CaptureLister | None:
     """Find the frames of `match_pairs`, and mark their files as used."""
-    try:
-        pairs = _associated(folder)
-    except CaptureError as error:
-        folder.faults.append(error)
-        pairs = []
-    pairs = pairs or match_pairs(folder)
+    pairs = match_pairs(folder)
     taken = {file for pair in pairs for file in (pair.color, pair.depth)}
     for folder_path, names in folder.files.items():
         names[:] = [name for name in names if folder.path / folder_path / name not in taken]
     return partial(_open_pairs, folder.path, pairs) if pairs else None
 
 
+def tum_lists(folder: Folder) -> dict[str, str]:
+    """Return the lists of TUM sequences by folder; pictures below them are no pairs."""
+    return {
+        folder_path: name
+        for folder_path, names in folder.files.items()
+        for name in names
+        if _TUM_LIST.fullmatch(name)
+    }
+
+
 def match_pairs(folder: Folder) -> list[Pair]:
-    """Pair the pictures of a folder by name, and add `.npz` files with colour and depth.
+    """Pair the pictures of a folder by name.
 
     Names match if they are equal except for the words 'color', 'colour', 'rgb' and 'depth':
     `rgb_7.png` and `depth_7.png`, `color/7.jpg` and `depth/7.npy`, `7_color_depth.npy` and
@@ -94,73 +82,20 @@ def match_pairs(folder: Folder) -> list[Pair]:
     complete pair, the result is empty.
     """
     colors, depths = _by_role(folder)
-    shared = colors.keys() & depths.keys()
-    used = {depths[key] for key in shared}
-    arrays = [n for n in folder if n.lower().endswith(".npz") and n not in used]
-    color_arrays = [name for name in arrays if _holds_color(folder.path / name)]
-    named: list[tuple[str | None, str | None]] = [(name, name) for name in color_arrays]
-    for key in sorted(colors.keys() | depths.keys()) if shared else ():
-        color, depth = colors.get(key), depths.get(key)
-        if depth not in color_arrays and (color or not _is_8_bit_png(folder.path / str(depth))):
-            named.append((color, depth))
     pairs = []
-    for color, depth in named:
-        folder_path, _, picture = str(color or depth).rpartition("/")
-        pictures = [None if name is None else folder.path / name for name in (color, depth)]
-        pairs.append(_pair(folder, folder_path, picture, pictures))
-    return pairs
-
-
-def _pair(folder: Folder, folder_path: str, picture: str, files: Sequence[Path | None]) -> Pair:
-    try:
-        return Pair(files[0], files[1], camera_file_near(folder, folder_path, picture))
-    except IntrinsicsError as error:
-        return Pair(files[0], files[1], fault=error)
-
-
-def _associated(folder: Folder) -> list[Pair]:
-    """Return the pairs of a TUM sequence.
-
-    Pairs come from the association file (time, colour, time, depth), or without one from the times
-    in both lists.
-    """
-    names, pairs = {*folder}, []
-    for folder_path, file_names in folder.files.items():
-        lists = [
-            _rows(folder.path / folder_path / name, 4)
-            for name in file_names
-            if name.lower() in _LISTS
+    for key in sorted(colors.keys() | depths.keys()) if colors.keys() & depths.keys() else ():
+        files = [
+            None if name is None else folder.path / name
+            for name in (colors.get(key), depths.get(key))
         ]
-        if not lists and {*_TIMES} <= {*file_names}:
-            lists = [
-                _nearest_in_time(*(_rows(folder.path / folder_path / name, 2) for name in _TIMES))
-            ]
-        camera = camera_file_near(folder, folder_path) if lists else None
-        for words in (row for rows in lists for row in rows):
-            files = [f"{folder_path}/{word}".lstrip("/") for word in words[1::2]]
-            if {*files} <= names:
-                color, depth = sorted(files, key=lambda f: bool(_DEPTH_WORD.search(f)))
-                pairs.append(Pair(folder.path / color, folder.path / depth, camera, _TUM_STEP_M))
+        if files[0] is None and _is_8_bit_png(folder.path / depths[key]):
+            continue
+        folder_path, _, picture = colors.get(key, depths.get(key, "")).rpartition("/")
+        try:
+            pairs.append(Pair(files[0], files[1], camera_file_near(folder, folder_path, picture)))
+        except IntrinsicsError as error:
+            pairs.append(Pair(files[0], files[1], fault=error))
     return pairs
-
-
-def _rows(path: Path, words: int) -> list[list[str]]:
-    # A line that begins with # is a comment.
-    rows = [line.split() for line in read_text(path).splitlines() if not line.startswith("#")]
-    return [row for row in rows if len(row) == words]
-
-
-def _nearest_in_time(colors: list[list[str]], depths: list[list[str]]) -> list[list[str]]:
-    """Return each colour picture's row with that of the depth picture nearest in time."""
-    from scipy.spatial import cKDTree
-
-    try:
-        at_s, depth_s = (np.array([[float(r[0])] for r in rows]) for rows in (colors, depths))
-        nearest = cKDTree(depth_s).query(at_s, distance_upper_bound=_TUM_APART_S)[1]
-    except ValueError:  # no times, or none that are finite
-        return []
-    pairs = zip(colors, np.asarray(nearest).tolist(), strict=True)
-    return [[*color, *depths[k]] for color, k in pairs if k < len(depths)]
 
 
 def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
@@ -172,7 +107,8 @@ def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
     colors: dict[str, str] = {}
     depths: dict[str, str] = {}
     plain: dict[str, str] = {}
-    for name in sorted(folder):
+    sequences = tuple(f"{place}/".lstrip("/") for place in tum_lists(folder))
+    for name in sorted(name for name in folder if not name.startswith(sequences)):
         role, key = _pair_role(name)
         if role == "depth" and (key not in depths or _is_8_bit_png(folder.path / depths[key])):
             depths[key] = name
@@ -248,85 +184,44 @@ def is_half_a_pair(name: str) -> bool:
 
 def _is_8_bit_png(path: Path) -> bool:
     """Return whether a file is an 8-bit PNG, which is a visualisation of depth."""
-    head = _head(path, 25)
-    return head.startswith(b"\x89PNG") and head[-1] == 8
-
-
-def _head(path: Path, size: int) -> bytes:
     try:
-        return read_head(path, size)
+        head = read_head(path, 25)
     except CaptureError:  # reported when the file is read
-        return b""
-
-
-def _holds_color(path: Path) -> bool:
-    """Return whether an `.npz` has an array 'color'; damaged files are reported when read."""
-    if _head(path, 2) != b"PK":
-        return True
-    try:
-        with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
-            return "color.npy" in archive.namelist()
-    except Exception:  # zipfile can raise any exception
-        return True
+        return False
+    return head.startswith(b"\x89PNG") and head[-1] == 8
 
 
 def _open_pairs(
     path: Path, pairs: Sequence[Pair], options: ReadOptions, camera_file: CameraFile | None
 ) -> Iterator[CaptureEntry]:
-    cameras_by_path: dict[Path | None, CameraFile | CaptureError | None] = {None: camera_file}
-    for file in {pair.camera for pair in pairs if pair.camera}:
+    cameras: dict[Path | None, CameraFile | CaptureError] = {None: no_intrinsics(path)}
+    for file in {pair.camera for pair in pairs if pair.camera and not camera_file}:
         try:
-            cameras_by_path[file] = camera_file or read_camera_file(file)
+            cameras[file] = read_camera_file(file)
         except CaptureError as error:
-            cameras_by_path[file] = error
-    cameras = [(camera_file or pair.fault or cameras_by_path[pair.camera]) for pair in pairs]
-    if not any(isinstance(camera, CameraFile) for camera in cameras) and not any(
-        p.is_whole for p in pairs
-    ):
-        raise next(
-            (camera for camera in cameras if isinstance(camera, CaptureError)), no_intrinsics(path)
-        )
-    for frame, (pair, camera) in enumerate(zip(pairs, cameras, strict=True)):
+            cameras[file] = error
+    chosen = [camera_file or pair.fault or cameras[pair.camera] for pair in pairs]
+    if not any(isinstance(camera, CameraFile) for camera in chosen):
+        raise next(camera for camera in chosen if isinstance(camera, CaptureError))
+    for frame, (pair, camera) in enumerate(zip(pairs, chosen, strict=True)):
         picture = pair.color or pair.depth or path
-        load: Callable[[str], Capture]
-        if isinstance(camera, CaptureError):
-            yield picture.stem, frame, partial(fail, camera), picture, partial(_files, pair, None)
-            continue
-        if pair.is_whole:
-            load = partial(_load_npz, picture, camera, options)
-        else:
-            load = partial(_load_pair, pair, frame, camera, options)
-        yield picture.stem, frame, load, picture, partial(_files, pair, camera)
-
-
-def _files(pair: Pair, camera_file: CameraFile | None) -> list[Path]:
-    return [
-        *dict.fromkeys(f for f in (pair.color, pair.depth, camera_file and camera_file.path) if f)
-    ]
+        load: Callable[[str], Capture] = partial(_load, pair, frame, camera, options)
+        files = [pair.color, pair.depth, getattr(camera, "path", None)]
+        yield picture.stem, frame, load, picture, partial(list, filter(None, files))
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open a colour picture with `options.depth`, or an `.npz` with both.
-
-    Parameters
-    ----------
-    path : Path
-        The colour picture, or an `.npz` with `color` uint8 (H, W, 3) RGB, `depth` (H, W) aligned
-        to it and, unless `options` names intrinsics, `matrix`: the colour camera's 3x3 matrix in
-        pixels. An array `stream` may say 'color'.
-    options : ReadOptions
-        The depth picture, intrinsics and depth unit.
+    """Open a colour picture with `options.depth`.
 
     Raises
     ------
     CaptureError
-        If the file is neither.
+        If the file is no picture.
     IntrinsicsError
         If the intrinsics are missing or invalid.
     """
     suffix = path.suffix.lower()
-    is_array = suffix == ".npz" and options.depth is None
-    if not is_array and (suffix not in COLOR_SUFFIXES or options.depth is None):
+    if suffix not in COLOR_SUFFIXES or options.depth is None:
         raise CaptureError(
             "a colour picture alone has no distances"
             if suffix in COLOR_SUFFIXES
@@ -335,12 +230,12 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
             remedy="name a colour picture with its depth picture, or a capture folder",
         )
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
-    pair = Pair(path, path if is_array else options.depth)
-    return CaptureSource.listed(path, "pair", _open_pairs(path, [pair], options, camera_file))
+    pairs = [Pair(path, options.depth)]
+    return CaptureSource.listed(path, "pair", _open_pairs(path, pairs, options, camera_file))
 
 
-def _load_pair(
-    pair: Pair, frame: int, camera_file: CameraFile | None, options: ReadOptions, name: str
+def _load(
+    pair: Pair, frame: int, camera: CameraFile | CaptureError, options: ReadOptions, name: str
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
@@ -348,14 +243,14 @@ def _load_pair(
             source=pair.color or pair.depth,
             remedy="put it beside this one",
         )
-    if camera_file is None:
-        raise no_intrinsics(pair.color)
+    if isinstance(camera, CaptureError):
+        raise camera
     return frame_capture(
         read_color(pair.color),
         partial(read_depth, pair.depth),
         None,
-        camera_file,
-        options.depth_unit_m or camera_file.depth_unit_m or pair.unit_m,
+        camera,
+        options.depth_unit_m,
         options,
         source=pair.color,
         depth_source=pair.depth,
@@ -364,59 +259,6 @@ def _load_pair(
         provenance={
             "reader": "pair",
             "depth": str(pair.depth),
-            "intrinsics": str(camera_file.path),
+            "intrinsics": str(camera.path),
         },
     )
-
-
-def _load_npz(
-    path: Path, camera_file: CameraFile | None, options: ReadOptions, name: str
-) -> Capture:
-    arrays = read_arrays(path)
-    if "color" not in arrays:
-        raise CaptureError(
-            f"has no array 'color', only {', '.join(sorted(arrays))}",
-            source=path,
-            remedy="save it with numpy.savez(file, color=..., depth=..., matrix=...)",
-        )
-    color = arrays["color"]
-    if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
-        raise CaptureError(
-            f"'color' is {color.dtype} {color.shape}, not uint8 (H, W, 3)",
-            source=path,
-            remedy="save an 8-bit RGB picture",
-        )
-    unread = [name for name in arrays if _LENS.match(name) and camera_file is None]
-    unread += [name for name in arrays if _UNIT.search(name) and options.depth_unit_m is None]
-    if unread:
-        raise CaptureError(
-            f"has an array '{unread[0]}', which is not read",
-            source=path,
-            remedy="give a lens by --intrinsics and a unit by --depth-unit, or leave it out",
-        )
-    frame_intrinsics = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
-    return frame_capture(
-        color,
-        lambda: arrays["depth"],
-        frame_intrinsics,
-        camera_file,
-        options.depth_unit_m,
-        options,
-        source=path,
-        depth_source=path,
-        name=name,
-        provenance={"reader": "pair"},
-    )
-
-
-def _npz_intrinsics(arrays: dict[str, np.ndarray], path: Path) -> Intrinsics:
-    height, width = arrays["color"].shape[:2]
-    stream = str(arrays.get("stream", Stream.COLOR))
-    if stream not in {*Stream}:
-        raise IntrinsicsError(
-            "'stream' is neither 'color' nor 'depth'",
-            source=path,
-            remedy="save the colour camera's matrix in pixels",
-        )
-    with as_errors_of(path):
-        return Intrinsics.from_matrix(arrays["matrix"], width, height, Stream(stream))

@@ -32,7 +32,7 @@ _SHOWN = 5  # uploads whose outcomes are shown
 
 _ENDINGS = [
     *("zip", "json", "csv", "raw"),
-    *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),
+    *("png", "jpg", "jpeg", "tif", "tiff", "npy"),
 ]
 
 

@@ -94,7 +94,11 @@ def test_the_unit_of_depth_comes_with_the_streams(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "program"),
     [
-        ("camera.json", json.dumps({**SIZE, "fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 1}), "BOP"),
+        (
+            "camera.json",
+            json.dumps({**SIZE, "fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 1}),
+            "BOP",
+        ),
         ("open3d.json", json.dumps({"intrinsic": {"intrinsic_matrix": ROWS}}), "Open3D"),
         ("transforms.json", '{"fl_x": 60.5}', "nerfstudio"),
         ("camchain.yaml", "cam0: {camera_model: pinhole}", "Kalibr"),

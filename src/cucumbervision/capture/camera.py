@@ -221,7 +221,9 @@ def _stamp(ref: CaptureRef) -> object:
     """Return size and time of change of a capture's files, to be compared; None if unknown."""
     try:
         files = [part for part in (ref.parts() if ref.parts else ()) if not isinstance(part, bytes)]
-        return [(str(file), stat.st_size, stat.st_mtime) for file in files for stat in [file.stat()]]
+        return [
+            (str(file), stat.st_size, stat.st_mtime) for file in files for stat in [file.stat()]
+        ]
     except (CucumberVisionError, OSError):
         return None
 

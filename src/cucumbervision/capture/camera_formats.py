@@ -183,7 +183,10 @@ def _in_region(camera: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
     roi = data.get("roi") or {}
     axes = (("width", "x", 0), ("height", "y", 1))
     for key, axis, row in axes:
-        start, binning = float(roi.get(f"{axis}_offset") or 0), int(data.get(f"binning_{axis}") or 1)
+        start, binning = (
+            float(roi.get(f"{axis}_offset") or 0),
+            int(data.get(f"binning_{axis}") or 1),
+        )
         if roi.get(key):
             camera[key] = int(roi[key]) // binning
         elif binning > 1:

@@ -278,7 +278,10 @@ def safe_name(text: str) -> str:
     (200, False)
     """
     # Keep combining marks, which are vowels in Hindi.
-    letters = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in normalize("NFC", text))
+    letters = (
+        c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_"
+        for c in normalize("NFC", text)
+    )
     name = no_device("".join(letters).strip(".") or "capture")
     if len(name.encode()) <= _LONGEST_NAME:
         return name

@@ -162,10 +162,7 @@ SENTENCES = (
         "its captures to the newest round"
     ),
     marked("holds no captures that can be recognised, but {kinds}"),
-    marked(
-        "pack capture folders, BOP scenes, or colour and depth pictures with "
-        "matching names"
-    ),
+    marked("pack capture folders, BOP scenes, or colour and depth pictures with matching names"),
     marked(
         "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth "
         "pictures named alike but for the words color and depth, or a .bag or .db3"

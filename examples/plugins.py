@@ -125,20 +125,19 @@ def find_tum(folder: Folder, /) -> CaptureLister | None:
         if "associations.txt" in names:
             names.remove("associations.txt")
             text = (folder.path / place / "associations.txt").read_text()
-            rows = [line.split() for line in text.splitlines() if not line.startswith("#")]
-            pairs += [[folder.path / place / row[k] for k in (1, 3)] for row in rows if row]
+            for _, color, _, depth in (line.split() for line in text.splitlines()):
+                pairs.append([folder.path / place / color, folder.path / place / depth])
     return partial(_list_tum, pairs) if pairs else None
 
 
 def _list_tum(pairs: list[list[Path]], options: ReadOptions, camera: Any) -> Iterator[Any]:
     if camera is None:
         raise IntrinsicsError("has none", source=pairs[0][0], remedy="give --intrinsics FILE")
-    unit_m = options.depth_unit_m or 1 / 5000
     for number, (color, depth) in enumerate(pairs):
-        load = partial(_load_tum, color, depth, camera.intrinsics, unit_m)
+        load = partial(_load_tum, color, depth, camera.intrinsics, options.depth_unit_m)
         yield color.stem, number, load, color, partial(list, (color, depth, camera.path))
 
 
-def _load_tum(color: Path, depth: Path, camera: Intrinsics, unit_m: float, name: str) -> Capture:
-    steps = read_depth(depth)
+def _load_tum(color: Path, depth: Path, camera: Any, unit_m: float | None, name: str) -> Capture:
+    unit_m, steps = unit_m or 1 / 5000, read_depth(depth)
     return Capture.from_arrays(read_color(color), steps, camera, depth_unit_m=unit_m, name=name)

@@ -33,7 +33,6 @@ import numpy as np
 _COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
 _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}  # REP 118
 _LENSES = ("plumb_bob", "rational_polynomial")
-_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 _ASIDE_RAD = 0.26  # what a peduncle turns aside
 _TIMEOUT_S = 60.0
 
@@ -95,15 +94,11 @@ def ask(url: str, arrays: dict[str, np.ndarray], token: str = "") -> dict[str, A
     """
     border, depth = secrets.token_hex(16), io.BytesIO()
     np.save(depth, arrays["depth"])
-    files = {
-        "color_0.png": cv2.imencode(".png", arrays["color"][..., ::-1], _FAST)[1].tobytes(),
-        "depth_0.npy": depth.getvalue(),
-        "cam_K.json": json.dumps(arrays["matrix"].tolist()).encode(),
-    }
-    head = '--{}\r\nContent-Disposition: form-data; name="files"; filename="{}"\r\n\r\n'
-    body = b"".join(
-        head.format(border, name).encode() + data + b"\r\n" for name, data in files.items()
-    )
+    color = cv2.imencode(".png", arrays["color"][..., ::-1])[1].tobytes()
+    matrix = json.dumps(arrays["matrix"].tolist()).encode()
+    body, head = b"", 'Content-Disposition: form-data; name="files"; filename='
+    for name, data in (("color.png", color), ("depth.npy", depth.getvalue()), ("K.json", matrix)):
+        body += f'--{border}\r\n{head}"{name}"\r\n\r\n'.encode() + data + b"\r\n"
     request = urllib.request.Request(f"{url}/measure", body + f"--{border}--\r\n".encode())
     request.add_header("Content-Type", f"multipart/form-data; boundary={border}")
     if token:

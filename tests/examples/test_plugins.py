@@ -191,7 +191,7 @@ def test_the_command_uses_what_is_installed_and_says_so(
     (folder / "rgb").mkdir(parents=True)
     write_png(folder / "rgb" / "bench.png", bench.color)
     write_png(folder / "1.02.png", np.rint(5000 * bench.depth_m).astype(np.uint16))
-    (folder / "associations.txt").write_text("# list\n1.0 rgb/bench.png 1.02 1.02.png\n")
+    (folder / "associations.txt").write_text("1.0 rgb/bench.png 1.02 1.02.png\n")
     camera = CameraModel.of(bench.intrinsics).model_dump_json()
     (tmp_path / "camera.json").write_text(camera)
     out = tmp_path / "run"

@@ -46,7 +46,7 @@ def add_one(
     """Measure a capture as the dashboard does what waits, and save it under a key of its own."""
     measurer = Measurer(options)
     key = key or new_key()
-    item = RoundCapture.to_add(store, round_key, capture, measurer, key=key, keep=True)
+    item = RoundCapture.to_add(store, round_key, capture, key=key, keep=True)
     [(_, added)] = add_all(store, [item], measurer, in_turn)
     return added
 

@@ -358,7 +358,6 @@ def _measure_alike(
                     store,
                     queued_capture.round_key,
                     queued_capture.load(),
-                    measures,
                     key=queued_capture.key,
                     keep=True,
                 )

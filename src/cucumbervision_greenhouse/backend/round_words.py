@@ -184,33 +184,17 @@ def row_name(row: str | None) -> str:
 
 
 def count_words(report: RowCounts) -> str:
-    """Return a row's number of fruit in words, with its interval if it is estimated.
+    """Return a row's number of fruit in words.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
-    >>> from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate
-    >>> count_words(RowCounts("", 0, 0, 3, CountEstimate.of_nothing()))
+    >>> count_words(RowCounts("", 0, 0, 3))
     '3 fruit found'
     """
     if report.fruit == 0:
         return _("no fruit found")
-    lower, upper = (
-        report.fruit - len(report.count.view_counts) + end for end in report.count.interval()
-    )
-    if lower == upper == report.fruit:
-        return counted(report.fruit, "{n} fruit found", "{n} fruit found")
-    range_words = f"{lower}"
-    if lower < upper:
-        range_words = _("{low} to {high}").format(low=lower, high=upper)
-    expected = f"{report.expected:.0f}"
-    return counted(
-        report.fruit,
-        "{n} seen, about {expected} real ({range})",
-        "{n} seen, about {expected} real ({range})",
-        expected=expected,
-        range=range_words,
-    )
+    return counted(report.fruit, "{n} fruit found", "{n} fruit found")
 
 
 def clock_words(walked_s: float) -> str:

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureSource, ReadOptions
     from cucumbervision.intake.uploads import AcceptedSource
-    from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
     from cucumbervision_greenhouse.backend.uploads import Sending, Uploads
@@ -109,7 +108,7 @@ def measure_upload(
     measured = itertools.count(1)
 
     def items(sources: Iterable[_Opened]) -> Iterator[RoundCapture]:
-        for item in _round_captures(sources, sending, measures, store):
+        for item in _round_captures(sources, sending, store):
             if isinstance(item, RoundCapture):
                 yield item
             else:
@@ -138,7 +137,7 @@ def measure_upload(
 
 
 def _round_captures(
-    sources: Iterable[_Opened], sending: Sending, measurer: Measurer, store: Store
+    sources: Iterable[_Opened], sending: Sending, store: Store
 ) -> Iterator[RoundCapture | UploadOutcome]:
     """Yield the captures of an upload at their places, and why a part of it is none."""
     place = sending.place.next_place
@@ -148,7 +147,7 @@ def _round_captures(
             continue
         placed, place = _placed(capture, place)
         try:
-            yield _to_add(placed, measurer, store, sending.round)
+            yield _to_add(placed, store, sending.round)
         except CucumberVisionError as error:
             yield _failed(placed.source or placed.name, error.message)
 
@@ -202,7 +201,7 @@ def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:
     return replace(capture, stop=stop), place
 
 
-def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) -> RoundCapture:
+def _to_add(capture: Capture, store: Store, round_key: str) -> RoundCapture:
     """Return a capture on its way into the round, or into the demonstration if it is simulated.
 
     Raises
@@ -214,7 +213,7 @@ def _to_add(capture: Capture, measurer: Measurer, store: Store, round_key: str) 
     if capture.stop.step is None:
         step = last_step(store.stops(home)) + 1
         capture = replace(capture, stop=replace(capture.stop, step=step))
-    item = RoundCapture.to_add(store, home, capture, measurer, keep=True)
+    item = RoundCapture.to_add(store, home, capture, keep=True)
     if item.place is not None:
         refuse_taken(store, home, *item.place.spot_and_camera)
     return item
@@ -226,9 +225,6 @@ def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
         return _failed(item.input, added.failure.message)
     if added.deleted:
         return _failed(item.input, "was deleted: undo that to have it back")
-    if added.remeasured:
-        words = "was there already, and is measured again: its intrinsics or options changed"
-        return UploadOutcome(name=item.input, saved=True, words=words)
     if item.place is None or not added.new:
         return _failed(item.input, "is in the round already")
     stop = item.place.capture.stop

@@ -118,8 +118,7 @@ def add(
 ) -> None:
     """Measure captures and save each as a stop.
 
-    An existing stop is measured again only if its intrinsics, the calibration or the options have
-    changed.
+    A capture that the round has already stays as it is; `round remeasure` measures a round again.
     """
     from rich.console import Console
 
@@ -180,12 +179,9 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 
     new = [added for added in done if added.new]
     failures = [added.failure for added in done if added.failure]
-    remeasured = sum(added.remeasured for added in done)
-    present = len(done) - len(new) - len(failures) - remeasured
+    present = len(done) - len(new) - len(failures)
     fruit = sum(added.fruit for added in new)
     screen().print(f"{len(new)} stops added with {fruit} fruit; {present} were there already.")
-    if remeasured:
-        screen().print(f"{remeasured} were measured again, because their inputs have changed.")
     if deleted := sum(added.deleted for added in done):
         screen().print(f"{deleted} of these were deleted: undo the deletion to restore them.")
     show_failures(failures)
@@ -206,9 +202,10 @@ def remeasure(
     options: MeasureOptions,
     loop: LoopOptions,
 ) -> None:
-    """Measure a round again from the captures that the store keeps, and merge it.
+    """Measure a round again from the captures that the store keeps, into a new version of it.
 
-    Stops keep their positions. Fruit that are found again keep the decisions made by hand.
+    The new round takes the old one's place: name, stops, and decisions by hand about fruit. The old
+    one is deleted, and can be restored in the dashboard.
     """
     from rich.console import Console
 
@@ -219,15 +216,16 @@ def remeasure(
     with opened_round(store, round_) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
-            done, failures = measure_round_again(
-                *(opened, round_summary.key, with_limits(options, round_summary)),
+            key, failures = measure_round_again(
+                *(opened, round_summary, with_limits(options, round_summary)),
                 lambda k, total: bar.update(task, completed=k, total=total),
                 loop,
             )
-        settle_round(opened, round_summary.key)
-    screen().print(f"{done} stops measured again.")
+        settle_round(opened, key)
+    kept = "nothing was changed" if failures else f"the new round is {key}"
+    screen().print(f"{round_summary.stops} stops measured again; {kept}.")
     show_failures(failures)
-    raise typer.Exit(exit_code(done, failures))
+    raise typer.Exit(exit_code(0 if failures else 1, failures))
 
 
 @app.command("merge")
@@ -245,13 +243,12 @@ def merge(
     with opened_round(store, round_) as (opened, round_summary):
         rows = merge_round(opened, round_summary.key)
         measure_all_views(opened, round_summary.key)
-    right = ("stops", "views", "fruit", "expected", "stops known to")
+    right = ("stops", "views", "fruit", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
-        expected = f"{row.expected:.0f} ± {row.count.sd:.0f}"
         known_to = "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm"
         counts = (row.stops, row.views, row.fruit)
-        table.add_row(row.row, *(str(count) for count in counts), expected, known_to)
+        table.add_row(row.row, *(str(count) for count in counts), known_to)
     console = screen()
     console.print(table)
     for row in rows:

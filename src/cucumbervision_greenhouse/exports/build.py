@@ -30,7 +30,6 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-from cucumbervision_greenhouse.store.check import refuse_changed
 from cucumbervision_greenhouse.store.records import DetectionRecord
 
 if TYPE_CHECKING:
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.picking import Rates
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.records import ArtifactRecord, MethodRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import RoundSummary
@@ -93,7 +91,6 @@ def round_tables(
         raise CucumberVisionError(
             f"no round has the key {round_key}", source=store.name, remedy="see `round list`"
         )
-    refuse_changed(store, round_key)
     content = read_round(store, round_key)
     table = fruit_table(content)
     now_s = time.time()
@@ -105,7 +102,7 @@ def round_tables(
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
     today_s = day_0_s(view, now_s)
     lines: dict[str, Iterable[Any]] = {
-        "summary": [_summary(view, content, table, row_counts(content), forecast, called)],
+        "summary": [_summary(view, content, table, forecast, called)],
         "rows": row_counts(content),
         "fruit": (
             {**line, "picture": pictures_of.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
@@ -217,7 +214,6 @@ def _summary(
     view: RoundSummary,
     content: RoundContent,
     table: Sequence[RoundFruit],
-    reports: Sequence[RowCounts],
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
@@ -229,8 +225,6 @@ def _summary(
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
         "captures": sum(stop.captures for stop in content.stops),
-        "expected_fruit": sum(row.expected for row in reports),
-        "expected_fruit_sd": math.hypot(*(row.count.sd for row in reports)),
         "failures": sum(stop.failures for stop in content.stops),
         "ready_today": None if forecast is None else listed[PickKind.READY],
         "may_be_ready": None if forecast is None else listed[PickKind.UNDECIDED],

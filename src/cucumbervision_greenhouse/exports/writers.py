@@ -185,7 +185,6 @@ _NUMBERS = (
         "ready_today",
         "may_be_ready",
         "fruit",
-        "expected_fruit",
         "picked",
         "mean_length_cm",
         "sd_length_cm",

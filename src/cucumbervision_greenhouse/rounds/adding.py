@@ -24,8 +24,6 @@ from cucumbervision.pipeline.batch import (
 from cucumbervision.pipeline.inputs import Listed, read_captures
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision_greenhouse.rounds.placing import Place, Placed
-from cucumbervision_greenhouse.rounds.remeasuring import measure_stop_again
-from cucumbervision_greenhouse.rounds.stop_records import holds_still
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
 from cucumbervision_greenhouse.store.records import Saved, key_of
 
@@ -58,9 +56,6 @@ class Added:
         Whether it was saved by this call.
     deleted : bool
         Whether it was saved before and deleted; undo the deletion to restore it.
-    remeasured : bool
-        Whether it was saved before and measured again, because its intrinsics, the calibration or
-        the options have changed.
     failure : Failure, optional
         Why not.
     note : str
@@ -72,7 +67,6 @@ class Added:
     fruit: int = 0
     new: bool = False
     deleted: bool = False
-    remeasured: bool = False
     failure: Failure | None = None
     note: str = ""
 
@@ -91,8 +85,6 @@ class RoundCapture(Listed):
         Where a new one was taken.
     is_deleted : bool, optional
         Whether its stop was deleted; None if the round has no such stop.
-    same : bool
-        Whether it would be measured as it was.
     keep : bool
         Save it though nothing can be measured in it, or another stop is at its place.
     """
@@ -101,7 +93,6 @@ class RoundCapture(Listed):
     key: str = ""
     place: Placed | None = None
     is_deleted: bool | None = None
-    same: bool = False
     keep: bool = False
 
     @classmethod
@@ -110,7 +101,6 @@ class RoundCapture(Listed):
         store: Store,
         round_key: str,
         capture: Capture,
-        measurer: Measurer,
         *,
         key: str = "",
         number: int = 0,
@@ -125,8 +115,6 @@ class RoundCapture(Listed):
             As above; by default the key is one of the capture's content.
         capture : Capture
             The frame.
-        measurer : Measurer
-            The measurer.
         number, place
             As for `Placed.of`.
 
@@ -137,7 +125,6 @@ class RoundCapture(Listed):
         """
         key = key or key_of(round_key, capture.name, capture_sha256(capture))
         is_deleted = store.stop_is_deleted(key)
-        same = is_deleted is False and holds_still(store.stop(key).artifacts, capture, measurer)
         placed = Placed.of(capture, number, place) if is_deleted is None else None
         listed = Listed.of(capture if placed is None else placed.capture)
         return cls(
@@ -148,17 +135,16 @@ class RoundCapture(Listed):
             key=key,
             place=placed,
             is_deleted=is_deleted,
-            same=same,
             keep=keep,
         )
 
 
-class _Changed(ResultWorker):
-    """Measures captures that are new in a round, or whose inputs have changed."""
+class _New(ResultWorker):
+    """Measures captures that are new in a round."""
 
     def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
-        """Read a capture, unless it is deleted or unchanged."""
-        if isinstance(item, RoundCapture) and (item.is_deleted or item.same):
+        """Read a capture, unless the round has it, deleted or not."""
+        if isinstance(item, RoundCapture) and item.place is None:
             return Outcome()
         return super().read(item)
 
@@ -174,8 +160,7 @@ def add_captures(
 ) -> list[Added]:
     """Measure captures and save each as a stop of a round.
 
-    A capture that is in the round already is measured again where what it was measured from has
-    changed: its intrinsics, the calibration or the options. One that was deleted is not. One that
+    A capture that the round has already, or that was deleted from it, stays as it is. One that
     cannot be read or measured, or lies where the same camera took another, is noted, and the others
     go on.
 
@@ -215,9 +200,7 @@ def add_captures(
                 continue
             failures: list[Failure] = []
             with Boundary(failures, read.source, read.name):
-                yield RoundCapture.to_add(
-                    store, round_key, read, measurer, number=number, place=place
-                )
+                yield RoundCapture.to_add(store, round_key, read, number=number, place=place)
             yield from failures
 
     for _, added in add_all(store, items(), measurer, loop.engine, loop.is_cancelled):
@@ -252,7 +235,7 @@ def add_all(
     CucumberVisionError
         As `measure_all`.
     """
-    for item, outcome in measure_all(items, _Changed(measurer), engine, is_cancelled):
+    for item, outcome in measure_all(items, _New(measurer), engine, is_cancelled):
         failures = list(outcome.failures) if outcome.value is None else []
         added = None
         if isinstance(item, RoundCapture) and not failures:
@@ -287,13 +270,10 @@ def _added(
         If nothing was measured, its place is taken, or it cannot be saved.
     """
     added = Added(item.name, item.key, deleted=bool(item.is_deleted))
-    if result is None:
-        return added if item.is_deleted or item.same else None
-    if result.error is not None and not (item.keep and item.is_deleted is None):
+    if item.place is None or result is None:
+        return added if item.place is None else None
+    if result.error is not None and not item.keep:
         raise result.error
-    if item.place is None:
-        fruit = measure_stop_again(store, item.key, [result], measurer)
-        return replace(added, fruit=fruit, remeasured=True)
     if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
         return added
     if not item.keep:

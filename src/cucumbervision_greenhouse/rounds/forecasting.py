@@ -24,8 +24,7 @@ from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-from cucumbervision_greenhouse.rounds.row_fruit import found_share
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 from cucumbervision_greenhouse.store.links import LinkKind
 
 if TYPE_CHECKING:
@@ -38,28 +37,16 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.records import ArtifactRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
-def detection_rates(rows: Sequence[RowCounts], table: Sequence[RoundFruit]) -> DetectionRates:
-    """Return the detection rates of a round, from the numbers of views of its fruit.
-
-    Parameters
-    ----------
-    rows : sequence of RowCounts
-        The round's rows; unmerged rows are ignored, and without any nothing is taken to be missed.
-    table : sequence of RoundFruit
-        The round's fruit: those without a length are as good as missed.
-    """
-    merged = [row.count for row in rows if row.merged and row.fruit]
-    found_share_of_fruit, found_sd, false = found_share(merged) if merged else (1.0, 0.0, 0.0)
+def detection_rates(table: Sequence[RoundFruit]) -> DetectionRates:
+    """Return the share of a round's fruit that have a length: the others are as good as missed."""
     hanging = [line.view.record.known_length for line in table if line.view.picked_s is None]
     measured = sum(length is not None for length in hanging)
-    share = measured / len(hanging) if measured else 1.0
-    return DetectionRates(found_share_of_fruit * share, found_sd * share, false)
+    return DetectionRates(measured / len(hanging) if measured else 1.0)
 
 
 def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
@@ -332,10 +319,9 @@ def forecast_today(
     """Forecast a round from today on: growth from its links, classes from a profile.
 
     Today's numbers are those of the fruit as they are counted everywhere (`with_counts_today`).
-    Later missed fruit and false positives are allowed for as the round itself shows them
-    (`detection_rates`), the error that all lengths share as its calibration does
-    (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day of
-    its walk.
+    Later fruit without a length are allowed for (`detection_rates`), and the error that all lengths
+    share (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day
+    of its walk.
 
     Parameters
     ----------
@@ -359,7 +345,7 @@ def forecast_today(
         profile,
         days,
         today=day_0_s(round_summary, now_s) / DAY_S,
-        detection=detection_rates(row_counts(content), table),
+        detection=detection_rates(table),
         scale_sd=shared_scale_sd(store.artifacts(round_summary.key).values()),
     )
     return with_counts_today(result)

@@ -15,7 +15,6 @@ from cucumbervision.measurement.matching import ALONG, DEPTH, UP
 from cucumbervision.measurement.result import UNKNOWN_SD, LengthDefinition, MethodName
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision_greenhouse.rounds.row_fruit import USUAL, FalseShare
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.store.links import LinkKind
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.rounds.row_views import Bools, Ints
+    from cucumbervision_greenhouse.rounds.row_views import Ints
     from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
     from cucumbervision_greenhouse.store.repository import Store
@@ -63,10 +62,6 @@ class StoredRow:
         Names of the sides: 0, and 1 where there is one.
     unplaced : int
         Detections that cannot be merged: no position, or no depth.
-    accepted : ndarray of bool
-        Views that a person accepted as fruit.
-    false : FalseShare
-        Prior of the share of false detections, from the house's verdicts.
     """
 
     name: str
@@ -76,8 +71,6 @@ class StoredRow:
     fruit_keys: tuple[str, ...]
     sides: tuple[str, ...]
     unplaced: int
-    accepted: Bools
-    false: FalseShare
 
 
 CONTENTS = 8
@@ -98,8 +91,6 @@ class RoundContent:
         Its detections, in groups.
     cameras : mapping
         Poses and cameras by the stops' keys.
-    false : FalseShare
-        Prior of the share of false detections, from the house's verdicts.
     joint : mapping of str to JointRecord
         Joint measurements of the fruit, by the keys of `joint_groups`.
     """
@@ -108,7 +99,6 @@ class RoundContent:
     stops: tuple[StopSummary, ...]
     views: tuple[DetectionSummary, ...]
     cameras: Mapping[str, CameraAt]
-    false: FalseShare = USUAL
     joint: Mapping[str, JointRecord] = field(default_factory=dict)
 
     @cached_property
@@ -166,16 +156,14 @@ def read_round(store: Store, round_key: str) -> RoundContent:
         If it is not there.
     """
     stops, views = store.stops(round_key), store.detections(round_key)
-    cameras, judged = store.cameras(round_key), store.judged(round_key)
+    cameras = store.cameras(round_key)
     stops = [stop for stop in stops if stop.key in cameras]  # a stop may be deleted meanwhile
-    false, joint = FalseShare.learnt(*judged), store.joint(round_key)
     return RoundContent(
         key=round_key,
         stops=tuple(stops),
         views=tuple(views),
         cameras=cameras,
-        false=false,
-        joint=joint,
+        joint=store.joint(round_key),
     )
 
 
@@ -276,8 +264,6 @@ def _row(
         fruit_keys=tuple(view.key for view, _ in places),
         sides=sides,
         unplaced=len(fruit) - len(places),
-        accepted=np.array([view.verdict is Verdict.ACCEPTED for view, _ in places], bool),
-        false=content.false,
     )
 
 

@@ -25,7 +25,7 @@ from cucumbervision_greenhouse.rounds.from_store import (
 )
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged, merge_row
 from cucumbervision_greenhouse.rounds.poses import sign_of_side
-from cucumbervision_greenhouse.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
+from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
 from cucumbervision_greenhouse.store.corrections import MOVE_ROUND, STOP_EDITS, StopPlace
@@ -57,8 +57,6 @@ class RowCounts:
         Stops with a position, and detections.
     fruit : int
         The fruit that these are merged into, those included that have no place.
-    count : CountEstimate
-        How many there are of those that have a place.
     merged : bool
         Whether the row has been merged.
     stop_sd_m : float, optional
@@ -73,16 +71,10 @@ class RowCounts:
     stops: int
     views: int
     fruit: int
-    count: CountEstimate
     merged: bool = True
     stop_sd_m: float | None = None
     mirrored: tuple[str, ...] = ()
     unplaced: int = 0
-
-    @property
-    def expected(self) -> float:
-        """How many fruit there are; of those without a place or row as many as were found."""
-        return self.fruit - len(self.count.view_counts) + self.count.expected
 
 
 @dataclass(frozen=True)
@@ -153,14 +145,11 @@ def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
 
 
 def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowCounts:
-    count = count_fruit(merged, row.stops, row.views, row.accepted, row.false)
     return RowCounts(
         row=row.name,
         stops=len(row.stops),
         views=len(row.views),
         fruit=fruit,
-        # Captures without a row may be of different places, so missed fruit are not estimated.
-        count=count if row.name else CountEstimate.counted(len(count.view_counts)),
         merged=done,
         stop_sd_m=float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         mirrored=tuple(row.sides[side] for side in merged.mirrored),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -23,7 +21,6 @@ from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import stored_row
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
-from cucumbervision.pipeline.stages import Stage
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
@@ -36,13 +33,12 @@ from cucumbervision_greenhouse.store.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.measurement.result import Fruit, Measurement
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
-    from cucumbervision.pipeline.stages import StageHashes
     from cucumbervision_greenhouse.store.images import ImageStore
 
 _PATH_POINTS = 48  # points of a stored path
@@ -222,47 +218,13 @@ def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
     )
 
 
-_MEASURED_FROM, _CALIBRATION = "measured-from", "calibration"
+_CALIBRATION = "calibration"
 
 
 def stored_calibration(stop: StopRecord) -> SiteCalibration | None:
     """Return the site's calibration that a stop was measured with; None without one."""
     details = [artifact.details for artifact in stop.artifacts if artifact.kind == _CALIBRATION]
     return SiteCalibration.model_validate(dict(details[0])) if details else None
-
-
-def measured_from(
-    capture: Capture, stages: Iterable[Stage | str], hashes: StageHashes
-) -> ArtifactRecord:
-    """Return the inputs of a capture's measurement besides its pictures.
-
-    These are its intrinsics, the stages that they went through, what these depend on, and the
-    data set's masks where they are its own.
-    """
-    names = [str(stage) for stage in stages]
-    camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
-    dataset_masks = capture.masks if Stage.DATASET in names else ()
-    masks = sorted(
-        hashlib.sha256(np.packbits(mask).tobytes()).hexdigest() for mask in dataset_masks
-    )
-    text = json.dumps([hashes.of(names), camera, masks], sort_keys=True)
-    sha256 = hashlib.sha256(text.encode()).hexdigest()
-    return ArtifactRecord(_MEASURED_FROM, " ".join(names), sha256)
-
-
-def holds_still(artifacts: Iterable[ArtifactRecord], capture: Capture, measurer: Measurer) -> bool:
-    """Return whether a stop measured with these would be measured so again from this capture.
-
-    Raises
-    ------
-    CucumberVisionError
-        If a file that the options name cannot be read.
-    """
-    for artifact in artifacts:
-        if artifact.kind == _MEASURED_FROM:
-            names, hashes = artifact.name.split(), measurer.hashes
-            return names[0] in hashes.sources and artifact == measured_from(capture, names, hashes)
-    return False
 
 
 def _artifact_records(
@@ -282,8 +244,7 @@ def _artifact_records(
     if site is not None:
         details = site.model_dump(mode="json")
         records.append(ArtifactRecord(_CALIBRATION, site.name, site.sha256, details))
-    kinds = [measured_from(r.capture, r.stages, measurer.hashes) for r in results if r.stages]
-    return (*records, *kinds[:1])
+    return tuple(records)
 
 
 def _method_record(measurement: Measurement) -> MethodRecord:

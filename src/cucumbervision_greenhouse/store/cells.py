@@ -1,12 +1,11 @@
-"""Convert values to table cells and back; a cell with an invalid value is reported as damage."""
+"""Convert values to table cells and back."""
 
 from __future__ import annotations
 
-from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from sqlalchemy import insert, select
+from sqlalchemy import insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, wrap_reader_errors
@@ -19,13 +18,8 @@ from cucumbervision_greenhouse.store.schema import (
     LENGTH_CELLS,
     RAW_LENGTH_CELLS,
     Base,
-    DetectionLine,
-    Mark,
-    MaskLine,
-    MethodLine,
     RoundLine,
     Row,
-    StopLine,
 )
 
 if TYPE_CHECKING:
@@ -35,11 +29,6 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
 T = TypeVar("T")
-
-# Tables whose lines are in every row of a query that has their columns: no outer join.
-_NEVER_MISSING = frozenset(
-    table.__tablename__ for table in (DetectionLine, Mark, MaskLine, MethodLine, StopLine)
-)
 
 _KINDS: dict[Any, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
 _BASES = {str(basis): basis for basis in IntervalBasis}
@@ -119,30 +108,13 @@ def decoding(connection: Connection) -> AbstractContextManager[None]:
 
 
 def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
-    """Run a query and return its rows as plain tuples.
+    """Run a query and return its rows as plain tuples."""
+    return cast("list[tuple[Any, ...]]", connection.execute(query).all())
 
-    Raises
-    ------
-    StoreError
-        If a cell has another type than its column: SQLite accepts any value from other programs.
-    """
-    try:
-        rows = connection.execute(query).all()
-    except (ValueError, RecursionError) as error:  # JSON that is none, or too deep
-        with decoding(connection):
-            raise error
-    with decoding(connection):
-        for column, cells in zip(query.selected_columns, zip(*rows, strict=True), strict=False):
-            kind = column.type.python_type
-            kinds = {kind, int} if kind is float else {kind}
-            table = getattr(getattr(column, "table", None), "name", None)
-            if table not in _NEVER_MISSING or column.nullable:
-                kinds.add(NoneType)
-            strange = set(map(type, cells)) - kinds
-            if strange and kind is not object:
-                type_names = ", ".join(sorted(kind.__name__ for kind in strange))
-                raise ValueError(f"{column.name} holds {type_names}")
-    return cast("list[tuple[Any, ...]]", rows)
+
+def change(connection: Connection, table: Any, which: Any, **values: Any) -> int:
+    """Change lines of a table, and return how many there were."""
+    return connection.execute(update(table).where(which).values(**values)).rowcount
 
 
 def record_of(kind: type[T], *cells: Any) -> T:

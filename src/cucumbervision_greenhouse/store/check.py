@@ -1,7 +1,4 @@
-"""Verify a store: the hashes of its rows (`hashes.py`), and its pictures.
-
-Changes by another program and bit flips on the disk are found here, and before an export.
-"""
+"""Verify a store: the database's own check, and the hashes of its pictures."""
 
 from __future__ import annotations
 
@@ -9,93 +6,17 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from sqlalchemy import or_, select
+from sqlalchemy import select
 
-from cucumbervision.errors import StoredImageError, StoreError
-from cucumbervision_greenhouse.store.cells import cells_of, columns_of, round_id_of
-from cucumbervision_greenhouse.store.hashes import HASHED_LINES, sha256_of, stop_hashes
+from cucumbervision.errors import StoredImageError
+from cucumbervision_greenhouse.store.cells import cells_of
 from cucumbervision_greenhouse.store.records import ImageRef
-from cucumbervision_greenhouse.store.schema import (
-    IMAGE_COLUMNS,
-    DetectionLine,
-    Image,
-    LinkLine,
-    Mark,
-    RoundLine,
-    StopLine,
-)
+from cucumbervision_greenhouse.store.schema import IMAGE_COLUMNS, Image
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.engine import Database
-
-_AT_ONCE = 100  # stops whose lines are read together
-
-
-def refuse_changed(store: Database, round_key: str) -> None:
-    """Raise if any part of a round differs from what was saved.
-
-    Raises
-    ------
-    StoreError
-        If it does; the message names the first difference.
-    """
-    if changed := changed_lines(store, round_key):
-        remedy = "copy the store back from a backup; `round check` names all that was changed"
-        raise StoreError(changed[0], source=store.name, remedy=remedy)
-
-
-def changed_lines(store: Database, round_key: str | None = None) -> list[str]:
-    """Return descriptions of everything that differs from what was saved.
-
-    Parameters
-    ----------
-    store : Store
-        The store.
-    round_key : str, optional
-        Of that round alone.
-
-    Raises
-    ------
-    StoreError
-        If the stored data cannot be read.
-    """
-    faults = []
-    with store.reading() as connection:
-        number = None if round_key is None else round_id_of(connection, round_key)
-        stops = select(StopLine.id, StopLine.key, StopLine.rows_sha256).order_by(StopLine.id)
-        if number is not None:
-            stops = stops.where(StopLine.round_id == number)
-        rows = cells_of(connection, stops)
-        for first in range(0, len(rows), _AT_ONCE):
-            chunk = rows[first : first + _AT_ONCE]
-            hashes = stop_hashes(connection, [row[0] for row in chunk])
-            faults += [
-                f"stop {key} is not as it was saved"
-                for stop_id, key, sha256 in chunk
-                if hashes[stop_id] != sha256
-            ]
-        for table, (noun, names) in HASHED_LINES.items():
-            lines = select(table.id, table.sha256, *columns_of(table, names)).order_by(table.id)
-            if number is not None and table is Mark:
-                lines = lines.join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-            if number is not None:
-                lines = lines.where(_in_round(table, number))
-            for line, sha256, *cells in cells_of(connection, lines):
-                if sha256_of(*cells) != sha256:
-                    faults.append(f"{noun} {line} is not as it was saved")
-    return faults
-
-
-def _in_round(table: Any, number: int) -> Any:
-    """Return which lines of a table belong to a round, for a query."""
-    if table is RoundLine:
-        return RoundLine.id == number
-    if table is LinkLine:
-        return or_(LinkLine.first_round_id == number, LinkLine.second_round_id == number)
-    return (DetectionLine if table is Mark else table).round_id == number
-
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
 
@@ -117,7 +38,7 @@ class StoreCheck:
     removed : tuple of Path
         Which orphans were removed.
     faults : tuple of str
-        Faults that SQLite reports in its file, and the result of `changed_lines`.
+        Faults that SQLite reports in its file.
     """
 
     pictures: int
@@ -134,7 +55,7 @@ class StoreCheck:
 
 
 def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> StoreCheck:
-    """Check a store against its hashes and pictures; files that a stop names are never removed.
+    """Check a store and its pictures; files that a stop names are never removed.
 
     Parameters
     ----------
@@ -169,7 +90,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
         damaged=tuple(damaged),
         orphans=tuple(orphans),
         removed=tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
-        faults=(*_faults(store), *changed_lines(store)),
+        faults=_faults(store),
     )
 
 

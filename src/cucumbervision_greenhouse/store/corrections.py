@@ -15,9 +15,8 @@ from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.names import checked_name, house_key, same_house
-from cucumbervision_greenhouse.store.cells import round_id_of, row_id_of
+from cucumbervision_greenhouse.store.cells import change, round_id_of, row_id_of
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
-from cucumbervision_greenhouse.store.hashes import change, seal_stops, with_hash
 from cucumbervision_greenhouse.store.links import LinkKind, group_detections
 from cucumbervision_greenhouse.store.queries import NOT_UNDONE, links_of
 from cucumbervision_greenhouse.store.records import DetectionRecord, checked_key, record_json
@@ -400,7 +399,7 @@ def _link(
             "second_round_id": second.round_id,
             "action_id": action,
         }
-        connection.execute(insert(LinkLine).values(**with_hash(LinkLine, cells)))
+        connection.execute(insert(LinkLine).values(**cells))
     return action
 
 
@@ -482,7 +481,7 @@ def _mark(
     _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
     if value is not None:
         cells = {"slot": slot, "value": str(value), "details": details or {}, "action_id": action}
-        lines = [with_hash(Mark, {"fruit_id": fruit_id, **cells}) for fruit_id in ids]
+        lines = [{"fruit_id": fruit_id, **cells} for fruit_id in ids]
         connection.execute(insert(Mark), lines)
 
 
@@ -557,7 +556,7 @@ def log_action(
         "round_id": round_id,
         **cells,
     }
-    line = insert(Action).values(**with_hash(Action, line_cells))
+    line = insert(Action).values(**line_cells)
     return connection.execute(line.returning(Action.id)).scalar_one()
 
 
@@ -579,8 +578,6 @@ def change_line(connection: Connection, details: dict[str, Any], *, restore: boo
     which = and_(table.key == details["key"], *unchanged)
     if change(connection, table, which, **new, **fitted) != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
-    if table is StopLine:
-        seal_stops(connection, StopLine.key == details["key"])
 
 
 def original_names(connection: Connection, round_key: str) -> dict[str, str]:

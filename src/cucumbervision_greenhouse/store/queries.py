@@ -10,7 +10,6 @@ from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import aliased
 
 from cucumbervision.errors import StoreError
-from cucumbervision.names import house_key
 from cucumbervision_greenhouse.store.cells import (
     cells_of,
     columns_of,
@@ -84,10 +83,8 @@ _FIRST_CAPTURE = aliased(CaptureLine)
 
 
 _UNDONE_AMONG = 500  # newest lines of the log
-MEASURE_AGAIN = "measure-again"
-"""The kind of action that measures a stop again."""
-NOT_UNDONE = ("undo", MEASURE_AGAIN)
-"""Kinds of action that cannot be undone."""
+NOT_UNDONE = ("undo", "measure-again")
+"""Kinds of action that cannot be undone; stores before 0.2 have stops measured again in place."""
 
 
 class Queries(Database):
@@ -202,36 +199,6 @@ class Queries(Database):
         with self.reading() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
             return {key: values["picked"] for key, values in marks.items()}
-
-    def judged(self, round_key: str) -> tuple[int, int]:
-        """Return how many detections of a round's house were judged false.
-
-        Returns
-        -------
-        rejected, detections : int
-            False detections, and all detections of the rounds in which any was judged.
-        """
-        current_verdict = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
-        with self.reading() as connection:
-            houses = connection.execute(
-                select(RoundLine.id, RoundLine.house).where(~RoundLine.deleted)
-            )
-            house_of = {number: house_key(house) for number, house in houses}
-            house = house_of.get(round_id_of(connection, round_key))
-            same = [number for number, house_name in house_of.items() if house_name == house]
-            counts = (
-                select(DetectionLine.round_id, Mark.value, func.count())
-                .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-                .where(DetectionLine.round_id.in_(same), IS_ACTIVE, *current_verdict)
-                .group_by(DetectionLine.round_id, Mark.value)
-            )
-            rows = cells_of(connection, counts)
-            rounds = {row[0] for row in rows}
-            finds = select(func.count(DetectionLine.id)).where(
-                DetectionLine.round_id.in_(rounds), IS_ACTIVE
-            )
-            detection_count = int(connection.execute(finds).scalar() or 0)
-        return sum(row[2] for row in rows if row[1] == Verdict.REJECTED), detection_count
 
     def newest_action(self, round_key: str, without: Sequence[str] = ()) -> int:
         """Return the number of a round's newest line in the log; 0 where it has none.

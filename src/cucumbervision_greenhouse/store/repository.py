@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, delete, func, insert, or_, select, update
+from sqlalchemy import and_, delete, func, or_, select
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.files import adapter
@@ -14,6 +14,7 @@ from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.cells import (
     cells_by_name,
     cells_of,
+    change,
     columns_of,
     decoding,
     insert_all,
@@ -25,17 +26,14 @@ from cucumbervision_greenhouse.store.corrections import (
     Corrections,
     find_detections,
     forget_links,
-    line_of,
     lock_rounds,
-    log_action,
     mark_added,
     original_names,
 )
 from cucumbervision_greenhouse.store.engine import database_url, make_engine, named, prepare
-from cucumbervision_greenhouse.store.hashes import change, content_sha256, seal_stops, with_hash
 from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.links import LinkKind
-from cucumbervision_greenhouse.store.queries import MEASURE_AGAIN, Queries
+from cucumbervision_greenhouse.store.queries import Queries
 from cucumbervision_greenhouse.store.records import (
     JointRecord,
     Round,
@@ -43,7 +41,6 @@ from cucumbervision_greenhouse.store.records import (
     StopRecord,
     checked_key,
     key_of,
-    new_key,
     record_json,
 )
 from cucumbervision_greenhouse.store.schema import (
@@ -52,9 +49,7 @@ from cucumbervision_greenhouse.store.schema import (
     DetectionLine,
     JointLine,
     LinkLine,
-    Mark,
     RoundLine,
-    StopArtifact,
     StopLine,
 )
 from cucumbervision_greenhouse.store.stop_content import (
@@ -173,7 +168,7 @@ class Store(Queries, Corrections):
             houses = connection.execute(house_query.order_by(RoundLine.id)).scalars()
             sent_house = record.house
             record = replace(record, house=same_house(record.house, houses))
-            cells = with_hash(RoundLine, {**cells_by_name(record, ROUND_CELLS), "deleted": False})
+            cells = {**cells_by_name(record, ROUND_CELLS), "deleted": False}
             if insert_new(connection, RoundLine, cells, "key") is not None:
                 return Saved.NEW
             columns = columns_of(RoundLine, ROUND_CELLS)
@@ -187,15 +182,13 @@ class Store(Queries, Corrections):
             return Saved.ALREADY_THERE
 
     def save_stop(self, stop: StopRecord) -> Saved:
-        """Add a stop with all that is in it; the same one sent again changes nothing.
+        """Add a stop with all that is in it; one sent again under its key changes nothing.
 
         Put its pictures into `images` first: a picture without a stop can be found and removed
         (`check_store`), a stop without its picture cannot be repaired.
 
         Raises
         ------
-        StoreConflictError
-            If another stop has its key.
         NameRefusedError
             If its row, its side or a capture's name is none.
         StoreError
@@ -203,23 +196,18 @@ class Store(Queries, Corrections):
             two fruit of a capture the same number.
         """
         stop = checked_stop(stop)
-        sha256 = content_sha256(stop)
         with self.writing() as connection:
             missing = "save the round first"
             round_id = round_id_of(connection, stop.round_key, remedy=missing)
             cells = {
                 **cells_by_name(stop, _STOP_CELLS),
-                "content_sha256": sha256,
                 "round_id": round_id,
                 "row_id": None if stop.row is None else row_id_of(connection, round_id, stop.row),
                 "pose": list(stop.pose),
                 "failures": [dict(failure) for failure in stop.failures],
             }
-            stop_id = insert_new(connection, StopLine, with_hash(StopLine, cells), "key")
+            stop_id = insert_new(connection, StopLine, cells, "key")
             if stop_id is None:
-                stored = select(StopLine.content_sha256).where(StopLine.key == stop.key)
-                if connection.execute(stored).scalar_one() != sha256:
-                    raise _conflict("stop", stop.key)
                 return Saved.ALREADY_THERE
             # The same keys on every machine: from the stop's, the capture's place, the number.
             keys = [
@@ -227,60 +215,7 @@ class Store(Queries, Corrections):
                 for number, capture in enumerate(stop.captures)
             ]
             add_content(connection, stop_id, round_id, stop, keys)
-            seal_stops(connection, StopLine.id == stop_id)
         return Saved.NEW
-
-    def measure_again(
-        self,
-        stop: StopRecord,
-        same: Mapping[str, tuple[str, int]],
-        corrected: Mapping[str, DetectionRecord],
-    ) -> int:
-        """Replace what was measured at a stop; logged, and not to be undone.
-
-        The stop stays where it is. A fruit that is the same as before keeps its key and all that
-        was decided about it by hand. Earlier measurements stay in the tables, out of all lists.
-
-        Parameters
-        ----------
-        stop : StopRecord
-            As measured now, under the key that it has.
-        same : mapping of str to (str, int)
-            Capture and number that a fruit has now, by its key.
-        corrected : mapping of str to DetectionRecord
-            As measured now with its corrected mask, by its key.
-
-        Raises
-        ------
-        StoreError
-            If the stop is not there.
-        """
-        stop = checked_stop(stop)
-        sha256 = content_sha256(stop)
-        key_of_record = {address: key for key, address in same.items()}
-        with self.writing() as connection:
-            line = line_of(connection, StopLine, stop.key)
-            lock_rounds(connection, [line.round_id])
-            aside, old = _put_aside(connection, line)
-            keys = [
-                [
-                    key_of_record.get((capture.name, fruit.number))
-                    or key_of("fruit", stop.key, sha256, number, fruit.number)
-                    for fruit in capture.fruit
-                ]
-                for number, capture in enumerate(stop.captures)
-            ]
-            add_content(connection, line.id, line.round_id, stop, keys)
-            _carry_over(connection, old, corrected)
-            cells = {
-                "content_sha256": sha256,
-                "failures": [dict(failure) for failure in stop.failures],
-            }
-            connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
-            seal_stops(connection, StopLine.id.in_((aside, line.id)))
-            gone = sorted(old.keys() - same.keys())
-            details = {"key": stop.key, "gone": gone}
-            return log_action(connection, MEASURE_AGAIN, line.round_id, list(same), details)
 
     def add_fruit(self, stop_key: str, capture: str, record: DetectionRecord) -> str:
         """Add a fruit that was not found; logged. Return its key.
@@ -322,7 +257,6 @@ class Store(Queries, Corrections):
             key = key_of("fruit", stop_key, place, number)
             numbered = replace(record, number=number)
             add_detections(connection, capture_id, round_id, [key], [numbered])
-            seal_stops(connection, StopLine.key == stop_key)
             mark_added(connection, key, accept="doubtful" not in record.flags.split())
         return key
 
@@ -397,7 +331,7 @@ class Store(Queries, Corrections):
                     "record": joint.record and record_json(replace(joint.record, methods=())),
                     "drawing": drawing,
                 }
-                insert_new(connection, JointLine, with_hash(JointLine, cells), "key")
+                insert_new(connection, JointLine, cells, "key")
 
     def joint(self, round_key: str) -> dict[str, JointRecord]:
         """Return a round's joint measurements by their keys, without paths and poses."""
@@ -440,64 +374,6 @@ def _conflict(what: str, key: str) -> StoreConflictError:
     )
 
 
-def _put_aside(connection: Connection, line: Any) -> tuple[int, dict[str, int]]:
-    """Move a stop's captures to a deleted stop.
-
-    Return that stop's number, and the fruit's numbers by their old keys.
-
-    Parameters
-    ----------
-    connection : Connection
-        In a transaction.
-    line : Row
-        The stop's line, all columns.
-    """
-    cells = {**line._mapping, "key": new_key(), "deleted": True}
-    del cells["id"]
-    copied = insert(StopLine).values(**with_hash(StopLine, cells)).returning(StopLine.id)
-    aside = connection.execute(copied).scalar_one()
-    for table in (CaptureLine, StopArtifact):
-        moved = update(table).where(table.stop_id == line.id)
-        connection.execute(moved.values(stop_id=aside))
-    old = connection.execute(
-        select(DetectionLine.key, DetectionLine.id)
-        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .where(CaptureLine.stop_id == aside)
-    ).all()
-    for detection in old:
-        named = update(DetectionLine).where(DetectionLine.id == detection.id)
-        connection.execute(named.values(key=key_of(cells["key"], detection.key)))
-    return aside, {detection.key: detection.id for detection in old}
-
-
-def _carry_over(
-    connection: Connection, old: Mapping[str, int], corrected: Mapping[str, DetectionRecord]
-) -> None:
-    """Move marks and links to the fruit that now have the old keys.
-
-    Parameters
-    ----------
-    connection : Connection
-        In the same transaction.
-    old : mapping of str to int
-        Of `_put_aside`.
-    corrected : mapping of str to DetectionRecord
-        Fruit of which a person corrected the mask, as measured again with it.
-    """
-    new_ids = select(DetectionLine.key, DetectionLine.id).where(DetectionLine.key.in_(old))
-    for key, new in connection.execute(new_ids).all():
-        old_id = old[key]
-        # A correction that was itself replaced stays with what it was measured from.
-        current = or_(Mark.slot != "mask", Mark.ended_by_id.is_(None))
-        change(connection, Mark, and_(Mark.fruit_id == old_id, current), fruit_id=new)
-        for end in ("first_id", "second_id"):
-            change(connection, LinkLine, getattr(LinkLine, end) == old_id, **{end: new})
-        active = and_(Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
-        if key in corrected:
-            details = record_json(corrected[key])
-            change(connection, Mark, active, value="corrected", details=details)
-
-
 def _joint_of(row: Sequence[Any], drawing: Mapping[str, Any] | None = None) -> JointRecord:
     """Return a joint measurement from its cells; with its drawing, which lists leave out."""
     values = dict(zip(_LISTED_NAMES, row, strict=True))
@@ -536,7 +412,7 @@ def _add_links(
                 "second_round_id": rounds[1],
                 "score": link.score,
             }
-            lines[pair] = with_hash(LinkLine, cells)
+            lines[pair] = cells
     insert_all(connection, LinkLine, list(lines.values()))
     return len(lines)
 

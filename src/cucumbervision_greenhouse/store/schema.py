@@ -89,7 +89,7 @@ class RoundLine(Base):
     profile: Mapped[str]
     note: Mapped[str]
     deleted: Mapped[bool] = mapped_column(server_default=false())
-    sha256: Mapped[str]
+    sha256: Mapped[str] = mapped_column(default="")
 
 
 class Row(Base):
@@ -135,7 +135,7 @@ class StopLine(Base):
 
     id: Mapped[int] = mapped_column(primary_key=True)
     key: Mapped[str] = mapped_column(unique=True)
-    content_sha256: Mapped[str]
+    content_sha256: Mapped[str] = mapped_column(default="")
     round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     row_id: Mapped[int | None] = mapped_column(ForeignKey("rows.id"), index=True)
     side: Mapped[str | None]
@@ -146,12 +146,11 @@ class StopLine(Base):
     pose: Mapped[list[Any]]
     note: Mapped[str]
     failures: Mapped[list[Any]]
-    # Of all lines of the stop, as `check.py` reads them.
     rows_sha256: Mapped[str] = mapped_column(server_default="")
     # Where an algorithm puts the stop, from the fruit that it shares with its neighbours.
     fitted_m: Mapped[float | None]
     fitted_sd_m: Mapped[float | None]
-    sha256: Mapped[str]  # of where it was put
+    sha256: Mapped[str] = mapped_column(default="")
     # Whether its offsets along the row count the other way: its side was corrected later.
     mirrored: Mapped[bool] = mapped_column(server_default=false())
     deleted: Mapped[bool] = mapped_column(server_default=false())
@@ -248,7 +247,7 @@ class Action(Base):
     round_id: Mapped[int | None] = mapped_column(ForeignKey("rounds.id"), index=True)
     fruit: Mapped[list[Any]]
     details: Mapped[dict[str, Any]]
-    sha256: Mapped[str]
+    sha256: Mapped[str] = mapped_column(default="")
     undoes_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), unique=True)
 
 
@@ -263,7 +262,7 @@ class Mark(Base):
     slot: Mapped[str]
     value: Mapped[str]
     details: Mapped[dict[str, Any]]
-    sha256: Mapped[str]
+    sha256: Mapped[str] = mapped_column(default="")
     action_id: Mapped[int] = mapped_column(ForeignKey("actions.id"), index=True)
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 
@@ -284,7 +283,7 @@ class LinkLine(Base):
     first_round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     second_round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     score: Mapped[float | None]
-    sha256: Mapped[str]
+    sha256: Mapped[str] = mapped_column(default="")
     action_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 
@@ -302,7 +301,7 @@ class JointLine(Base):
     reason: Mapped[str]
     record: Mapped[dict[str, Any] | None]
     drawing: Mapped[dict[str, Any]]
-    sha256: Mapped[str]
+    sha256: Mapped[str] = mapped_column(default="")
 
 
 ADDED = "added"

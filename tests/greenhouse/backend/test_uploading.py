@@ -13,7 +13,6 @@ import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import DiskFullError, StoreAwayError
-from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
@@ -138,18 +137,6 @@ def test_an_upload_is_counted_in_captures_and_not_in_files(
     # It is announced, begun, and opened; then its two captures; then it is done.
     counted = ["Measuring: 0 of 2 captures", "Measuring: 1 of 2 captures"]
     assert said[:-2] == ["Checking 2 files", "Checking 2 files", *counted]
-
-
-def test_an_upload_with_other_options_is_measured_again(store: Store, measured: Measure) -> None:
-    places, kinds = [], []
-    for length in (LengthDefinition.CENTRELINE, LengthDefinition.CHORD):
-        told = measured([("row.zip", packed())], replace(OPTIONS, length=length))
-        assert all(one.saved for one in told)
-        places.append([(stop.key, stop.position_m) for stop in store.stops(DEMONSTRATION)])
-        kinds.append({kind_of(detection.record) for detection in store.detections(DEMONSTRATION)})
-    assert "is measured again" in told[0].words
-    assert places[0] == places[1]
-    assert kinds == [{"centreline"}, {"chord"}]
 
 
 def test_one_camera_takes_a_place_once(store: Store, measured: Measure) -> None:

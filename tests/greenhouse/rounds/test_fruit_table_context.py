@@ -15,8 +15,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     least_sure_first,
     round_figures,
 )
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-from cucumbervision_greenhouse.rounds.row_fruit import FalseShare
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     DetectionRecord,
@@ -105,21 +104,6 @@ def test_the_least_sure_are_looked_at_first_until_somebody_judged_them(store: St
     assert len(least_sure_first(store.detections(MONDAY.key))) == 3
 
 
-def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store: Store) -> None:
-    views = store.detections(MONDAY.key)
-    assert read_round(store, TUESDAY.key).false == FalseShare()
-    store.set_verdict([views[0].key], Verdict.REJECTED)
-    store.set_verdict([views[1].key], Verdict.ACCEPTED)
-    content = read_round(store, TUESDAY.key)
-    assert content.false == FalseShare.learnt(1, 4)
-    assert content.false.share > FalseShare().share
-    (row,) = row_counts(read_round(store, MONDAY.key))
-    assert len(row.count.view_counts) == 3  # without the rejected one
-    assert row.count.real.max() == 1.0  # the accepted one is a fruit
-    low, high = row.count.interval()
-    assert low <= row.count.expected <= high
-
-
 def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path: Path) -> None:
     """Of 0.30, 0.32, 0.60 (outline and depth apart) and 0.10 m (in part), the first two count."""
     flagged = {0.30: "", 0.32: "", 0.60: "depth-unaligned", 0.10: "end-hidden"}
@@ -139,4 +123,4 @@ def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path
     assert figures.mean_m == pytest.approx(0.31)
     states = fruit_states(table, 0.0, load_profile("long-cucumber"))
     assert sorted(state.length_m for state in states) == [0.10, 0.30, 0.32]
-    assert detection_rates((), table).found == 0.75
+    assert detection_rates(table).found == 0.75

@@ -14,7 +14,7 @@ from cucumbervision_greenhouse.rounds.merge import (
     merge_row,
     sweep,
 )
-from cucumbervision_greenhouse.rounds.row_fruit import best_views, count_fruit, row_fruit
+from cucumbervision_greenhouse.rounds.row_fruit import best_views, row_fruit
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 
 GIVEN = SimulatedRow(per_m=10)
@@ -35,17 +35,14 @@ def shares(walk: Walk, cluster: NDArray[np.integer]) -> tuple[float, float]:
 
 @pytest.mark.parametrize("settings", [GIVEN, replace(GIVEN, per_m=12), replace(GIVEN, sides=2)])
 def test_pairs_and_counts_of_simulated_rows(settings: SimulatedRow) -> None:
-    found, errors = [], []
+    found = []
     for seed in range(3):
         walk = simulate_row(settings, seed)
         merged = merge_row(walk.stops, walk.views)
         found.append(shares(walk, merged.cluster))
-        errors.append(count_fruit(merged, walk.stops, walk.views).expected / walk.in_view - 1)
     precision, recall = np.mean(found, axis=0)
     assert precision >= 0.98
     assert recall >= 0.98
-    # Each row's count has a standard deviation of 1.5 % or so: invented fruit come by chance.
-    assert abs(np.mean(errors)) < 0.02
 
 
 def test_dense_rows_with_worse_positions() -> None:

@@ -130,27 +130,6 @@ def test_the_times_of_picking_are_by_fruit(store: Store, make_stop: MakeStop) ->
     assert store.picked(key_of("next day")) == {}
 
 
-def test_verdicts_of_a_house_count_in_the_rounds_that_have_any(
-    store: Store, make_stop: MakeStop
-) -> None:
-    other = Round(key_of("other"), "elsewhere", "house 2", 500.0)
-    next_day = Round(key_of("next day"), "next morning", "house 1", 87400.0)
-    store.save_round(other)
-    for step, walk in enumerate((None, next_day, other)):
-        changes = {} if walk is None else {"round": walk}
-        store.save_stop(make_stop(step, fruit=2 + step, **changes))
-    assert store.judged(WALK) == (0, 0)
-    keys = {one: [view.key for view in store.detections(one)] for one in (WALK, other.key)}
-    store.set_verdict(keys[WALK][:1], Verdict.REJECTED)
-    store.set_verdict(keys[other.key], Verdict.REJECTED)
-    # Nobody judged the next day's fruit: whether they are false is not known.
-    assert store.judged(WALK) == store.judged(next_day.key) == (1, 2)
-    assert store.judged(other.key) == (4, 4)
-    later = [view.key for view in store.detections(next_day.key)]
-    store.set_verdict(later[:1], Verdict.ACCEPTED)
-    assert store.judged(WALK) == (1, 5)
-
-
 def test_the_newest_action_of_a_round_leaves_out_what_does_not_matter(
     store: Store, make_stop: MakeStop
 ) -> None:

@@ -19,7 +19,7 @@ def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -
         first, second, *_ = store.detections(WALK)
     test = app("row_map", round=WALK, fruit=first.key)
     assert not test.exception
-    assert "real (" in said(test)
+    assert "fruit found" in said(test)
 
     def groups() -> int:
         with open_store(house) as store:

@@ -24,12 +24,17 @@ from PIL import Image
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.geometry.axis import align_near
+from cucumbervision.geometry.curve import align_near
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.m1 import WINDOW_PX, reference_depth, sample_grid, window_depths
-from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
 from cucumbervision.measurement.m6 import TubeView, view_tube
 from cucumbervision.measurement.methods import GATE_M, Region, run_methods
+from cucumbervision.measurement.paper_methods import (
+    M1_WINDOW_PX,
+    reference_depth,
+    sample_grid,
+    window_depths,
+)
+from cucumbervision.measurement.paper_methods import M1_WINDOW_PX as M4_WINDOW_PX
 from cucumbervision.measurement.result import Measurement, MethodName
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision_lab.synthesis.bodies import Tube
@@ -124,7 +129,7 @@ def used_by(method: MethodName, region: Region) -> Used:
     if method is MethodName.M4:
         assert region.keypoints is not None
         u, v, _ = region.keypoints.T
-        depths = window_depths(region.depth_m, u, v, KEYPOINT_PX, region.mask)
+        depths = window_depths(region.depth_m, u, v, M4_WINDOW_PX, region.mask)
         return Used(_lifted(region, u, v, depths), NOTHING)
     if method is MethodName.M6:
         return Used(_tube_view(region).evidence.points_m, NOTHING)
@@ -137,7 +142,7 @@ def used_by(method: MethodName, region: Region) -> Used:
 
 def _samples(region: Region) -> Used:
     u, v = (grid.ravel() for grid in sample_grid(region.box))
-    depths = window_depths(region.depth_m, u, v, WINDOW_PX)
+    depths = window_depths(region.depth_m, u, v, M1_WINDOW_PX)
     middle = reference_depth(region.depth_m, region.box)
     assert middle is not None
     points = _lifted(region, u, v, depths)

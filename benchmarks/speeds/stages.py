@@ -36,7 +36,7 @@ STAGES = {
     "pose": ("measurement.pose:fruit_pose",),
     "intervals": ("measurement.selector:with_length",),
     "look at ends": ("measurement.end_looks:with_end_looks",),
-    "traits": ("measurement.trait_values:with_traits",),
+    "traits": ("measurement.traits:with_traits",),
     "overlay": ("pipeline.run:FolderWorker.draw",),
     WRITING: ("pipeline.run:FolderWorker.make",),
 }

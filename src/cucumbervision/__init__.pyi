@@ -33,8 +33,8 @@ from .measurement.result import Measurement as Measurement
 from .measurement.result import MethodName as MethodName
 from .measurement.result import Selector as Selector
 from .measurement.selector import measure_fruit as measure_fruit
-from .measurement.trait_values import TableTrait as TableTrait
-from .measurement.trait_values import TraitValue as TraitValue
+from .measurement.traits import TableTrait as TableTrait
+from .measurement.traits import TraitValue as TraitValue
 from .measurement.traits import TubeTraits as TubeTraits
 from .perception.networks import open_segmenter as open_segmenter
 from .perception.yolo import YoloDetector as YoloDetector

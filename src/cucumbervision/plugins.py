@@ -33,11 +33,11 @@ PACKAGE = "cucumbervision"
 
 _OWN: Mapping[Kind, Mapping[str, str]] = {
     "methods": {
-        "M1": "cucumbervision.measurement.m1:METHOD",
-        "M2": "cucumbervision.measurement.m2_m3:METHOD_M2",
-        "M3": "cucumbervision.measurement.m2_m3:METHOD_M3",
-        "M4": "cucumbervision.measurement.m4:METHOD",
-        "M5": "cucumbervision.measurement.m5:METHOD",
+        "M1": "cucumbervision.measurement.paper_methods:M1",
+        "M2": "cucumbervision.measurement.paper_methods:M2",
+        "M3": "cucumbervision.measurement.paper_methods:M3",
+        "M4": "cucumbervision.measurement.paper_methods:M4",
+        "M5": "cucumbervision.measurement.paper_methods:M5",
         "M6": "cucumbervision.measurement.m6:METHOD",
     },
     "readers": {

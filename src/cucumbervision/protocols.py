@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.methods import Region
     from cucumbervision.measurement.result import Fruit, LengthKind, Measurement
-    from cucumbervision.measurement.trait_values import TraitValue
+    from cucumbervision.measurement.traits import TraitValue
 
 
 class Detector(Protocol):

@@ -26,11 +26,17 @@ from cucumbervision.geometry.tube_evidence import (
     point_readings,
     ray_readings,
 )
-from cucumbervision.geometry.tube_fit import fit_shape, solve_held, stepped
+from cucumbervision.geometry.tube_fit import (
+    add_nuisance_prior,
+    add_shape_prior,
+    end_hold,
+    fit_shape,
+    solve_held,
+    stepped,
+)
 from cucumbervision.geometry.tube_gaps import Gaps, depth_gaps, gaps, gaps_of
 from cucumbervision.geometry.tube_guess import guess_shape
 from cucumbervision.geometry.tube_kernel import Contacts, Fit, call
-from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 
 needs_kernel = pytest.mark.skipif(
     tube_kernel.library() is None, reason="the kernel is not compiled here"

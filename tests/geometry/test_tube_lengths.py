@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.geometry.tube_lengths import (
+from cucumbervision.geometry.tube import (
     axis_path,
     bending_direction,
     inner_arc_height,

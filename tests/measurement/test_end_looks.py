@@ -20,12 +20,12 @@ from cucumbervision.measurement.intervals import (
     Band,
     IntervalModel,
     IntervalModels,
+    Trees,
     look_features,
     tube_features,
 )
 from cucumbervision.measurement.result import Fruit, MethodName, TubeFit
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.measurement.trees import Trees
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

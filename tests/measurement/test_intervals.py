@@ -19,6 +19,7 @@ from cucumbervision.measurement.intervals import (
     Band,
     IntervalModel,
     IntervalModels,
+    Trees,
     feature_groups,
     mask_features,
     shipped_interval_models,
@@ -31,7 +32,6 @@ from cucumbervision.measurement.result import (
     MethodName,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.measurement.trees import Trees
 from cucumbervision_lab.benchmark.interval_fit import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.geometry.axis import principal_axis
-from cucumbervision.geometry.curve import arc_positions
+from cucumbervision.geometry.curve import arc_positions, principal_axis
 from cucumbervision.geometry.pixels import median_of
 from cucumbervision.geometry.tube import shape_from_curve
 

@@ -26,10 +26,12 @@ from cucumbervision.geometry.tube_fit import (
     SCATTER_POINTS,
     SCATTER_RAYS,
     TubeFitting,
+    add_nuisance_prior,
+    add_shape_prior,
+    end_hold,
     solve_held,
     stepped,
 )
-from cucumbervision.geometry.tube_prior import add_nuisance_prior, add_shape_prior, end_hold
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,9 +1,9 @@
-"""Intervals of lengths: features and models."""
+"""Intervals of lengths: features, trees and models."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,6 @@ from cucumbervision.measurement.result import (
     LengthDefinition,
     calibration_key,
 )
-from cucumbervision.measurement.trees import Trees
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,6 +29,49 @@ if TYPE_CHECKING:
 
     from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.measurement.result import Measurement
+
+
+@dataclass(frozen=True)
+class Trees:
+    """Regression trees of depth two whose values are added (gradient boosting; Friedman 2001).
+
+    Parameters
+    ----------
+    start : float
+        What is added to: the value without any tree.
+    features : tuple of (int, int, int)
+        For each tree the index of the feature that it asks first, then that of the feature that it
+        asks at or below the first limit, and above it.
+    limits : tuple of (float, float, float)
+        The limits of the three.
+    leaves : tuple of (float, float, float, float)
+        For each tree its values, from below both limits to above both.
+
+    Examples
+    --------
+    >>> trees = Trees(-4.0, ((0, 1, 1),), ((0.5, 10.0, 20.0),), ((0.0, 0.1, 0.2, 0.4),))
+    >>> [trees.value(np.array(row)) for row in ([0.3, 15.0], [0.7, 15.0], [0.7, 25.0])]
+    [-3.9, -3.8, -3.6]
+    """
+
+    start: float
+    features: tuple[tuple[int, int, int], ...] = ()
+    limits: tuple[tuple[float, float, float], ...] = ()
+    leaves: tuple[tuple[float, float, float, float], ...] = ()
+
+    def value(self, row: NDArray[np.float64]) -> float:
+        """Return the sum for one row of features, float64 of shape (F,)."""
+        features, limits, leaves = self._arrays
+        if not len(features):
+            return self.start
+        above = row[features] > limits
+        second = np.where(above[:, 0], above[:, 2], above[:, 1])
+        return self.start + float(leaves[np.arange(len(leaves)), 2 * above[:, 0] + second].sum())
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        return np.array(self.features, np.intp), np.array(self.limits), np.array(self.leaves)
+
 
 _LEAST_DOUBT = 0.01  # of a confidence: above 0.99 detectors do not discriminate
 PERCEIVED = " perceived"

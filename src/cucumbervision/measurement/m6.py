@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, median_of, outline_cracks
-from cucumbervision.geometry.tube import TubeShape
+from cucumbervision.geometry.tube import TubeShape, with_tips
 from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
@@ -20,7 +20,6 @@ from cucumbervision.geometry.tube_guess import (
     guess_shape,
     near_depths,
 )
-from cucumbervision.geometry.tube_lengths import with_tips
 from cucumbervision.instances.masks import distances_inside, mask_window
 from cucumbervision.measurement.depth_doubts import LEAST_FILL
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from cucumbervision.instances.instance import Instance, MaskSource
     from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.pose import FruitPose
-    from cucumbervision.measurement.trait_values import TraitValue
-    from cucumbervision.measurement.traits import TubeLengths, TubeTraits
+    from cucumbervision.measurement.traits import TraitValue, TubeLengths, TubeTraits
 
 
 class MethodName(StrEnum):

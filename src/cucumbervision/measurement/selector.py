@@ -11,13 +11,17 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE, MaskSource
 from cucumbervision.instances.masks import mask_pixels, mask_window
-from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.depth_doubts import depth_doubts
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.intervals import mask_features, with_interval
-from cucumbervision.measurement.m4 import MIN_VISIBILITY
-from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
-from cucumbervision.measurement.methods import AVAILABLE, Region, TableMethod, run_methods
+from cucumbervision.measurement.methods import (
+    AVAILABLE,
+    Region,
+    TableMethod,
+    box_pixels,
+    run_methods,
+)
+from cucumbervision.measurement.paper_methods import MIN_VISIBILITY, SPLINE_POINTS
 from cucumbervision.measurement.pose import CUT_BEYOND_M, fruit_pose, stem_first
 from cucumbervision.measurement.result import (
     Choice,

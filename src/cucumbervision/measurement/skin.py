@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.instances.masks import box_of_mask, mask_window
-from cucumbervision.measurement.trait_values import TableTrait, TraitValue
+from cucumbervision.measurement.traits import TableTrait, TraitValue
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -26,7 +26,7 @@ from cucumbervision.measurement.result import (
     Fruit,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.measurement.trait_values import with_traits
+from cucumbervision.measurement.traits import with_traits
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
 from cucumbervision.pipeline.fields import FIELDS, fruit_row
 from cucumbervision.pipeline.finders import make_finder

@@ -9,7 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.masks import mask_window
-from cucumbervision.measurement.m4 import MIN_VISIBILITY
+from cucumbervision.measurement.paper_methods import MIN_VISIBILITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

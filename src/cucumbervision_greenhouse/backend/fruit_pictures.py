@@ -12,8 +12,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.measurement.methods import method_color
+from cucumbervision.measurement.paper_methods import window_depths
 from cucumbervision.pipeline.overlay import as_jpeg, draw_polyline, mask_outlines, path_px
 from cucumbervision_greenhouse.backend.fruit_words import label_words, length_words
 from cucumbervision_greenhouse.backend.language import gettext as _

@@ -14,11 +14,11 @@ from cucumbervision.measurement.intervals import (
     Band,
     IntervalModel,
     IntervalModels,
+    Trees,
     feature_groups,
     spread,
 )
 from cucumbervision.measurement.result import IntervalBasis
-from cucumbervision.measurement.trees import Trees
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,9 +11,8 @@ import numpy as np
 from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_iou
-from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.intervals import mask_features, tube_features
-from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.measurement.methods import AVAILABLE, masked_points
 from cucumbervision.measurement.result import MethodName, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
 from cucumbervision_lab.benchmark.baselines import available_baselines

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.geometry.curve import polyline_length
-from cucumbervision.geometry.tube_lengths import thread_length
+from cucumbervision.geometry.tube import thread_length
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

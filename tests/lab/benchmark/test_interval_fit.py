@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from sklearn.ensemble import GradientBoostingRegressor
 
-from cucumbervision.measurement.intervals import Band, IntervalModel
-from cucumbervision.measurement.trees import Trees
+from cucumbervision.measurement.intervals import Band, IntervalModel, Trees
 from cucumbervision_lab.benchmark.interval_fit import (
     conformal_quantile,
     fit_interval_model,

@@ -10,7 +10,7 @@ from tests.capsules import CAMERA, Capsule, capsule_capture, lying, with_depth
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.instances.masks import distances_inside
-from cucumbervision.measurement.depth_alignment import fits_better_elsewhere
+from cucumbervision.measurement.depth_doubts import fits_better_elsewhere
 
 
 def is_elsewhere(capture: Capture) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.capsules import Capsule, capsule_capture, lying, with_depth
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.measurement.depth_steps import has_coarse_steps
+from cucumbervision.measurement.depth_doubts import has_coarse_steps
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.pipeline.results import measure
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.geometry.axis import align_near, bin_centroids, depth_gate, principal_axis
+from cucumbervision.geometry.curve import align_near, bin_centroids, depth_gate, principal_axis
 
 
 def test_principal_axis_is_the_first_right_singular_vector() -> None:

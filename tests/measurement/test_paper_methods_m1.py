@@ -5,7 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.m1 import measure_m1, window_depths
+from cucumbervision.measurement.paper_methods import measure_m1, window_depths
 from cucumbervision.measurement.result import LengthKind, Reason
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.cloud import masked_points
-from cucumbervision.measurement.m5 import measure_m5
+from cucumbervision.measurement.methods import masked_points
+from cucumbervision.measurement.paper_methods import measure_m5
 from cucumbervision.measurement.result import LengthKind, Reason
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render

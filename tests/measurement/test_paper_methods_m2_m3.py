@@ -5,8 +5,8 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.cloud import box_points, masked_points
-from cucumbervision.measurement.m2_m3 import measure_m2, measure_m3
+from cucumbervision.measurement.methods import box_points, masked_points
+from cucumbervision.measurement.paper_methods import measure_m2, measure_m3
 from cucumbervision.measurement.result import Reason
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render

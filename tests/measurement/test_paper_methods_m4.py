@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.m4 import measure_m4
+from cucumbervision.measurement.paper_methods import measure_m4
 from cucumbervision.measurement.result import LengthKind, Reason
 
 RADIUS_PX, PIXEL_M = 400.0, 0.455 / 910  # at 0.455 m one pixel is 0.5 mm

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from cucumbervision.measurement.trees import Trees
+from cucumbervision.measurement.intervals import Trees
 
 
 def test_each_tree_asks_a_second_question_on_either_side() -> None:

@@ -16,7 +16,7 @@ from cucumbervision.errors import PluginError
 from cucumbervision.instances.instance import Instance
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import Fruit, MethodName
-from cucumbervision.measurement.trait_values import TableTrait
+from cucumbervision.measurement.traits import TableTrait
 from cucumbervision.pipeline.measurer import CaptureResult, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns

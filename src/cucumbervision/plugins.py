@@ -9,8 +9,7 @@ it is. Nothing is imported before it is used.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from copy import copy
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import (
     EntryPoint,
@@ -125,7 +124,7 @@ class Plugin:
         )
 
     def call(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Call a function of the plug-in. Arrays are handed to another package's read-only.
+        """Call a function of the plug-in.
 
         Raises
         ------
@@ -136,7 +135,7 @@ class Plugin:
         if self.is_own:
             return function(*arguments)
         try:
-            return function(*map(read_only, arguments))
+            return function(*arguments)
         except CucumberVisionError as error:
             # A detector or reader may say what is wrong with its input.
             if isinstance(error, PluginError) or self.kind in ("detectors", "readers"):
@@ -144,40 +143,6 @@ class Plugin:
             raise self.error(f"failed ({error})") from error
         except (Exception, SystemExit) as error:
             raise self.error(f"failed ({type(error).__name__}: {error})") from error
-
-
-def read_only(value: Any) -> Any:
-    """Return a value for somebody who must not change it: writing into an array raises ValueError.
-
-    Frozen dataclasses, tuples, lists and dictionaries are copied around views of their arrays;
-    everything else stays as it is.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> depths_m = np.ones(3)
-    >>> read_only([depths_m])[0].flags.writeable, depths_m.flags.writeable
-    (False, True)
-    """
-    import numpy as np
-
-    if isinstance(value, np.ndarray):
-        view = value.view()
-        view.setflags(write=False)
-        return view
-    if type(value) in (tuple, list):
-        return type(value)(map(read_only, value))
-    if isinstance(value, dict):
-        return {key: read_only(inside) for key, inside in value.items()}
-    if is_dataclass(value) and not isinstance(value, type) and _is_frozen(value):
-        shielded = copy(value)  # what it has computed already, too
-        vars(shielded).update((name, read_only(inside)) for name, inside in vars(value).items())
-        return shielded
-    return value
-
-
-def _is_frozen(value: Any) -> bool:
-    return bool(value.__dataclass_params__.frozen) and hasattr(value, "__dict__")
 
 
 @lru_cache

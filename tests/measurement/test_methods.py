@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.methods import AVAILABLE, Region, TableMethod, run_methods
-from cucumbervision.measurement.result import LengthKind, Measurement, MethodName, Reason
+from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
+from cucumbervision.measurement.result import LengthKind, MethodName, Reason
 
 
 @pytest.fixture
@@ -86,22 +86,3 @@ def test_only_what_was_asked_runs(region: Region) -> None:
 def test_a_method_that_is_not_there_is_refused(region: Region) -> None:
     with pytest.raises(KeyError, match="M7"):
         run_methods(region, ["M7"])
-
-
-@pytest.mark.parametrize("name", ["depth_m", "mask", "box", "mask_points_m", "box_points_m"])
-def test_a_method_of_another_package_changes_nothing_of_the_fruit(
-    name: str, region: Region
-) -> None:
-    def fill(region: Region) -> Measurement:
-        getattr(region, name)[:] = 0
-        return Measurement("M7", reason=Reason.NO_KEYPOINTS)
-
-    fill.__module__ = "another_package"
-    own = (MethodName.M1, MethodName.M3, MethodName.M6)
-    alone = run_methods(Region(region.depth_m, region.intrinsics, region.box, region.mask), own)
-    foreign = TableMethod("M7", "fills", LengthKind.SURFACE_ARC, fill)
-    assert run_methods(region, [foreign])["M7"].length_m is None
-    after = run_methods(region, [*own, foreign])
-    assert [after[m].length_m for m in own] == [alone[m].length_m for m in own]
-    assert getattr(region, name).any()
-    assert region.depth_m.flags.writeable  # the program's own arrays stay as they are

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -176,26 +175,6 @@ class Capture:
         doubts = [doubt for doubt in self.doubts if doubt not in signs]
         doubts += [doubt for doubt, is_shown in signs.items() if is_shown]
         object.__setattr__(self, "doubts", tuple(doubts))
-
-    def read_only(self) -> Self:
-        """Return the same capture for somebody who must not change it: writing raises a ValueError.
-
-        Examples
-        --------
-        >>> from cucumbervision.capture.intrinsics import Intrinsics
-        >>> color, depth = np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.5, np.float32)
-        >>> capture = Capture(color, depth, Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0), name="a")
-        >>> capture.read_only().depth_m.flags.writeable, capture.depth_m.flags.writeable
-        (False, True)
-        """
-        color, depth_m = self.color.view(), self.depth_m.view()
-        masks = tuple(mask.view() for mask in self.masks)
-        views: list[NDArray[Any]] = [color, depth_m, *masks]
-        for view in views:
-            view.setflags(write=False)
-        shielded = copy(self)  # the same values need no second check
-        vars(shielded).update(color=color, depth_m=depth_m, masks=masks)
-        return shielded
 
     @classmethod
     def from_arrays(

@@ -350,29 +350,19 @@ def _checked(plugin: Plugin, measurement: Measurement) -> Measurement:
     Raises
     ------
     PluginError
-        If it is none, or holds numbers that are no length or line.
+        If it is none, or its length is none.
     """
     if not isinstance(measurement, Measurement):
         raise plugin.error(f"returned {type(measurement).__name__} in place of a Measurement")
-    length_m, path = measurement.length_m, measurement.path_m
-    is_number = isinstance(length_m, float | int | np.number) and not isinstance(length_m, bool)
-    if length_m is not None and not (is_number and 0 < length_m < np.inf):
+    length_m = measurement.length_m
+    if length_m is None:
+        return replace(measurement, method=plugin.name)
+    length_m = plugin.call(float, length_m)
+    if not 0 < length_m < np.inf:
         raise plugin.error(f"returned a length of {length_m!r} m")
-    kinds = (*LengthKind, *LengthDefinition)
-    if length_m is not None and measurement.kind not in kinds:
+    if measurement.kind not in (*LengthKind, *LengthDefinition):
         raise plugin.error(f"returned a length of kind {measurement.kind!r}")
-    if path is not None and not is_path(path):
-        raise plugin.error("returned a line that is not (K, 3) finite coordinates in metres")
-    if length_m is not None:
-        measurement = replace(measurement, length_m=float(length_m))
-    return replace(measurement, method=plugin.name)
-
-
-def is_path(path: Any) -> bool:
-    """Return whether something is a line in space: finite numbers of shape (K, 3), K > 1."""
-    array = np.asarray(path)
-    is_line = array.ndim == 2 and array.shape[1] == 3 and len(array) > 1
-    return is_line and array.dtype.kind in "fiu" and bool(np.isfinite(array).all())
+    return replace(measurement, method=plugin.name, length_m=length_m)
 
 
 def or_else(failed: Measurement, method: str, substitute: Measurement) -> Measurement:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -236,7 +235,6 @@ def with_traits(capture: Capture, fruit: Fruit, traits: Iterable[tuple[Plugin, T
         A trait of another package that raised, or returned what is no finite number, has the reason
         'plugin-failed' and the error; the fruit is flagged, and otherwise as it was.
     """
-    capture = capture.read_only()  # else a trait changes the fruit after it
     values = {plugin.name: trait_value(plugin, trait, capture, fruit) for plugin, trait in traits}
     if not values:
         return fruit
@@ -248,22 +246,13 @@ def with_traits(capture: Capture, fruit: Fruit, traits: Iterable[tuple[Plugin, T
 def trait_value(plugin: Plugin, trait: Trait, capture: Capture, fruit: Fruit) -> TraitValue:
     """Return the value of a trait; what fails is a value with an error."""
     try:
-        return _checked(plugin, plugin.call(trait, capture, fruit))
+        answer = plugin.call(trait, capture, fruit)
+        value = answer if isinstance(answer, TraitValue) else TraitValue(answer)
+        if value.value is None:
+            return value
+        number = plugin.call(float, value.value)
+        if not math.isfinite(number):
+            raise plugin.error(f"returned {number} in place of a finite number")
+        return replace(value, value=number)
     except PluginError as error:
         return TraitValue(None, str(Flag.PLUGIN_FAILED), error)
-
-
-def _checked(plugin: Plugin, answer: Any) -> TraitValue:
-    value = answer if isinstance(answer, TraitValue) else TraitValue(answer)
-    number = value.value
-    if number is None:
-        return value
-    answer = cast("Any", number)  # a trait of another package may return anything
-    is_real = isinstance(answer, (float, int, np.floating, np.integer))
-    try:
-        figure = float(answer) if is_real and not isinstance(answer, np.timedelta64) else math.nan
-    except OverflowError:
-        figure = math.inf
-    if not math.isfinite(figure):
-        raise plugin.error(f"returned {reprlib.repr(number)} in place of a finite number")
-    return replace(value, value=figure)

@@ -15,7 +15,7 @@ from cucumbervision.measurement.result import MethodName
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.benchmark.baselines import BASELINES, available_baselines
-from cucumbervision_lab.training.checkpoint import import_ultralytics
+from cucumbervision_lab.training.networks import import_ultralytics
 from speeds.frames import bundled
 from speeds.kernels import CAMERA, PAPER_METHODS, draw_region, floor, fresh, milliseconds
 

@@ -1,4 +1,4 @@
-"""`cucumbervision data`: check, convert, split, label, crop, merge and export data sets."""
+"""`cucumbervision data`: check, convert, split, label, merge and export data sets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="data",
-    help="Check, convert, split, label, crop, merge and export data sets.",
+    help="Check, convert, split, label, merge and export data sets.",
     no_args_is_help=True,
 )
 
@@ -174,26 +174,6 @@ def pseudo(
 
 
 @app.command()
-def windows(
-    folder: Folder,
-    out: Out,
-    side: Annotated[
-        int, typer.Option(min=32, help="Side of a window, pixels; larger if a fruit is larger.")
-    ] = 480,
-) -> None:
-    """Crop windows around fruit, as smaller training pictures with the same fruit size."""
-    from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.windows import write_windows
-
-    dataset = _open(folder)
-    with ticking("cutting", len(dataset.pictures)) as tick:
-        cut = write_windows(dataset, out, side, progress=tick)
-    fruit = sum(not label.ignore for picture in cut.pictures for label in picture.labels)
-    show(f"{len(cut.pictures)} windows with {fruit} fruit are in {out}")
-    _finish(dataset)
-
-
-@app.command()
 def merge(
     out: Out,
     folders: Annotated[list[Path], typer.Argument(help="Sets to merge.", metavar="SET...")],
@@ -207,6 +187,24 @@ def merge(
         merged = merge_datasets(sets, out, progress=tick)
     show(f"{len(merged.pictures)} pictures of {len(sets)} sets are in {merged.folder}")
     _finish(*sets)
+
+
+@app.command("from-photos")
+def from_photos(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the audited photos, searched recursively.")
+    ],
+    out: Out,
+    d435: Annotated[
+        bool, typer.Option("--d435", help="Training photos in the colours of a D435, too.")
+    ] = False,
+) -> None:
+    """Write the audited photos, except those of test scenes, as a labelled set with masks."""
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training.data import photo_set
+
+    made = photo_set(folder, out, as_d435=d435)
+    show(f"{len(made.pictures)} photos are in {out}")
 
 
 @app.command("from-store")

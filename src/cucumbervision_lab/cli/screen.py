@@ -6,32 +6,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 from cucumbervision.cli.console import print_table, progress_bar, screen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from rich.progress import TaskID
 
     from cucumbervision.accuracy.table import ReportTable
-    from cucumbervision_lab.training.train import EpochReport
-
-_SHOWN = (
-    ("metrics/mAP50-95(B)", "box mAP"),
-    ("metrics/mAP50-95(M)", "mask mAP"),
-    ("metrics/mAP50-95(P)", "points mAP"),
-    ("metrics/precision(B)", "precision"),
-    ("metrics/recall(B)", "recall"),
-)
 
 
 @contextmanager
@@ -75,67 +58,3 @@ def show(*lines: object, error: bool = False) -> None:
     console = Console(stderr=error, highlight=False)
     for line in lines:
         console.print(str(line), soft_wrap=True, markup=False)
-
-
-class TrainConsole:
-    """Training callbacks that show a progress bar; use as a context manager."""
-
-    def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False)
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=self._console,
-            disable=not self._console.is_terminal,
-            transient=True,
-        )
-        self._task = self._bar.add_task("preparing", total=1.0)
-
-    def __enter__(self) -> TrainConsole:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def batch(self, fraction: float, size_px: int) -> None:
-        """Update the progress bar."""
-        self._bar.update(self._task, completed=fraction, description=f"epoch at {size_px} px")
-
-    def epoch(self, report: EpochReport) -> None:
-        """Print the line of a completed epoch."""
-        self._bar.reset(self._task)
-        self._console.print(epoch_line(report), soft_wrap=True)
-
-    def log(self, line: str) -> None:
-        """Print a line."""
-        self._console.print(line, soft_wrap=True, markup=False)
-
-    def close(self, network: Path) -> None:
-        """Print the path of the weights."""
-        where = str(network) if network.is_file() else "none, no epoch has completed yet"
-        Console(highlight=False).print(f"weights: {where}", soft_wrap=True)
-
-
-def epoch_line(report: EpochReport) -> str:
-    """Format an epoch report as one line.
-
-    Examples
-    --------
-    >>> from cucumbervision_lab.training.train import EpochReport
-    >>> epoch_line(EpochReport(1500, 20000, 448, 41.2, {"metrics/mAP50-95(B)": 0.5123}))
-    '1500 of 20000 pictures  448 px  41 s  box mAP 0.512'
-    """
-    parts = [
-        f"{report.pictures} of {report.of} pictures",
-        f"{report.size_px} px",
-        f"{report.seconds:.0f} s",
-    ]
-    losses = sum(v for k, v in report.metrics.items() if k.startswith("train/"))
-    if losses:
-        parts.append(f"loss {losses:.3f}")
-    parts += [f"{name} {report.metrics[key]:.3f}" for key, name in _SHOWN if key in report.metrics]
-    return "  ".join(parts)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,11 +14,12 @@ import typer
 from cucumbervision.cli.choices import InputSize
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from cucumbervision_lab.training.classifier import Trained
-    from cucumbervision_lab.training.end_crops import EndCrops
-    from cucumbervision_lab.training.measured_ends import MeasuredFruit
+    from cucumbervision_lab.datasets.labels import DataSet
+    from cucumbervision_lab.training.classifier import ClassifierOptions, Trained
+
+    Tick = Callable[[int], None]
 
 app = typer.Typer(
     name="train",
@@ -24,126 +27,58 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-Data = Annotated[Path | None, typer.Argument(help="Folder or data.yaml of a data set.")]
-Out = Annotated[Path, typer.Option("--out", help="Folder of the run.", metavar="RUN")]
-Init = Annotated[
-    str | None,
-    typer.Option("--init", help="Initial weights (.pt), or an Ultralytics .yaml."),
+Out = Annotated[
+    Path, typer.Option("--out", help="Folder of the run; rerun to resume.", metavar="RUN")
 ]
-Plan = Annotated[
-    str | None, typer.Option("--plan", help="Size x pictures, as in 448x80000,640x20000.")
-]
-PerEpoch = Annotated[
-    int, typer.Option("--per-epoch", min=1, help="Pictures between two checkpoints.")
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Resume RUN; a longer --plan extends it.")]
-Batch = Annotated[
-    int, typer.Option("--batch", min=0, help="Batch size; 0: 8 on the CPU, 64 on a GPU.")
-]
-Device = Annotated[str, typer.Option("--device", help="auto, cpu or a CUDA device number.")]
-Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
-Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Initial learning rate.")]
 Folder = Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")]
+Epochs = Annotated[int, typer.Option(min=1, help="Number of epochs.")]
+Size = Annotated[int, typer.Option(min=32, help="Size of the training pictures, pixels.")]
+Batch = Annotated[int, typer.Option(min=0, help="Batch size; 0: 8 on the CPU, 64 on a GPU.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or a CUDA device number.")]
+Seed = Annotated[int, typer.Option(help="Random seed.")]
+Rate = Annotated[float, typer.Option(min=0, help="Initial learning rate.")]
 Credit = Annotated[
     list[str] | None, typer.Option("--credit", help="Credit for the card; repeatable.")
 ]
 
 
-def _threads() -> int:
-    """Return OMP_NUM_THREADS, or the number of cores; Ultralytics would set it to 1."""
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    return int(asked) if asked.isdigit() and int(asked) else os.cpu_count() or 1
+class Task(StrEnum):
+    """The tasks that `train network` trains for."""
+
+    SEG = "seg"
+    POSE = "pose"
 
 
 @app.command()
 def network(
     task: Annotated[
-        str, typer.Argument(help="seg: boxes and masks; pose: boxes and the five keypoints.")
+        Task, typer.Argument(help="seg: boxes and masks; pose: boxes and the five keypoints.")
+    ],
+    sets: Annotated[
+        list[Path],
+        typer.Argument(help="Labelled sets; one given twice counts twice.", metavar="SET..."),
     ],
     out: Out,
-    data: Data = None,
-    init: Init = None,
-    plan: Plan = None,
-    per_epoch: PerEpoch = 500,
-    resume: Resume = False,
+    init: Annotated[
+        str, typer.Option(help="Initial weights (.pt), or an Ultralytics .yaml.")
+    ] = "checkpoints/cucumber-seg.pt",
+    epochs: Epochs = 50,
+    size: Size = 640,
     batch: Batch = 0,
     device: Device = "auto",
     seed: Seed = 0,
     learning_rate: Rate = 0.001,
+    freeze: Annotated[int, typer.Option(min=0, help="Number of layers to freeze.")] = 0,
 ) -> None:
-    """Train a detector: boxes with masks, or with keypoints."""
-    from cucumbervision_lab.cli.screen import TrainConsole
-    from cucumbervision_lab.training.settings import TrainOptions
-    from cucumbervision_lab.training.train import train
+    """Train a detector by Ultralytics: boxes with masks, or with keypoints."""
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training.data import open_sets
+    from cucumbervision_lab.training.train import NETWORK, TrainOptions, train
 
-    options = TrainOptions(
-        batch=batch,
-        device=device,
-        seed=seed,
-        threads=_threads(),
-        learning_rate=learning_rate,
-    )
-    if task not in ("seg", "pose"):
-        raise typer.BadParameter("give seg or pose", param_hint="TASK")
-    with TrainConsole() as console:
-        trained = train(
-            task,
-            data,
-            out,
-            init=init,
-            plan=plan,
-            per_epoch=per_epoch,
-            resume=resume,
-            options=options,
-            callbacks=console,
-        )
-    console.close(trained)
-
-
-@app.command()
-def recipe(
-    data: Annotated[Path, typer.Option("--data", help="Folder of the pictures.", metavar="DIR")],
-    out: Out,
-    recipe_file: Annotated[
-        Path | None, typer.Option("--recipe", help="TOML file; default: the packaged recipe.")
-    ] = None,
-    weights: Annotated[
-        Path, typer.Option("--weights", help="Folder of the initial weights.")
-    ] = Path("checkpoints"),
-    test: Annotated[
-        Path | None, typer.Option("--test", help="Synthetic set to evaluate for the curve.")
-    ] = None,
-    only: Annotated[str, typer.Option("--only", help="seg or pose; default: both.")] = "",
-    batch: Batch = 0,
-    device: Device = "auto",
-) -> None:
-    """Train the networks from a recipe of picture sources and schedules.
-
-    Rerun the command to resume.
-    """
-    from cucumbervision_lab.cli.screen import TrainConsole
-    from cucumbervision_lab.training.recipe import read_recipe
-    from cucumbervision_lab.training.run_recipe import PACKAGED, RecipeFolders, run_recipe
-    from cucumbervision_lab.training.settings import TrainOptions
-
-    read = read_recipe(recipe_file or PACKAGED)
-    options = TrainOptions(
-        batch=batch,
-        device=device,
-        threads=_threads(),
-    )
-    with TrainConsole() as console:
-        networks = run_recipe(
-            read,
-            RecipeFolders(data, weights, out, test),
-            tasks=(only,) if only else tuple(read.schedules),
-            options=options,
-            callbacks=console,
-            workers=os.cpu_count() or 1,
-            log=console.log,
-        )
-    for network in networks.values():
-        console.close(network)
+    # A training that goes on has its data in RUN.
+    read = [] if (out / NETWORK).is_file() else open_sets(sets)
+    options = TrainOptions(epochs, size, batch, device, seed, learning_rate, freeze)
+    show(f"weights: {train(task, read, out, init, options, show)}")
 
 
 @app.command()
@@ -154,19 +89,20 @@ def house(
         Path | None,
         typer.Option(
             "--data",
-            help="Folder of the recipe's photos; without it, only synthetic frames are mixed in.",
+            help="Folder of the audited photos, to train on and to compare by.",
             metavar="PHOTOS",
         ),
     ] = None,
-    init: Annotated[Path, typer.Option("--init", help="Initial weights.")] = Path(
+    init: Annotated[Path, typer.Option(help="Initial weights.")] = Path(
         "checkpoints/cucumber-seg.pt"
     ),
-    plan: Annotated[str, typer.Option("--plan", help="Size x pictures.")] = "640x6000",
+    epochs: Epochs = 15,
+    size: Size = 640,
     learning_rate: Rate = 0.0003,
-    per_epoch: PerEpoch = 200,
     share: Annotated[
-        float, typer.Option("--share", min=0.05, max=0.95, help="Share of greenhouse pictures.")
+        float, typer.Option(min=0.05, max=0.95, help="Share of greenhouse pictures.")
     ] = 0.5,
+    frames: Annotated[int, typer.Option(min=1, help="Number of simulated frames mixed in.")] = 200,
     batch: Batch = 0,
     device: Device = "auto",
 ) -> None:
@@ -174,26 +110,21 @@ def house(
 
     Rerun the command to resume. `models use RUN` then switches to the new detector.
     """
-    from cucumbervision_lab.cli.screen import TrainConsole, show
-    from cucumbervision_lab.training.house import HousePlan, train_house
-    from cucumbervision_lab.training.settings import TrainOptions
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training.house import train_house
+    from cucumbervision_lab.training.train import TrainOptions
 
-    with TrainConsole() as console:
-        judged = train_house(
-            data,
-            out,
-            photos=photos,
-            init=init,
-            plan=HousePlan(plan, share, per_epoch=per_epoch, learning_rate=learning_rate),
-            options=TrainOptions(
-                batch=batch,
-                device=device,
-                threads=_threads(),
-            ),
-            callbacks=console,
-            workers=os.cpu_count() or 1,
-            log=console.log,
-        )
+    judged = train_house(
+        data,
+        out,
+        photos=photos,
+        init=init,
+        share=share,
+        frames=frames,
+        options=TrainOptions(epochs, size, batch, device, learning_rate=learning_rate),
+        workers=os.cpu_count() or 1,
+        log=show,
+    )
     show(judged.with_suffix(".md").read_text(encoding="utf-8"))
     show(f"To use it: cucumbervision models use {out}")
 
@@ -224,14 +155,11 @@ def classifier(
     out: Folder,
     init: Annotated[
         str,
-        typer.Option(
-            "--init",
-            help="Weights of YOLO26n-seg (.pt), or of an earlier training (.pt).",
-        ),
+        typer.Option(help="Weights of YOLO26n-seg (.pt), or of an earlier training (.pt)."),
     ],
     name: Annotated[
         str | None,
-        typer.Option("--name", help="The network's name.", show_default="cucumber-KIND"),
+        typer.Option(help="The network's name.", show_default="cucumber-KIND"),
     ] = None,
     epochs: Annotated[
         int | None,
@@ -245,7 +173,6 @@ def classifier(
     leaves: Annotated[
         Path | None,
         typer.Option(
-            "--leaves",
             help="For look: leaves cut out of photos (PNG with transparency), laid over, beside "
             "and behind ends to train on.",
             metavar="DIR",
@@ -259,128 +186,81 @@ def classifier(
     first, those of held-out scenes on the networks' masks; what was measured stays in the folder.
     From the held-out fruit it learns the intervals by what the network says of their ends.
     """
-    name = name or f"cucumber-{kind}"
-    out.mkdir(parents=True, exist_ok=True)
-    if epochs is None:
-        epochs = 8 if kind is SmallNetwork.LOOK else 20
-    if leaves is not None and kind is not SmallNetwork.LOOK:
-        raise typer.BadParameter("is for look only", param_hint="--leaves")
-    further: dict[str, int] = {}
-    trained: Trained
-    if kind is SmallNetwork.LOOK:
-        trained, further = _train_look(sets, out, name, init, epochs, seed, leaves)
-    else:
-        trained = _train_fruit(sets, out / f"{name}.onnx", init, epochs, seed)
-    _finish(trained, name, init, epochs=epochs, seed=seed, credits=credit or (), **further)
-
-
-def _train_fruit(sets: Sequence[Path], file: Path, init: str, epochs: int, seed: int) -> Trained:
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.fruit_crops import collect_sets
-    from cucumbervision_lab.training.fruit_look import train_fruit
-
-    opened = [open_dataset(folder) for folder in sets]
-    with ticking("cutting out", sum(len(dataset.pictures) for dataset in opened)) as tick:
-        crops = collect_sets(opened, file.with_name(f"{file.stem}-crops"), tick)
-    with ticking("training", epochs) as tick:
-        options = ClassifierOptions(
-            epochs,
-            seed,
-            _threads(),
-            batch=48,
-            keep=file.with_name(f"{file.stem}-training.pt"),
-            progress=lambda *_: tick(1),
-        )
-        return train_fruit(crops, init, file, options)
-
-
-def _collect_ends(
-    sets: Sequence[Path], out: Path, seed: int, leaves: Path | None
-) -> list[tuple[list[MeasuredFruit], EndCrops]]:
-    """Measure the fruit of drawn sets and cut out their ends; what was done stays in the folder."""
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.synthesis.covers import read_pieces
-    from cucumbervision_lab.training.end_crops import collect_set
-
-    pieces = () if leaves is None else read_pieces(leaves)
-    parts = []
-    for number, folder in enumerate(sets):
-        opened = open_dataset(folder)
-        with ticking("measuring ends", len(opened.pictures)) as tick:
-            keep = out / f"ends-{number}.jsonl"
-            parts.append(collect_set(opened, keep, seed, tick, pieces))
-    return parts
-
-
-def _finish(
-    trained: Trained,
-    name: str,
-    init: str,
-    *,
-    epochs: int,
-    seed: int,
-    credits: Sequence[str],
-    **further: int,
-) -> None:
-    """Write a network's card and print its metrics."""
     from rich.console import Console
     from rich.table import Table
 
-    from cucumbervision_lab.training.classifier import write_classifier_card
+    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.classifier import ClassifierOptions, write_classifier_card
 
-    write_classifier_card(trained, name, init, epochs=epochs, seed=seed, credits=credits)
+    look = kind is SmallNetwork.LOOK
+    if leaves is not None and not look:
+        raise typer.BadParameter("is for look only", param_hint="--leaves")
+    name = name or f"cucumber-{kind}"
+    if epochs is None:
+        epochs = 8 if look else 20
+    out.mkdir(parents=True, exist_ok=True)
+    opened = [open_dataset(folder) for folder in sets]
+    pictures, file = sum(len(dataset.pictures) for dataset in opened), out / f"{name}.onnx"
+    with part_bars() as report:
+        cut = partial(_count, report, pictures)
+        options = ClassifierOptions(
+            epochs,
+            seed,
+            batch=96 if look else 48,
+            keep=out / f"{name}-training.pt",
+            progress=lambda *_: report("training", 1, epochs),
+        )
+        if look:
+            trained = _train_look(opened, file, init, options, leaves, cut)
+        else:
+            trained = _train_fruit(opened, file, init, options, cut)
+    write_classifier_card(trained, name, init, options, credit or ())
     table = Table("held-out scenes", "", title=str(trained.network))
-    for words, value in {**trained.metrics, **further}.items():
+    for words, value in trained.metrics.items():
         table.add_row(words, f"{value:.4g}")
     Console(highlight=False).print(table)
 
 
-def _train_look(
-    sets: Sequence[Path],
-    out: Path,
-    name: str,
-    init: str,
-    epochs: int,
-    seed: int,
-    leaves: Path | None,
-) -> tuple[Trained, dict[str, int]]:
-    """Train the look at ends and fit its intervals; also return how many fruit are behind them."""
-    from cucumbervision.measurement.intervals import shipped_interval_models
-    from cucumbervision.perception.end_look import EndLooker
-    from cucumbervision_lab.benchmark.interval_fit import write_interval_models
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.training.classifier import ClassifierOptions
-    from cucumbervision_lab.training.end_crops import EndCrops
-    from cucumbervision_lab.training.end_look import train_look
-    from cucumbervision_lab.training.look_intervals import (
-        LEAST_FRUIT,
-        fit_look_intervals,
-        looked_fruit,
-        with_look_intervals,
-    )
+def _count(report: Callable[[str, int, int], None], total: int, count: int) -> None:
+    report("cutting out", count, total)
 
-    parts = _collect_ends(sets, out, seed, leaves)
-    with ticking("training", epochs) as tick:
-        options = ClassifierOptions(
-            epochs,
-            seed,
-            _threads(),
-            batch=96,
-            keep=out / f"{name}-training.pt",
-            progress=lambda *_: tick(1),
-        )
-        crops = EndCrops.joined([part for _, part in parts])
-        result = train_look(crops, init, out / f"{name}.onnx", options)
-    measured = [measurement for fruit, _ in parts for measurement in fruit]
-    chosen, looks = looked_fruit(measured, crops, EndLooker(result.network).look)
-    if len(chosen) >= LEAST_FRUIT:
-        models = fit_look_intervals(chosen, looks)
-        book = with_look_intervals(shipped_interval_models(), models)
-        write_interval_models(out / "interval_models.json", book)
-    return result, {"fruit behind the intervals": len(chosen)}
+
+def _train_fruit(
+    sets: Sequence[DataSet], file: Path, init: str, options: ClassifierOptions, cut: Tick
+) -> Trained:
+    from cucumbervision_lab.training.fruit_crops import collect_sets
+    from cucumbervision_lab.training.fruit_look import train_fruit
+
+    crops = collect_sets(sets, file.with_name(f"{file.stem}-crops"), cut)
+    return train_fruit(crops, init, file, options)
+
+
+def _train_look(
+    sets: Sequence[DataSet],
+    file: Path,
+    init: str,
+    options: ClassifierOptions,
+    leaves: Path | None,
+    cut: Tick,
+) -> Trained:
+    """Train the look at ends and learn its intervals; what was measured stays in the folder."""
+    from cucumbervision_lab.synthesis.covers import read_pieces
+    from cucumbervision_lab.training.end_crops import EndCrops, collect_set
+    from cucumbervision_lab.training.end_look import train_look
+    from cucumbervision_lab.training.look_intervals import learn_look_intervals
+
+    pieces = () if leaves is None else read_pieces(leaves)
+    parts = [
+        collect_set(dataset, file.with_name(f"ends-{number}.jsonl"), options.seed, cut, pieces)
+        for number, dataset in enumerate(sets)
+    ]
+    fruit = [measured for of_set, _ in parts for measured in of_set]
+    crops = EndCrops.joined([of_set for _, of_set in parts])
+    trained = train_look(crops, init, file, options)
+    book = file.with_name("interval_models.json")
+    behind = learn_look_intervals(fruit, crops, trained.network, book)
+    return replace(trained, metrics={**trained.metrics, "fruit behind the intervals": behind})
 
 
 @app.command()
@@ -393,11 +273,11 @@ def average(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="The checkpoint to write.", metavar="FILE")],
-    share: Annotated[float, typer.Option("--share", help="Weight of SECOND, 0 to 1.")] = 0.5,
+    share: Annotated[float, typer.Option(help="Weight of SECOND, 0 to 1.")] = 0.5,
 ) -> None:
     """Average two checkpoints, which reduces forgetting after fine-tuning."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.checkpoint import average_networks
+    from cucumbervision_lab.training.networks import average_networks
 
     show(average_networks(first, second, out, share))
 
@@ -406,20 +286,19 @@ def average(
 def export(
     source: Annotated[Path, typer.Argument(help="Folder of a run, or a checkpoint (.pt).")],
     out: Folder,
-    name: Annotated[str, typer.Option("--name", help="Name of the model.")],
+    name: Annotated[str, typer.Option(help="Name of the model.")],
     evaluation: Annotated[
-        Path | None, typer.Option("--evaluation", help="JSON file to include in the card.")
+        Path | None, typer.Option(help="JSON file to include in the card.")
     ] = None,
     credit: Credit = None,
     input_size: InputSize = "",
 ) -> None:
-    """Export a network to ONNX with its card, and print its registry entry."""
+    """Export a network to ONNX with its card."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.export import export_trained
-    from cucumbervision_lab.training.publish import registry_entry
 
-    card = export_trained(
+    export_trained(
         source,
         out,
         name,
@@ -428,16 +307,3 @@ def export(
         input_sizes=parse_input_sizes(input_size),
     )
     show(*(out / f"{name}{suffix}" for suffix in (".onnx", ".md", ".json")))
-    show(f"\n{registry_entry(card)}")
-
-
-@app.command(hidden=True)
-def publish(
-    exported: Annotated[Path, typer.Argument(help="Folder written by `train export`.")],
-    name: Annotated[str, typer.Option("--name", help="The network's name.")],
-) -> None:
-    """Add an exported network to the package (for maintainers)."""
-    from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training import publish as publishing
-
-    show(*publishing.publish(exported, name))

@@ -113,11 +113,6 @@ class Label:
         return cls(box_of_mask(mask), mask_code=code, amodal_code=amodal_code, **rest)
 
     @property
-    def point_order(self) -> dict[str, Any]:
-        """The extras about keypoint order, which stay valid when the label is cropped or scaled."""
-        return {key: self.extras[key] for key in (KEYPOINT_ORDER,) if key in self.extras}
-
-    @property
     def mask(self) -> NDArray[np.bool_] | None:
         """The visible pixels, bool, shape (H, W); decoded on each access."""
         return None if self.mask_code is None else self.mask_code.decode()

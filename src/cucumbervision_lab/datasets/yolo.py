@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
+from cucumbervision.capture.pictures import read_color, write_jpeg, write_png
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
@@ -45,6 +46,7 @@ PICTURES = "pictures.json"
 """File next to `data.yaml` with scene, source and licence, for which YOLO has no fields."""
 
 _KEYPOINTS = 5
+_GREY = 114
 
 
 @dataclass(frozen=True)
@@ -247,15 +249,13 @@ def _pictures_in_images(folder: Path) -> list[tuple[Path, str]]:
     return files
 
 
-def label_file(picture: Path, kind: str = "labels") -> Path:
+def label_file(picture: Path) -> Path:
     """Return the label file of a picture by Ultralytics' convention.
 
     Parameters
     ----------
     picture : Path
         Picture below a folder `images`.
-    kind : str
-        'labels', or 'ignored' for the outlines of ignore regions.
 
     Examples
     --------
@@ -265,7 +265,7 @@ def label_file(picture: Path, kind: str = "labels") -> Path:
     parts = list(picture.parts)
     for k in range(len(parts) - 2, -1, -1):
         if parts[k] == "images":
-            parts[k] = kind
+            parts[k] = "labels"
             break
     return Path(*parts).with_suffix(".txt")
 
@@ -400,8 +400,8 @@ def write_yolo(
     Notes
     -----
     Format: Ultralytics, "Instance Segmentation / Pose Estimation Datasets Overview". The format has
-    no ignore regions: their outlines are written to `ignored/SPLIT`, which `train` excludes from
-    the loss. `pictures.json` next to `data.yaml` stores scene, source and licence.
+    no ignore regions: they are painted grey. `pictures.json` next to `data.yaml` stores scene,
+    source and licence.
     """
     dataset = _chosen(dataset, splits)
     _require(dataset, task)
@@ -411,14 +411,10 @@ def write_yolo(
     origins = {}
     for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
-        place_file(dataset.path(picture), out / "images" / picture.split / name)
+        _place_picture(dataset, picture, out / "images" / picture.split / name)
         rows = [_row(x, picture, task) for x in picture.labels if not x.ignore]
         label_file = out / "labels" / picture.split / f"{Path(name).stem}.txt"
         write_text(label_file, "".join(f"{row}\n" for row in rows))
-        regions = [_outline(x, picture) for x in picture.labels if x.ignore]
-        if regions:
-            ignored_file = out / "ignored" / picture.split / label_file.name
-            write_text(ignored_file, "".join(f"{row}\n" for row in regions))
         lines += len(rows)
         counts[picture.split] += 1
         origins[f"images/{picture.split}/{name}"] = {
@@ -467,15 +463,26 @@ def _require(dataset: DataSet, task: str) -> None:
         )
 
 
-def _outline(label: Label, picture: LabelledPicture) -> str:
-    """Return the outline of a label's mask, or of its box."""
-    size = np.array([picture.width, picture.height], np.float64)
-    mask = label.mask
-    polygon = None if mask is None else one_polygon(mask)
-    if polygon is None:
-        (x1, y1, x2, y2) = label.box + 0.5
-        polygon = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
-    return _numbers(np.clip(polygon / size, 0, 1))
+def _place_picture(dataset: DataSet, picture: LabelledPicture, target: Path) -> None:
+    """Link a picture, or write it with its ignore regions in the grey of Ultralytics' padding."""
+    if not any(label.ignore for label in picture.labels):
+        place_file(dataset.path(picture), target)
+        return
+    painted = np.zeros((picture.height, picture.width), bool)
+    for ignored in (True, False):
+        for label in picture.labels:
+            if label.ignore == ignored:
+                mask = label.mask
+                x1, y1, x2, y2 = np.rint(label.box + 0.5).astype(int).clip(0)
+                painted[np.s_[y1:y2, x1:x2] if mask is None else mask] = ignored
+    color = read_color(dataset.path(picture)).copy()
+    color[painted] = _GREY
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.unlink(missing_ok=True)  # may be a link to the original
+    if target.suffix.lower() in (".jpg", ".jpeg"):
+        write_jpeg(target, color)
+    else:
+        write_png(target, color)
 
 
 def _row(label: Label, picture: LabelledPicture, task: str) -> str:

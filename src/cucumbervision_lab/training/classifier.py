@@ -8,18 +8,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.export import halve_storage, load_yolo
-from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
+from cucumbervision_lab.training.cards import MAKERS, ModelCard, write_card
+from cucumbervision_lab.training.export import halve_storage
+from cucumbervision_lab.training.networks import allowed_threads, import_ultralytics, load_yolo
 
 CHANNELS = 128
 """Channels of `first_layers`."""
+
+LEARNT_FROM = "crops learnt from"
+"""A metric of every card, which one that was only judged has not."""
 
 _LAYERS = 7
 _RATE, _WEIGHT_DECAY = 2e-3, 0.02  # of AdamW, with one cycle of the learning rate
@@ -35,8 +38,6 @@ class ClassifierOptions:
         Number of passes over the training pictures.
     seed : int
         Random seed.
-    threads : int
-        Number of torch threads; 0 uses all cores.
     batch : int
         Pictures of a step.
     keep : Path, optional
@@ -47,7 +48,6 @@ class ClassifierOptions:
 
     epochs: int = 20
     seed: int = 0
-    threads: int = 0
     batch: int = 128
     keep: Path | None = None
     progress: Callable[[int, float], None] | None = None
@@ -128,8 +128,7 @@ def fit(
     import_ultralytics()  # raises a clear error if the extra, and with it torch, is missing
     import torch
 
-    if options.threads:
-        torch.set_num_threads(options.threads)
+    torch.set_num_threads(allowed_threads())
     torch.manual_seed(options.seed)
     network = make()
     if options.epochs == 0:
@@ -221,59 +220,47 @@ def export_network(
     onnx.save(written, out)
 
 
-class Trained(Protocol):
-    """A network that was trained on crops of pictures, and how well it does."""
+@dataclass(frozen=True)
+class Trained:
+    """A network that was trained on crops of pictures, and how well it does.
 
-    @property
-    def network(self) -> Path:
-        """The ONNX file."""
+    Parameters
+    ----------
+    network : Path
+        The ONNX file.
+    task : str
+        'fruit' or 'look', as the command that trains it.
+    limits : tuple of str
+        Known limitations, one sentence each.
+    metrics : mapping of str to float
+        Metrics of the held-out scenes, as the card names them.
+    """
 
-    @property
-    def task(self) -> str:
-        """'fruit' or 'look', as the command that trains it."""
-
-    @property
-    def limits(self) -> Sequence[str]:
-        """Known limitations, one sentence each."""
-
-    @property
-    def metrics(self) -> Mapping[str, float]:
-        """Metrics of the validation set."""
+    network: Path
+    task: str
+    limits: tuple[str, ...]
+    metrics: Mapping[str, float]
 
 
 def write_classifier_card(
     trained: Trained,
     name: str,
     init: Path | str,
-    *,
-    epochs: int,
-    seed: int,
+    options: ClassifierOptions,
     credits: Sequence[str] = (),
 ) -> ModelCard:
     """Write the model card next to a network.
 
-    Parameters
-    ----------
-    trained : Trained
-        Result of `train_fruit` or `train_look`.
-    name : str
-        Name of the network.
-    init : Path
-        The checkpoint it began with.
-    epochs, seed : int
-        Training options to record. Without epochs the checkpoint it began with was judged, and
-        nothing was learnt.
-    credits : sequence of str
-        Publishers of training pictures.
+    Without epochs the checkpoint that it began with was judged, and nothing was learnt.
     """
-    network, began = trained.network, Path(init).name
+    network, began = trained.network, Path(init)
     beside = network.with_suffix(".pt")
     checkpoint = beside if beside.exists() else network
     metrics = dict(trained.metrics)
-    if not epochs:
-        checkpoint = Path(init)
-        metrics.pop("crops learnt from", None)
-    options = f"--init {began} --out DIR --epochs {epochs} --seed {seed}"
+    if not options.epochs:
+        checkpoint = began
+        metrics.pop(LEARNT_FROM, None)
+    words = f"--init {began.name} --out DIR --epochs {options.epochs} --seed {options.seed}"
     card = ModelCard(
         name=name,
         task=trained.task,
@@ -281,11 +268,11 @@ def write_classifier_card(
         sha256=file_sha256(network),
         size_bytes=network.stat().st_size,
         checkpoint_sha256=file_sha256(checkpoint),
-        began_with=began,
-        command=f"cucumbervision train classifier {trained.task} SETS {options}",
+        began_with=began.name,
+        command=f"cucumbervision train classifier {trained.task} SETS {words}",
         metrics=metrics,
         credits=(*MAKERS, *credits),
-        limits=tuple(trained.limits),
+        limits=trained.limits,
         versions={"torch": version("torch")},
     )
     write_card(card, network.parent)

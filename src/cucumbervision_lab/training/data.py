@@ -1,17 +1,27 @@
-"""Check training data and write a complete `data.yaml` for one class and five keypoints."""
+"""Prepare data sets for training: checked, in YOLO format, for one class and five keypoints."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import TrainingError
+from cucumbervision.perception.keypoint_axis import keypoints_between
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision_lab.datasets.checks import check_folder, require_clean
-from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-from cucumbervision_lab.datasets.yolo import class_names, load_data_yaml, write_yolo
+from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.derive import add_pseudo_masks
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.polygons import DIRECTIONS, keypoints_of_mask
+from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.synthesis.colors import d435_colors
 
 TASKS = {"seg": "segment", "pose": "pose"}
 """Task names of the commands, and their names in Ultralytics."""
@@ -20,61 +30,112 @@ KEYPOINT_SIGMA = 0.05
 """Standard deviation of every keypoint in object keypoint similarity (loss and validation)."""
 
 DATA_CARD = "data.md"
-"""File name of the data set's card in the run's folder."""
+"""File name of the data sets' card in the run's folder."""
 
 _KEYPOINTS = 5
+_MOST_HIDDEN = 0.05
 
 
-def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Path:
-    """Check a data set, and write its card and `data.yaml` to the run's folder.
-
-    Parameters
-    ----------
-    data : Path
-        A YOLO folder or its data.yaml, used in place; or a folder in COCO format, which is
-        converted to YOLO format in the run's folder.
-    task : str
-        'seg' or 'pose'.
-    run : Path
-        Folder of the training run.
-    check : bool
-        Look for faults and for duplicate pictures across splits. A set that must be converted is
-        always checked for faults.
-
-    Returns
-    -------
-    Path
-        The `data.yaml` to train on.
+def open_sets(folders: Sequence[Path]) -> list[DataSet]:
+    """Read and check data sets; one that is named twice is read once.
 
     Raises
     ------
     DataSetError
-        If the data set cannot be read or has faults.
-    TrainingError
-        See `write_data_file`.
+        If a data set cannot be read or has faults.
     """
-    file = data / "data.yaml" if data.is_dir() else data
-    if check or not file.is_file():
-        dataset, findings = check_folder(data, duplicates=check)
-        require_clean(findings, data)
-        run.mkdir(parents=True, exist_ok=True)
-        (run / DATA_CARD).write_text(data_card(dataset, "Trained on"), encoding="utf-8")
-        if not (data.is_dir() and file.is_file()) and data.suffix not in (".yaml", ".yml"):
-            # Training does not read the test split, whose fruit may have boxes only.
-            used = ("train", "val")
-            file = write_yolo(dataset, run / "data", TASKS[task], splits=used).data_yaml
-    return write_data_file(file, task, run)
+    read: dict[Path, DataSet] = {}
+    for folder in folders:
+        if folder not in read:
+            read[folder], findings = check_folder(folder)
+            require_clean(findings, folder)
+    return [read[folder] for folder in folders]
+
+
+def write_training_data(datasets: Sequence[DataSet], task: str, run: Path) -> Path:
+    """Write data sets in YOLO format to the run's folder, with one `data.yaml` and card of all.
+
+    For 'pose', keypoints are ordered by their position in the picture, which a network learns
+    within hours; `cucumber-fruit` tells the stem end later. Hidden ones become unlabelled, because
+    Ultralytics' keypoint confidence separates labelled from unlabelled ones.
+
+    Parameters
+    ----------
+    datasets : sequence of DataSet
+        One class each. A set given twice counts twice in training.
+    task : str
+        'seg' or 'pose'.
+    run : Path
+        Folder of the training run.
+
+    Returns
+    -------
+    Path
+        The data.yaml.
+
+    Raises
+    ------
+    DataSetError
+        If a picture has no split, or a label lacks a mask for 'seg'.
+    TrainingError
+        If a set has more than one class, or there are no training or validation pictures.
+    """
+    content: dict[str, Any] = {"train": [], "val": [], "names": {0: datasets[0].categories[0]}}
+    unique = list({id(dataset): dataset for dataset in datasets}.values())
+    for number, dataset in enumerate(unique):
+        if len(dataset.categories) != 1:
+            raise TrainingError(
+                f"has {len(dataset.categories)} classes, expected 1",
+                source=dataset.folder,
+                remedy="keep one class",
+            )
+        folder = (run / "data" / str(number)).resolve()
+        if task == "pose":
+            dataset = _each_label(dataset, _ordered_by_place)
+        written = write_yolo(dataset, folder, TASKS[task], splits=("train", "val"))
+        times = {"train": sum(other is unique[number] for other in datasets), "val": 1}
+        for split in times:
+            if written.pictures[split]:
+                content[split] += times[split] * [str(folder / "images" / split)]
+    for split in ("train", "val"):
+        if not content[split]:
+            raise TrainingError(
+                f"the split {split} is missing",
+                source=datasets[0].folder,
+                remedy=f"add {split} pictures: cucumbervision data split",
+            )
+    if task == "pose":
+        content |= {"kpt_shape": [_KEYPOINTS, 3], "flip_idx": list(range(_KEYPOINTS))}
+    cards = [data_card(dataset, f"Trained on {dataset.folder.name}") for dataset in unique]
+    (run / DATA_CARD).write_text("\n\n".join(cards), encoding="utf-8")
+    file = run / "data.yaml"
+    file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return file
+
+
+def _each_label(dataset: DataSet, change: Any) -> DataSet:
+    pictures = (
+        replace(picture, labels=tuple(change(label) for label in picture.labels))
+        for picture in dataset.pictures
+    )
+    return replace(dataset, pictures=tuple(pictures))
+
+
+def _ordered_by_place(label: Label) -> Label:
+    """Order keypoints so that the last is further right and up; the order flips for few fruit."""
+    if label.keypoints is None:
+        return label
+    points = label.keypoints
+    labelled = points[points[:, 2] > 0]
+    if len(labelled) < 2:
+        return replace(label, keypoints=None)
+    x, y = labelled[-1, :2] - labelled[0, :2]
+    ordered = points[::-1] if x < y else points
+    return replace(label, keypoints=np.where(ordered[:, 2:] == 2, ordered, 0.0))
 
 
 def data_card(dataset: DataSet, title: str) -> str:
     """Return a Markdown table of a data set's sources, licences and picture counts.
-
-    Parameters
-    ----------
-    dataset : DataSet
-        The data set to describe.
-    title : str
-        Heading of the card.
 
     Examples
     --------
@@ -102,71 +163,60 @@ def data_card(dataset: DataSet, title: str) -> str:
     return "\n".join(lines)
 
 
-def write_data_file(path: Path, task: str, run: Path) -> Path:
-    """Write the run's `data.yaml` with absolute paths, one class and the keypoint sigmas.
+def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
+    """Write the audited photos below a folder, except those of test scenes, as a labelled set.
 
-    Ultralytics reads `kpt_oks_sigmas` for the loss and for validation; its default for five points
-    is 0.2 each, four times as tolerant. `flip_idx` keeps the order of the keypoints, because none
-    of them is a left or right one.
+    Fruit without an outline get a mask by SAM; complete fruit get keypoints along the mask's axis,
+    ordered by place where the stem end is not known.
 
     Parameters
     ----------
-    path : Path
-        The data.yaml to read.
-    task : str
-        'seg' or 'pose'.
-    run : Path
-        Folder of the training run.
-
-    Returns
-    -------
-    Path
-        The file written.
+    folder : Path
+        Folder of the photos, searched recursively.
+    out : Path
+        Folder of the set.
+    as_d435 : bool
+        Write the photos to train on once more, in the colours of a D435 in a greenhouse.
 
     Raises
     ------
-    CaptureError, DataSetError
-        If `path` does not exist or cannot be read.
-    TrainingError
-        If `path` lists no training or validation pictures, has more than one class, or, for
-        'pose', does not have five keypoints.
+    DataSetError, CaptureError
+        If there is no such photo, or one cannot be read.
     """
-    values = load_data_yaml(path)
-    _check(values, task, path)
-    content: dict[str, Any] = {
-        "path": str((path.parent / str(values.get("path") or ".")).resolve()),
-        **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
-        "names": {0: class_names(values["names"], path)[0]},
-    }
-    if values.get("weights"):
-        content["weights"] = list(values["weights"])
-    if task == "pose":
-        content |= {
-            "kpt_shape": [_KEYPOINTS, values["kpt_shape"][1]],
-            "flip_idx": list(range(_KEYPOINTS)),
-            "kpt_oks_sigmas": [KEYPOINT_SIGMA] * _KEYPOINTS,
-        }
-    run.mkdir(parents=True, exist_ok=True)
-    written = run / "data.yaml"
-    written.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    return written
+    from cucumbervision.perception.networks import open_segmenter
+
+    audit = audited(folder, outlines=True)
+    pictures = tuple(
+        replace(picture, extras={})
+        for picture in audit.pictures
+        if picture.split != "test" and (picture.extras["fully_labelled"] or picture.shows_fruit)
+    )
+    drawn = add_pseudo_masks(replace(audit, pictures=pictures), open_segmenter()).dataset
+    labelled = write_coco(_each_label(drawn, _with_axis_points), out)
+    if not as_d435:
+        return labelled
+    rng, copies = np.random.default_rng(0), []
+    for number, picture in enumerate(labelled.in_split("train")):
+        copy = replace(picture, file=f"images/d435-{number:05d}.jpg")
+        write_jpeg(out / copy.file, d435_colors(read_color(labelled.path(picture)), rng))
+        copies.append(copy)
+    return write_coco(replace(labelled, pictures=(*labelled.pictures, *copies)), out)
 
 
-def _check(values: dict[str, Any], task: str, path: Path) -> None:
-    for split in ("train", "val"):
-        if not values.get(split):
-            raise TrainingError(
-                f"the split {split} is missing", source=path, remedy=f"add {split} pictures"
-            )
-    names = class_names(values.get("names"), path)
-    if len(names) != 1:
-        raise TrainingError(
-            f"has {len(names)} classes, expected 1", source=path, remedy="keep one class"
-        )
-    shape = values.get("kpt_shape")
-    if task == "pose" and (not shape or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):
-        raise TrainingError(
-            f"has keypoints of shape {shape}, expected [5, 3]",
-            source=path,
-            remedy="export the data set again for the task pose",
-        )
+def _with_axis_points(label: Label) -> Label:
+    mask = label.mask
+    hidden = (label.hidden_share or 0.0) > _MOST_HIDDEN
+    if mask is None or label.keypoints is not None or label.ignore or label.cut_off or hidden:
+        return label
+    ends = label.extras.get("ends_px")
+    points = None if ends is None else keypoints_between(mask, ends)
+    if points is not None:
+        return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
+    stem = label.extras.get("stem")
+    known = stem in DIRECTIONS
+    for direction in [str(stem)] if known else ["right", "up"]:
+        points = keypoints_of_mask(mask, direction)
+        if points is not None:
+            order = {} if known else {KEYPOINT_ORDER: BY_PLACE}
+            return replace(label, keypoints=points, extras={**label.extras, **order})
+    return label

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.end_look import ERROR_SCALE, STATES, looked_at
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
+    LEARNT_FROM,
     ClassifierOptions,
+    Trained,
     begun_network,
     export_network,
     first_layers,
@@ -23,6 +25,13 @@ from cucumbervision_lab.training.classifier import (
 )
 from cucumbervision_lab.training.end_crops import EndCrops
 
+_LIMITS = (
+    "Trained on drawn fruit, on real ones pasted into photos, and on photos of fruit on the "
+    "plant, with real leaves and drawn stems laid over ends; on none on the plant before a "
+    "depth camera.",
+    "Its quantiles are too narrow; the intervals that are learnt from them less.",
+    "Withered flowers, burnt stem ends and dry leaves are told apart less well than green leaves.",
+)
 OUTPUTS = len(STATES) + len(QUANTILES) + 1
 _AT_ONCE = 256  # crops
 _HIDDEN = 64
@@ -89,53 +98,6 @@ def with_planes(conv: Any) -> Any:
         widened.weight.mul_(0.3)
         widened.weight[:, :3] = conv.weight.float()
     return widened
-
-
-@dataclass(frozen=True)
-class LookResult:
-    """How well ends of held-out scenes are told apart.
-
-    Parameters
-    ----------
-    network : Path
-        The ONNX file.
-    train_count, val_count : int
-        Number of crops for training, and of ends for validation.
-    covered_auc : float
-        Area under the ROC curve of the probability that an end is covered.
-    quantiles_hold : float
-        Share of what is missing that lies between the outer quantiles.
-    stem_right : float
-        Share of the ends that are told right as stem or blossom end.
-    """
-
-    network: Path
-    train_count: int
-    val_count: int
-    covered_auc: float
-    quantiles_hold: float
-    stem_right: float
-
-    task: ClassVar = "look"
-    limits: ClassVar = (
-        "Trained on drawn fruit, on real ones pasted into photos, and on photos of fruit on the "
-        "plant, with real leaves and drawn stems laid over ends; on none on the plant before a "
-        "depth camera.",
-        "Its quantiles are too narrow; the intervals that are learnt from them less.",
-        "Withered flowers, burnt stem ends and dry leaves are told apart less well than green "
-        "leaves.",
-    )
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        """Metrics of the validation set, as the card names them."""
-        return {
-            "crops learnt from": float(self.train_count),
-            "ends of other scenes judged by": float(self.val_count),
-            "covered ends told from others, area under the curve": self.covered_auc,
-            "missing length between the outer quantiles": self.quantiles_hold,
-            "stem and blossom ends told right": self.stem_right,
-        }
 
 
 def fit_look(crops: EndCrops, init: Path | str, options: ClassifierOptions) -> Any:
@@ -232,9 +194,7 @@ def predict_looks(network: Any, crops: EndCrops) -> list[EndLook]:
     return looks
 
 
-def train_look(
-    crops: EndCrops, init: Path | str, out: Path, options: ClassifierOptions
-) -> LookResult:
+def train_look(crops: EndCrops, init: Path | str, out: Path, options: ClassifierOptions) -> Trained:
     """Train the network, export it to ONNX, and judge it by the held-out scenes.
 
     Parameters
@@ -260,7 +220,7 @@ def train_look(
     return judge_look(network, crops, out)
 
 
-def judge_look(network: Any, crops: EndCrops, out: Path) -> LookResult:
+def judge_look(network: Any, crops: EndCrops, out: Path) -> Trained:
     """Return how well a network tells the held-out ends apart."""
     ends = crops.only(crops.held_out & ~crops.moved & ~np.isnan(crops.missing))
     looks = predict_looks(network, ends)
@@ -268,14 +228,16 @@ def judge_look(network: Any, crops: EndCrops, out: Path) -> LookResult:
     outer = np.array([(look.missing[0], look.missing[-1]) for look in looks]).reshape(-1, 2)
     inside = (outer[:, 0] <= ends.missing) & (ends.missing <= outer[:, 1])
     stem = np.array([look.stem > 0.5 for look in looks]) == (ends.stem > 0.5)
-    return LookResult(
-        out,
-        int((~crops.held_out).sum()),
-        len(looks),
-        area_under_curve(covered, ends.state == STATES.index("covered")),
-        float(inside.mean()) if looks else float("nan"),
-        float(stem.mean()) if looks else float("nan"),
-    )
+    metrics = {
+        LEARNT_FROM: float((~crops.held_out).sum()),
+        "ends of other scenes judged by": float(len(looks)),
+        "covered ends told from others, area under the curve": area_under_curve(
+            covered, ends.state == STATES.index("covered")
+        ),
+        "missing length between the outer quantiles": float(inside.mean()) if looks else math.nan,
+        "stem and blossom ends told right": float(stem.mean()) if looks else math.nan,
+    }
+    return Trained(out, "look", _LIMITS, metrics)
 
 
 def export_look(network: Any, out: Path) -> None:

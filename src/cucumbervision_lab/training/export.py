@@ -9,6 +9,7 @@ too. Requires the extra `train`.
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 import tempfile
@@ -25,11 +26,10 @@ from cucumbervision.files import read_json
 from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
-from cucumbervision_lab.training.checkpoint import import_ultralytics, read_rows, require_layers
+from cucumbervision_lab.training.cards import MAKERS, ModelCard, write_card
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
-from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
-from cucumbervision_lab.training.train import NETWORK
+from cucumbervision_lab.training.networks import import_ultralytics, load_yolo
+from cucumbervision_lab.training.train import BEGUN, NETWORK
 
 if TYPE_CHECKING:
     import onnx
@@ -67,32 +67,6 @@ def halve_storage(network: onnx.ModelProto) -> None:
 
 
 _OPSET = 17
-
-
-def load_yolo(checkpoint: Path | str) -> Any:
-    """Load a YOLO26 .pt file, or random weights from an Ultralytics .yaml.
-
-    Raises
-    ------
-    ModelError
-        If the checkpoint cannot be loaded.
-    MissingExtraError
-        If the extra `train` is not installed.
-    """
-    ultralytics = import_ultralytics()
-    try:
-        if Path(checkpoint).suffix == ".pt":
-            require_layers(checkpoint)
-        return ultralytics.YOLO(str(checkpoint))
-    except TrainingError as error:
-        raise ModelError(error.message, source=checkpoint, remedy=error.remedy) from error
-    # Unpickling a broken checkpoint can raise anything.
-    except Exception as error:
-        raise ModelError(
-            f"Ultralytics cannot load the checkpoint ({error})",
-            source=checkpoint,
-            remedy="give a YOLO26 checkpoint (.pt)",
-        ) from error
 
 
 def export_yolo(
@@ -181,7 +155,7 @@ def _corners_to_centres(rows: Any) -> Any:
 
 
 def _finish(path: Path, metadata: dict[str, str], *, half: bool) -> None:
-    """Add the non-empty metadata in `own`, and store the weights in half precision.
+    """Add the non-empty metadata, and store the weights in half precision.
 
     Exporting the same weights gives identical bytes, so a card's evaluation stays valid after
     another export.
@@ -234,11 +208,6 @@ def export_trained(
     input_sizes : sequence of int
         As for `export_yolo`; if empty, a detector gets `DETECTOR_SIZES_PX`.
 
-    Returns
-    -------
-    ModelCard
-        The card that was written.
-
     Raises
     ------
     TrainingError
@@ -246,10 +215,8 @@ def export_trained(
         another task or more than one class.
     CaptureError
         If the evaluation file is not valid JSON.
-    ModelError
-        If the checkpoint cannot be loaded.
-    MissingExtraError
-        If the extra `train` is not installed.
+    ModelError, MissingExtraError
+        See `load_yolo`.
     """
     if not _NAME.fullmatch(name):
         raise TrainingError(
@@ -262,7 +229,7 @@ def export_trained(
     checkpoint = source / NETWORK if source.is_dir() else source
     if not checkpoint.is_file():
         raise TrainingError(
-            "no epoch has completed yet", source=source, remedy="resume the training with --resume"
+            "no epoch has completed yet", source=source, remedy="run the training again"
         )
     model = load_yolo(checkpoint)
     if model.task not in TASKS.values() or len(model.names) != 1:
@@ -274,7 +241,6 @@ def export_trained(
     if model.task == "segment":
         input_sizes = input_sizes or DETECTOR_SIZES_PX
     path = export_yolo(model, out / f"{name}.onnx", input_sizes=input_sizes)
-    run_entries = _card_entries(source) if source.is_dir() else {}
     card = ModelCard(
         name=name,
         task=str(model.task),
@@ -285,7 +251,7 @@ def export_trained(
         evaluation=results,
         credits=(*MAKERS, *credits),
         versions={"torch": version("torch"), "ultralytics": import_ultralytics().__version__},
-        **run_entries,
+        **(_card_entries(source) if (source / BEGUN).is_file() else {}),
     )
     write_card(card, out)
     return card
@@ -293,42 +259,23 @@ def export_trained(
 
 def _card_entries(run: Path) -> dict[str, Any]:
     """Return a run's entries for the model card, without local paths."""
-    state = RunState.load(run)
-    init, data = Path(state.init).name, run / DATA_CARD
+    begun = read_json(run / BEGUN, TrainingError)
+    with (run / "results.csv").open(newline="", encoding="utf-8") as file:
+        *_, last = csv.DictReader(file, skipinitialspace=True)
+    options = " ".join(
+        f"--{option} {begun[key]}"
+        for option, key in (("init", "init"), ("epochs", "epochs"), ("size", "size_px"))
+    )
     return {
-        "began_with": init,
-        "plan": f"{state.pictures} of {state.plan.text} pictures in {state.seconds / 3600:.1f} h",
-        "command": f"cucumbervision train network {state.task} DATA --out RUN --init {init} "
-        f"--plan {state.plan.text} --seed {state.seed}",
-        "metrics": last_metrics(run / "metrics.csv"),
-        "data": data.read_text(encoding="utf-8") if data.is_file() else "",
-    }
-
-
-def last_metrics(table: Path) -> dict[str, float]:
-    """Return the metrics of a run's last validation.
-
-    Parameters
-    ----------
-    table : Path
-        The run's `metrics.csv`.
-
-    Returns
-    -------
-    dict of str to float
-        Ultralytics' metrics such as 'mAP50(B)' (B boxes, M masks, P keypoints), 'pictures' and
-        'size_px'; empty before the first validation.
-    """
-    rows = [row for row in read_rows(table) if row.get("fitness")]
-    if not rows:
-        return {}
-    metrics = {
-        key.removeprefix("metrics/"): float(value)
-        for key, value in rows[-1].items()
-        if key.startswith("metrics/")
-    }
-    return {
-        "size_px": float(rows[-1]["size_px"]),
-        "pictures": float(rows[-1]["pictures"]),
-        **metrics,
+        "began_with": begun["init"],
+        "plan": f"{last['epoch']} of {begun['epochs']} epochs at {begun['size_px']} px, "
+        f"{float(last['time']) / 3600:.1f} h",
+        "command": f"cucumbervision train network {begun['task']} SET --out RUN {options} "
+        f"--seed {begun['seed']}",
+        "metrics": {
+            key.removeprefix("metrics/"): float(value)
+            for key, value in last.items()
+            if key.startswith("metrics/")
+        },
+        "data": (run / DATA_CARD).read_text(encoding="utf-8"),
     }

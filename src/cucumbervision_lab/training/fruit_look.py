@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,9 @@ from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
+    LEARNT_FROM,
     ClassifierOptions,
+    Trained,
     begun_network,
     export_network,
     first_layers,
@@ -22,9 +23,12 @@ from cucumbervision_lab.training.classifier import (
 )
 from cucumbervision_lab.training.end_look import area_under_curve, with_planes
 from cucumbervision_lab.training.fruit_crops import SURROUND_PX, FruitCrops
-from cucumbervision_lab.training.losses import cpu_has_bfloat16
 
 POINTS = 5
+_LIMITS = (
+    "Trained on what the packaged detector proposes; other detectors make other mistakes.",
+    "Most fruit that it learnt from are drawn or lie before plain backgrounds.",
+)
 _WIDTHS = (48, 32, 16, 8)  # channels of the outline at strides 8, 4, 2 and 1
 _ENDS = 4  # columns that the classification sees
 _TURN_RAD, _SCALE, _SHIFT = 0.12, 0.15, 0.05  # largest random changes of a crop
@@ -39,55 +43,6 @@ _INNER = tuple(
     slice((around - size) // 2, (around + size) // 2)
     for around, size in zip(SURROUND_PX, (HEIGHT_PX, WIDTH_PX), strict=True)
 )
-
-
-@dataclass(frozen=True)
-class FruitResult:
-    """How well the network does on held-out scenes.
-
-    Parameters
-    ----------
-    network : Path
-        The ONNX file.
-    train_count, val_count : int
-        Number of crops for training and for validation.
-    iou_before, iou_after : float
-        Median IoU of true outlines with the detector's masks, and with the network's.
-    end_error : float
-        Median distance of an end from the true one, relative to the fruit's length.
-    fruit_auc : float
-        Area under the ROC curve of the log-odds that a detection is a cucumber.
-    stem_right : float
-        Share of the fruit whose stem end is right.
-    """
-
-    network: Path
-    train_count: int
-    val_count: int
-    iou_before: float
-    iou_after: float
-    end_error: float
-    fruit_auc: float
-    stem_right: float
-
-    task: ClassVar = "fruit"
-    limits: ClassVar = (
-        "Trained on what the packaged detector proposes; other detectors make other mistakes.",
-        "Most fruit that it learnt from are drawn or lie before plain backgrounds.",
-    )
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        """Metrics of the validation set, as the card names them."""
-        return {
-            "crops learnt from": float(self.train_count),
-            "crops of other scenes judged by": float(self.val_count),
-            "IoU of the detector's masks, median": self.iou_before,
-            "IoU of the network's outlines, median": self.iou_after,
-            "error of an end relative to the length, median": self.end_error,
-            "fruit told from others, area under the curve": self.fruit_auc,
-            "stem ends told right": self.stem_right,
-        }
 
 
 def _block(into: int, out: int) -> Any:
@@ -196,7 +151,9 @@ def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -
     proposed = (crops.is_fruit == 0) & (crops.confidence > DEFAULT_CONFIDENCE / 2)
     learnt = np.repeat(np.arange(len(proposed)), np.where(proposed, _REPEATS, 1))
     learnt = learnt[~crops.held_out[learnt]]
-    has_bfloat16 = cpu_has_bfloat16()  # emulated, it is slower than float32
+    cpu_info = Path("/proc/cpuinfo")
+    flags = cpu_info.read_text(encoding="utf-8") if cpu_info.is_file() else ""
+    has_bfloat16 = "avx512_bf16" in flags  # emulated, it is slower than float32
 
     def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
         import torch
@@ -400,7 +357,7 @@ def predict_fruit(network: Any, crops: FruitCrops) -> tuple[NDArray[np.float32],
     return first, second, third
 
 
-def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> FruitResult:
+def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> Trained:
     """Return how well a network does on the held-out crops."""
     held = crops.only(crops.held_out)
     outlines, points, verdicts = predict_fruit(network, held)
@@ -413,16 +370,20 @@ def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> FruitResult:
     told = ~np.isnan(held.stem) & (held.is_fruit == 1)
     right = (verdicts[told, 1] > 0) == (held.stem[told] == 1)
     judged = ~np.isnan(held.is_fruit)
-    return FruitResult(
-        out,
-        int((~crops.held_out).sum()),
-        len(held.planes),
-        _median(_ious(coarse, truth)),
-        _median(_ious(outlines[fruit] > 0, truth)),
-        _median(off[:, [0, -1]] / length[:, None]),
-        area_under_curve(verdicts[judged, 0].astype(np.float64), held.is_fruit[judged] == 1),
-        float(right.mean()) if right.size else float("nan"),
-    )
+    metrics = {
+        LEARNT_FROM: float((~crops.held_out).sum()),
+        "crops of other scenes judged by": float(len(held.planes)),
+        "IoU of the detector's masks, median": _median(_ious(coarse, truth)),
+        "IoU of the network's outlines, median": _median(_ious(outlines[fruit] > 0, truth)),
+        "error of an end relative to the length, median": _median(
+            off[:, [0, -1]] / length[:, None]
+        ),
+        "fruit told from others, area under the curve": area_under_curve(
+            verdicts[judged, 0].astype(np.float64), held.is_fruit[judged] == 1
+        ),
+        "stem ends told right": float(right.mean()) if right.size else float("nan"),
+    }
+    return Trained(out, "fruit", _LIMITS, metrics)
 
 
 def _median(values: NDArray[Any]) -> float:
@@ -436,7 +397,7 @@ def _ious(masks: NDArray[np.bool_], truth: NDArray[np.bool_]) -> NDArray[np.floa
 
 def train_fruit(
     crops: FruitCrops, init: Path | str, out: Path, options: ClassifierOptions
-) -> FruitResult:
+) -> Trained:
     """Train the network, export it to ONNX, and judge it by the held-out scenes.
 
     Parameters

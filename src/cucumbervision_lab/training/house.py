@@ -1,14 +1,13 @@
 """Fine-tune the packaged detector on pictures of one greenhouse, and compare it with the old one.
 
-Training mixes in the sources of the packaged recipe to prevent forgetting. Held-out positions of
-the greenhouse are never used for training; both detectors are evaluated on them and on the tests
-of the package.
+Training mixes in simulated frames, and photos if there are any, to prevent forgetting. Held-out
+positions of the greenhouse are never used for training; both detectors are evaluated on them and
+on the other tests.
 """
 
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,13 +24,10 @@ from cucumbervision_lab.detection.picture_result import detect_set, open_network
 from cucumbervision_lab.detection.pictures import spread
 from cucumbervision_lab.detection.run import chosen_networks
 from cucumbervision_lab.synthesis.generate import generate, parse_options
+from cucumbervision_lab.training.cards import write_card
+from cucumbervision_lab.training.data import photo_set
 from cucumbervision_lab.training.export import export_trained
-from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.publish import write_card
-from cucumbervision_lab.training.recipe import Recipe, Source, build_sources, read_recipe
-from cucumbervision_lab.training.run_recipe import PACKAGED, write_mixture
-from cucumbervision_lab.training.settings import TrainOptions
-from cucumbervision_lab.training.train import TrainCallbacks, train
+from cucumbervision_lab.training.train import TrainOptions, train
 
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
@@ -39,40 +35,7 @@ if TYPE_CHECKING:
 _LEAST_F1_GAIN, _MOST_F1_LOSS = 0.01, 0.02
 """Least gain of F1 on the greenhouse, and greatest loss on the other tests."""
 
-_TASK = "seg"
-_TEST_SEED = 77  # not used by any source of the recipe
-
-
-@dataclass(frozen=True)
-class HousePlan:
-    """Options of fine-tuning on a greenhouse.
-
-    Parameters
-    ----------
-    plan : str
-        Plan in the format of `parse_plan`.
-    share : float
-        Share of greenhouse pictures in training, half of them whole and half windows.
-    drawn : int
-        Maximum number of frames for each synthetic source of the packaged recipe.
-    windows : tuple of int
-        Sides of the windows cut from greenhouse pictures, pixels.
-    tested : int
-        Maximum number of synthetic frames, and of audited photos, in the comparison.
-    per_epoch : int
-        Pictures between two checkpoints.
-    learning_rate, one_to_many : float
-        See `TrainOptions`. `one_to_many` is small, because the network already detects fruit.
-    """
-
-    plan: str = "640x6000"
-    share: float = 0.5
-    drawn: int = 200
-    windows: tuple[int, ...] = (240, 400)
-    tested: int = 256
-    per_epoch: int = 200
-    learning_rate: float = 0.0003
-    one_to_many: float = 0.1
+_TRAIN_SEED, _TEST_SEED = 76, 77
 
 
 @dataclass(frozen=True)
@@ -126,9 +89,9 @@ def train_house(
     *,
     photos: Path | None = None,
     init: Path = Path("checkpoints/cucumber-seg.pt"),
-    plan: HousePlan | None = None,
+    share: float = 0.5,
+    frames: int = 200,
     options: TrainOptions | None = None,
-    callbacks: TrainCallbacks | None = None,
     workers: int = 1,
     log: Callable[[str], None] = print,
 ) -> Path:
@@ -139,18 +102,18 @@ def train_house(
     house : Path
         Data set of the greenhouse, written by `data from-store`.
     out : Path
-        The run's folder: `data/`, `seg/` and, at the end, `house-seg.onnx` with its card,
+        The run's folder: `drawn/`, `seg/` and, at the end, `house-seg.onnx` with its card,
         `judgement.json` and `judgement.md`. Call the function again to resume an interrupted run.
     photos : Path, optional
-        Folder of the photos of the packaged recipe; by default only its synthetic sources are used.
+        Folder of the audited photos, to train on and to compare by.
     init : Path
         Initial weights.
-    plan : HousePlan, optional
-        Fine-tuning options.
+    share : float
+        Share of greenhouse pictures in training.
+    frames : int
+        Number of simulated frames to train on; at most 60 of as many others are compared by.
     options : TrainOptions, optional
-        Machine options: device, batch, threads.
-    callbacks : TrainCallbacks, optional
-        Called after every batch and epoch.
+        Training options; by default 15 epochs with a learning rate of 0.0003.
     workers : int
         Number of processes that draw synthetic frames.
     log : callable
@@ -168,42 +131,27 @@ def train_house(
     DataSetError, CaptureError, MissingExtraError
         See `train`.
     """
-    plan, options = plan or HousePlan(), options or TrainOptions()
     held_out = held_out_set(house)
-    run = out / _TASK
-    exists = RunState.exists(run)
-    if not exists and not init.is_file():
-        raise TrainingError(
-            "weights not found; they are not downloaded automatically",
-            source=init,
-            remedy="give the checkpoint of the packaged detector with --init",
+    log("drawing frames to mix in")
+    others = [_drawn(out / "drawn", frames, _TRAIN_SEED, "train", workers)]
+    if photos is not None:
+        folder = out / "photos"
+        others.append(
+            read_coco(folder) if (folder / ANNOTATIONS).is_file() else photo_set(photos, folder)
         )
-    recipe = house_recipe(read_recipe(PACKAGED), house, plan, photos=photos is not None)
-    if photos is None:
-        log("no photo folder given: training uses only synthetic frames of the packaged recipe")
-    data = photos or out / "no-photos"
-    built = build_sources(recipe, data, out / "data", workers, log)
-    mixture = write_mixture(recipe, built, _TASK, run)
-    train(
-        _TASK,
-        mixture,
-        run,
-        init=None if exists else str(init),
-        plan=plan.plan,
-        per_epoch=plan.per_epoch,
-        resume=exists,
-        options=replace(
-            options,
-            learning_rate=plan.learning_rate,
-            one_to_many=plan.one_to_many,
-            freeze=options.freeze or -1,
-            check=False,  # pictures of neighbouring stops are similar, so duplicates are expected
-        ),
-        callbacks=callbacks,
-    )
+    mixture = mixed(read_coco(house), others, share)
+    options = options or TrainOptions(15, learning_rate=3e-4)
+    train("seg", mixture, out / "seg", str(init), options, log)
     count = len(held_out.pictures)
     log(f"comparing both detectors on {count} held-out pictures and on the other tests")
-    return _compare(house, out, run, photos, plan, workers)
+    return _compare(house, out, photos, min(frames, 60), workers)
+
+
+def mixed(house: DataSet, others: Sequence[DataSet], share: float) -> list[DataSet]:
+    """Return data sets of which the first is repeated so often that it has about its share."""
+    among = sum(len(other.in_split("train")) for other in others)
+    times = round(share / (1 - share) * among / len(house.in_split("train")))
+    return [*[house] * max(times, 1), *others]
 
 
 def held_out_set(house: Path) -> DataSet:
@@ -226,74 +174,17 @@ def held_out_set(house: Path) -> DataSet:
     return replace(dataset, pictures=held_out)
 
 
-def house_recipe(base: Recipe, house: Path, plan: HousePlan, *, photos: bool) -> Recipe:
-    """Return a recipe that mixes greenhouse pictures with the sources of another recipe.
-
-    Parameters
-    ----------
-    base : Recipe
-        The packaged recipe.
-    house : Path
-        Data set of the greenhouse.
-    plan : HousePlan
-        Fine-tuning options.
-    photos : bool
-        Whether the photos of `base` are available; otherwise only its synthetic sources are used.
-
-    Returns
-    -------
-    Recipe
-        Recipe whose validation set is the split `val` of the greenhouse.
-    """
-    companions = base.sources if photos else _drawn_only(base.sources)
-    total = sum(source.weight for source in companions)
-    shrunk = tuple(
-        replace(
-            source,
-            weight=source.weight * (1 - plan.share) / total,
-            count=min(source.count, plan.drawn) if source.kind == "drawn" else source.count,
-            validate=min(source.validate, plan.drawn // 10),
-        )
-        for source in companions
-    )
-    # A source is rebuilt if its definition changes: the checksum makes it follow the labels.
-    content = zlib.crc32((house / ANNOTATIONS).read_bytes())
-    folder, part = str(house.resolve()), plan.share / 2
-    house_sources = (
-        Source("house", "set", part, folder=folder, seed=content, most=1000, validate=1),
-        Source("house-windows", "windows", part, of=("house",), size=plan.windows, seed=content),
-    )
-    return Recipe((*house_sources, *shrunk), {})
-
-
-def _drawn_only(sources: Sequence[Source]) -> tuple[Source, ...]:
-    """Return the sources that do not depend on photos."""
-    photo_free: dict[str, Source] = {}
-    for source in sources:
-        if (
-            source.kind not in ("photos", "set")
-            and {*source.of, *source.paste} <= photo_free.keys()
-        ):
-            photo_free[source.name] = source
-    return tuple(photo_free.values())
-
-
-def _compare(
-    house: Path, out: Path, run: Path, photos: Path | None, plan: HousePlan, workers: int
-) -> Path:
+def _compare(house: Path, out: Path, photos: Path | None, frames: int, workers: int) -> Path:
     """Export the new network, evaluate both networks and write the comparison."""
-    card = export_trained(run, out, "house-seg")
+    card = export_trained(out / "seg", out, "house-seg")
     new = out / card.file
     registry = load_registry()
     in_use = registry.default("segment")
     if in_use is None:
         raise TrainingError("no detector is in use to compare with", source=new)
     old = registry.resolve(in_use.name)["network"]
-    drawn = _drawn_test(out, plan.tested, workers)
-    scores = {
-        network: evaluate_detector(network, house, drawn, photos, plan.tested)
-        for network in (old, new)
-    }
+    drawn = _drawn(out / "test", frames, _TEST_SEED, "test", workers).folder
+    scores = {network: evaluate_detector(network, house, drawn, photos) for network in (old, new)}
     better, why = verdict(scores[old], scores[new])
     table = comparison_table(scores[old], scores[new])
     (out / "judgement.md").write_text(f"{table}\n\n{why}\n", encoding="utf-8")
@@ -315,17 +206,16 @@ def _compare(
     return path
 
 
-def _drawn_test(out: Path, frames: int, workers: int) -> Path:
-    """Draw the synthetic test frames with a seed that no source uses."""
+def _drawn(folder: Path, frames: int, seed: int, split: str, workers: int) -> DataSet:
     options = parse_options(
-        frames=min(frames, 60),
-        seed=_TEST_SEED,
+        frames=frames,
+        seed=seed,
         size="960x540",
         shares="0.6,0.22,0.18",
-        split="test",
+        split=split,
         depth=False,
     )
-    return generate(options, out / "test", workers).folder
+    return generate(options, folder, workers)
 
 
 def evaluate_detector(

@@ -13,13 +13,20 @@ from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
     IntervalModel,
-    IntervalModels,
     has_no_interval,
     look_features,
+    shipped_interval_models,
 )
-from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES, fit_interval_model
+from cucumbervision.perception.end_look import EndLooker
+from cucumbervision_lab.benchmark.interval_fit import (
+    TUBE_FEATURES,
+    fit_interval_model,
+    write_interval_models,
+)
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from cucumbervision.instances.end_crops import EndLook
     from cucumbervision.measurement.end_looks import LookAtEnds
     from cucumbervision_lab.training.end_crops import EndCrops
@@ -123,6 +130,16 @@ def fit_look_intervals(
     return models
 
 
-def with_look_intervals(book: IntervalModels, models: dict[str, IntervalModel]) -> IntervalModels:
-    """Return interval models with those of fruit whose ends were looked at added or replaced."""
-    return replace(book, models={**book.models, **models})
+def learn_look_intervals(
+    fruit: Sequence[MeasuredFruit], crops: EndCrops, network: Path, file: Path
+) -> int:
+    """Write the shipped intervals with those by a network's looks; return how many fruit taught it.
+
+    Too few fruit teach nothing, and no file is written.
+    """
+    chosen, looks = looked_fruit(fruit, crops, EndLooker(network).look)
+    if len(chosen) >= LEAST_FRUIT:
+        book = shipped_interval_models()
+        models = {**book.models, **fit_look_intervals(chosen, looks)}
+        write_interval_models(file, replace(book, models=models))
+    return len(chosen)

@@ -1,283 +1,210 @@
-"""Train YOLO26 for cucumbers; runs can be resumed, moved to another machine and extended."""
+"""Train YOLO26 on labelled sets by Ultralytics; an interrupted run goes on."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.checkpoint import (
-    import_ultralytics,
-    load_checkpoint,
-    read_rows,
-    stored_run_state,
-    strip_checkpoint,
-    write_rows,
-)
-from cucumbervision_lab.training.data import TASKS, prepare_data
-from cucumbervision_lab.training.losses import choose_precision, has_keypoint_head
-from cucumbervision_lab.training.plan import RunState, extend_plan, parse_plan
-from cucumbervision_lab.training.settings import (
-    FIXED_OPTIONS,
-    TrainOptions,
-    choose_device,
-    trainer_settings,
-)
-from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
+from cucumbervision.perception.yolo_layout import BY_PLACE
+from cucumbervision_lab.training.data import KEYPOINT_SIGMA, TASKS, write_training_data
+from cucumbervision_lab.training.networks import allowed_threads, import_ultralytics, load_yolo
 
-_LEAST_NORM_BATCH = 4
+if TYPE_CHECKING:
+    from cucumbervision_lab.datasets.labels import DataSet
 
-_DEFAULT_PLAN = "448x16000,640x4000"
-"""Default plan."""
+NETWORK = Path("weights", "last.pt")
+"""The run's weights. The last ones are used: validation sees too few pictures to choose others."""
 
-NETWORK = "network.pt"
-"""File in a run's folder with the latest weights and the run state, without optimiser state."""
+BEGUN = "begun.json"
+"""File in a run's folder with what it began with."""
+
+_AUGMENTATION: dict[str, Any] = {
+    # Fruit hang or lie at any angle, and no keypoint is a left or right one.
+    "degrees": 45.0,
+    "flipud": 0.5,
+    "fliplr": 0.5,
+    "scale": 0.5,
+    "translate": 0.1,
+    "hsv_h": 0.02,
+    "hsv_s": 0.6,
+    "hsv_v": 0.45,
+    "mosaic": 0.5,
+    "erasing": 0.0,
+}
+
+# Turned or mirrored pictures would change the order of keypoints by place. Without outlines, a
+# turned box is the bounding box of the old corners: far too wide for thin fruit.
+_POSE_AUGMENTATION: dict[str, Any] = {"degrees": 0.0, "flipud": 0.0, "fliplr": 0.0}
+
+_BATCH, _BATCH_ON_CARD = 8, 64
+_SHOWN = ("metrics/precision(B)", "metrics/recall(B)", "metrics/mAP50-95(B)")
 
 
 @dataclass(frozen=True)
-class EpochReport:
-    """Progress and metrics after an epoch.
+class TrainOptions:
+    """Training options.
 
     Parameters
     ----------
-    pictures, of : int
-        Number of pictures seen so far, and in the whole plan.
+    epochs : int
+        Number of passes over the training pictures.
     size_px : int
-        Size of the training pictures.
-    seconds : float
-        Duration of the epoch.
-    metrics : mapping of str to float
-        Ultralytics' losses and, if the epoch was validated, its metrics.
+        Side of the square training pictures; a multiple of 32.
+    batch : int
+        Batch size; 0 selects 8 on the CPU and 64 on a GPU. The learning rate refers to a batch of
+        8 and grows with the square root of the batch size.
+    device : str
+        'auto' (a GPU if available), 'cpu', or a GPU number.
+    seed : int
+        Random seed.
+    learning_rate : float
+        Initial learning rate of AdamW; it falls to a twentieth.
+    freeze : int
+        Number of layers to freeze, from the input.
     """
 
-    pictures: int
-    of: int
-    size_px: int
-    seconds: float
-    metrics: Mapping[str, float]
-
-
-class TrainCallbacks(Protocol):
-    """Progress callbacks of a training."""
-
-    def batch(self, fraction: float, size_px: int) -> None:
-        """Report the completed share of the current epoch."""
-
-    def epoch(self, report: EpochReport) -> None:
-        """Report a completed epoch, after its weights have been written to `NETWORK`."""
-
-
-class _NoCallbacks:
-    def batch(self, fraction: float, size_px: int) -> None:
-        """Do nothing."""
-
-    def epoch(self, report: EpochReport) -> None:
-        """Do nothing."""
+    epochs: int = 50
+    size_px: int = 640
+    batch: int = 0
+    device: str = "auto"
+    seed: int = 0
+    learning_rate: float = 0.001
+    freeze: int = 0
 
 
 def train(
     task: str,
-    data: Path | None,
+    datasets: Sequence[DataSet],
     out: Path,
-    *,
-    init: str | None = None,
-    plan: str | None = None,
-    per_epoch: int = 500,
-    resume: bool = False,
-    options: TrainOptions | None = None,
-    callbacks: TrainCallbacks | None = None,
+    init: str,
+    options: TrainOptions,
+    log: Callable[[str], None] = print,
 ) -> Path:
-    """Train a network for one task.
+    """Train a network for one task, or go on with an interrupted training.
 
     Parameters
     ----------
     task : str
         'seg' or 'pose'.
-    data : Path, optional
-        Folder or data.yaml of a data set. When resuming, needed only if the data set has moved.
+    datasets : sequence of DataSet
+        See `write_training_data`; not used by a training that goes on.
     out : Path
-        The run's folder: `state.json`, `metrics.csv`, `weights/last.pt` and `network.pt`.
-    init : str, optional
+        The run's folder: Ultralytics' `results.csv`, `args.yaml` and `weights/`.
+    init : str
         Initial weights (.pt), or an Ultralytics .yaml for random weights. From a checkpoint of
-        the other task, matching layers are used. The `network.pt` of an unfinished run for the
-        same task resumes that run, unless another plan is given.
-    plan : str, optional
-        Plan in the format of `parse_plan`. To extend a run, give a longer plan.
-    per_epoch : int
-        Pictures between two checkpoints.
-    resume : bool
-        Resume the run in `out`.
-    options : TrainOptions, optional
-        Training options. A resumed run keeps its `FIXED_OPTIONS`.
-    callbacks : TrainCallbacks, optional
-        Called after every batch and epoch.
+        the other task, matching layers are used.
+    options : TrainOptions
+        Training options. A training that goes on takes only `batch` and `device` from them.
+    log : callable
+        Called with a line of text after each epoch, when the weights are written.
 
     Returns
     -------
     Path
-        `out / NETWORK`; the file exists after the first epoch.
+        The weights.
 
     Raises
     ------
     TrainingError
-        If the plan, the data, the weights or the folder are invalid.
-    DataSetError
-        If the data set has faults; the error lists them.
+        If the task, the data sets or the weights are unusable.
+    ModelError
+        If the weights cannot be loaded.
     MissingExtraError
         If the extra `train` is not installed.
     """
-    options, callbacks = options or TrainOptions(), callbacks or _NoCallbacks()
     if task not in TASKS:
         raise TrainingError(f"unknown task {task!r}", remedy="use seg or pose")
-    out = out.resolve()
-    import_ultralytics()
-    if resume:
-        state = _resume_state(task, out, plan)
-        if data is not None:
-            written = prepare_data(data, task, out, check=options.check)
-            state = replace(state, data=str(written))
-    else:
-        state = _new_state(task, data, out, init, plan, per_epoch, options)
-    fixed = {name: value for name, value in state.learning.items() if name in FIXED_OPTIONS}
-    options = replace(options, **fixed)
-    state.save(out)
-    while not state.is_done:
-        state = _run_part(state, out, options, callbacks)
-    return out / NETWORK
-
-
-def _new_state(
-    task: str,
-    data: Path | None,
-    out: Path,
-    init: str | None,
-    plan: str | None,
-    per_epoch: int,
-    options: TrainOptions,
-) -> RunState:
-    if RunState.exists(out):
-        raise TrainingError(
-            "already contains a training run",
-            source=out,
-            remedy="add --resume, or choose another folder",
-        )
-    if data is None:
-        raise TrainingError("no data set given", remedy="give its folder or its data.yaml")
-    new_plan = parse_plan(plan or _DEFAULT_PLAN, per_epoch)
-    weights = str(init or f"yolo26n-{task}.pt")
-    saved = None
-    if weights.endswith(".pt"):
-        path = Path(weights).resolve()
-        if not path.is_file():
-            raise TrainingError(
-                "weights not found; they are not downloaded automatically",
-                source=weights,
-                remedy=f"download them from Ultralytics, or use --init yolo26n-{task}.yaml",
-            )
-        weights, saved = str(path), stored_run_state(path)
-    written = str(prepare_data(data, task, out, check=options.check))
-    if saved is not None and saved["task"] == task and not RunState.from_dict(saved).is_done:
-        state = replace(RunState.from_dict(saved), data=written, init=weights)
-        if plan is None or state.plan == new_plan:
-            return state
-    fixed = {name: getattr(options, name) for name in FIXED_OPTIONS}
-    return RunState(task, written, weights, new_plan, seed=options.seed, learning=fixed)
-
-
-def _resume_state(task: str, out: Path, plan: str | None) -> RunState:
-    state = RunState.load(out)
-    if state.task != task:
-        raise TrainingError(
-            f"is a training run for {state.task}, not {task}",
-            source=out,
-            remedy=f"use train network {state.task}",
-        )
-    last = _last(out)
+    last, device = out.resolve() / NETWORK, choose_device(options.device)
+    batch = options.batch or (_BATCH if device == "cpu" else _BATCH_ON_CARD)
+    machine = {"device": device, "batch": batch, "save_dir": str(out.resolve()), "exist_ok": True}
     if last.is_file():
-        # If the run was killed between the checkpoint and the state file, the state lags by one.
-        state = replace(state, epochs=_completed_epochs(last))
-    if plan is None:
-        return state
-    return replace(state, plan=extend_plan(state.plan, state.epochs, parse_plan(plan)))
-
-
-def _last(out: Path) -> Path:
-    return out / "weights" / "last.pt"
-
-
-def _run_part(
-    state: RunState, out: Path, options: TrainOptions, callbacks: TrainCallbacks
-) -> RunState:
-    """Train until the end of the current part of the plan."""
-    last = _last(out)
-    device = choose_device(options.device)
-    model = str(last) if last.is_file() else state.init
-    recorder = _RunRecorder(state, out, callbacks)
-    trainer = make_trainer(
-        TASKS[state.task],
-        trainer_settings(state, model, out, options, device),
-        recorder,
-        TrainerSettings(
-            plan=state.plan,
-            epochs=state.epochs,
-            seed=state.seed,
-            one_to_many=options.one_to_many,
-            validate_every=options.validate_every,
-            # Mean and variance of a layer cannot be estimated from two or three pictures.
-            freeze_batch_norm=(
-                options.batch_on(device) < _LEAST_NORM_BATCH and state.init.endswith(".pt")
-            ),
-            final_sigma=state.task == "pose" and has_keypoint_head(state.init),
-            by_place=state.task == "pose",
-        ),
-        threads=options.threads or os.cpu_count() or 1,
-        bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
-    )
-    trainer.train()
-    return recorder.state
-
-
-class _RunRecorder:
-    """Trainer callbacks that save the run's state, metrics and weights, and report progress."""
-
-    def __init__(self, state: RunState, out: Path, callbacks: TrainCallbacks) -> None:
-        self.state = state
-        self._out, self._callbacks = out, callbacks
-
-    def batch(self, done: int, total: int) -> None:
-        plan = self.state.plan
-        self._callbacks.batch(done / total, plan.size_at(self.state.epochs))
-
-    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> None:
-        plan = self.state.plan
-        report = EpochReport(
-            pictures=number * plan.per_epoch,
-            of=plan.epochs * plan.per_epoch,
-            size_px=plan.size_at(number - 1),
-            seconds=seconds,
-            metrics=metrics,
+        model = load_yolo(last)
+        if model.task != TASKS[task]:
+            raise TrainingError(
+                f"contains a training for {model.task}",
+                source=out,
+                remedy="choose another folder",
+            )
+        # Ultralytics removes the optimiser at the end.
+        if not (model.ckpt or {}).get("optimizer"):
+            return last
+        _prepare(model, log)
+        model.train(resume=True, **machine)
+        return last
+    if init.endswith(".pt") and not Path(init).is_file():
+        raise TrainingError(
+            "weights not found; they are not downloaded automatically",
+            source=init,
+            remedy=f"download them from Ultralytics, or use --init yolo26n-{task}.yaml",
         )
-        self.state = replace(self.state, epochs=number, seconds=self.state.seconds + seconds)
-        self.state.save(self._out)
-        strip_checkpoint(_last(self._out), self._out / NETWORK, asdict(self.state))
-        _append(self._out / "metrics.csv", report, self.state.seconds)
-        self._callbacks.epoch(report)
+    model = load_yolo(init)
+    has_keypoints = init.endswith(".pt") and model.task == "pose"
+    if model.task != TASKS[task]:
+        scale = str(model.model.yaml.get("scale") or "n")
+        model = load_yolo(f"yolo26{scale}-{task}.yaml").load(init)
+    out.mkdir(parents=True, exist_ok=True)
+    data = write_training_data(datasets, task, out)
+    if task == "pose" and has_keypoints:
+        # Ultralytics' default, four times as tolerant, lets a new head begin to learn.
+        with data.open("a", encoding="utf-8") as file:
+            file.write(f"kpt_oks_sigmas: {[KEYPOINT_SIGMA] * 5}\n")
+    begun = {"task": task, "init": Path(init).name, **asdict(options)}
+    (out / BEGUN).write_text(json.dumps(begun, indent=2) + "\n", encoding="utf-8")
+    _prepare(model, log)
+    model.train(
+        data=str(data.resolve()),
+        epochs=options.epochs,
+        imgsz=options.size_px,
+        seed=options.seed,
+        optimizer="AdamW",
+        lr0=options.learning_rate * math.sqrt(max(batch, _BATCH) / _BATCH),
+        lrf=0.05,
+        momentum=0.9,
+        warmup_epochs=min(1.0, options.epochs / 10),
+        warmup_bias_lr=0.0,
+        nbs=max(_BATCH, batch),
+        freeze=options.freeze or None,
+        close_mosaic=max(1, options.epochs // 10),
+        patience=0,
+        plots=False,
+        workers=0,
+        deterministic=False,
+        amp=device != "cpu",
+        nms=False,  # the one-to-one head, which is exported, needs no suppression
+        **machine,
+        **_AUGMENTATION | (_POSE_AUGMENTATION if task == "pose" else {}),
+    )
+    return last
 
 
-def _append(path: Path, report: EpochReport, seconds: float) -> None:
-    """Append the row of an epoch."""
-    row = {
-        "pictures": report.pictures,
-        "size_px": report.size_px,
-        "seconds": round(report.seconds, 1),
-        "hours": round(seconds / 3600, 3),
-        **{key: f"{value:.5g}" for key, value in report.metrics.items()},
-    }
-    write_rows(path, [*read_rows(path), row])
+def _prepare(model: Any, log: Callable[[str], None]) -> None:
+    """Let a training use the user's threads, report, and note the order of keypoints."""
+    import torch
+
+    def start(trainer: Any) -> None:
+        torch.set_num_threads(allowed_threads())
+        if trainer.args.task == "pose":
+            for network in (trainer.model, trainer.ema.ema):
+                network.keypoint_order = BY_PLACE
+
+    def report(trainer: Any) -> None:
+        figures = (f"{name[8:]} {trainer.metrics.get(name, math.nan):.3f}" for name in _SHOWN)
+        log(f"epoch {trainer.epoch + 1} of {trainer.epochs}  {'  '.join(figures)}")
+
+    model.add_callback("on_train_start", start)
+    model.add_callback("on_model_save", report)
 
 
-def _completed_epochs(checkpoint: Path) -> int:
-    return int(load_checkpoint(checkpoint)["epoch"]) + 1
+def choose_device(requested: str) -> str:
+    """Return the device to train on: for 'auto' the first CUDA GPU, or the CPU."""
+    if requested != "auto":
+        return requested
+    import_ultralytics()  # raises a clear error if the extra is missing
+    import torch
+
+    return "0" if torch.cuda.is_available() else "cpu"

@@ -93,22 +93,6 @@ def test_check_of_a_clean_set(photos: Path) -> None:
     assert (result.exit_code, result.output) == (0, "20 pictures, 20 labels, no fault.\n")
 
 
-def test_windows_of_the_train_pictures(photos: Path, tmp_path: Path) -> None:
-    hub = tmp_path / "hub"
-    call("convert", photos, hub, "--names", NAMES, "--keep", "0=cucumber")
-    call("split", hub, "--scene-pattern", r"\d\d", "--shares", "50:10:40")
-    train = read_coco(hub).in_split("train")
-    result = call("windows", hub, tmp_path / "cut", "--side", "64")
-    assert result.exit_code == 0, result.output
-    fruit = sum(len(p.labels) for p in train)
-    assert result.output.strip() == f"10 windows with {fruit} fruit are in {tmp_path / 'cut'}"
-    # The bar is 80 px long: its window is 100, as high as the picture; others are 64.
-    cut = read_coco(tmp_path / "cut").pictures
-    sizes = {(p.width, p.height) for p in cut if p.labels}
-    assert sizes == ({(100, 96)} if fruit else set())
-    assert {(p.width, p.height) for p in cut if not p.labels} == {(64, 64)}
-
-
 def test_a_split_by_file_is_a_leak(photos: Path, tmp_path: Path) -> None:
     hub = tmp_path / "hub"
     call("convert", photos, hub, "--names", NAMES)

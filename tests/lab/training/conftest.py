@@ -1,15 +1,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from cucumbervision_lab.training.settings import TrainOptions
-
-if TYPE_CHECKING:
-    from cucumbervision_lab.training.train import EpochReport
+from cucumbervision_lab.training.train import TrainOptions
 
 SIDE_PX = 96
 
@@ -59,51 +55,14 @@ def pose_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_set(tmp_path_factory.mktemp("pose"), "pose")
 
 
-QUICK = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, validate_every=1)
-
-
-class Notes:
-    """Keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.epochs: list[EpochReport] = []
-        self.fractions: list[float] = []
-
-    def batch(self, fraction: float, size_px: int) -> None:
-        self.fractions.append(fraction)
-
-    def epoch(self, report: EpochReport) -> None:
-        self.epochs.append(report)
-
-
-class StopAfterEpoch(Notes):
-    """Ends the training after an epoch, as Ctrl-C does."""
-
-    def epoch(self, report: EpochReport) -> None:
-        super().epoch(report)
-        raise KeyboardInterrupt
+QUICK = TrainOptions(epochs=2, size_px=64, batch=4, device="cpu")
 
 
 @pytest.fixture(scope="session")
 def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Train a plan of two sizes in two calls: the second prolongs what the first ended."""
+    from cucumbervision_lab.training.data import open_sets
     from cucumbervision_lab.training.train import train
 
     run = tmp_path_factory.mktemp("run") / "seg"
-    notes = Notes()
-    train(
-        "seg",
-        seg_set,
-        run,
-        init="yolo26n-seg.yaml",
-        plan="64x16",
-        per_epoch=8,
-        options=QUICK,
-        callbacks=notes,
-    )
-    assert [(r.pictures, r.of, r.size_px) for r in notes.epochs] == [(8, 16, 64), (16, 16, 64)]
-    # Eight pictures, four at a time.
-    assert notes.fractions == [0.5, 1.0, 0.5, 1.0]
-    other = TrainOptions(**{**vars(QUICK), "batch": 2, "learning_rate": 0.1})
-    train("seg", None, run, resume=True, plan="64x16,96x8", options=other)
+    train("seg", open_sets([seg_set.parent]), run, "yolo26n-seg.yaml", QUICK)
     return run

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from cucumbervision.perception.runtime import open_network
 from cucumbervision_lab.training.classifier import (
     CHANNELS,
     ClassifierOptions,
+    Trained,
     export_network,
     first_layers,
     fit,
@@ -76,9 +76,7 @@ def predict(network: Any, made: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 def test_it_learns_what_the_targets_say() -> None:
     told: list[tuple[int, float]] = []
-    options = ClassifierOptions(
-        epochs=8, batch=16, threads=1, progress=lambda *numbers: told.append(numbers)
-    )
+    options = ClassifierOptions(epochs=8, batch=16, progress=lambda *numbers: told.append(numbers))
     network = learnt(pictures(200, 1), options)
     fresh, target = pictures(100, 2)
     logits = predict(network, fresh)
@@ -107,7 +105,7 @@ def test_the_same_seed_learns_the_same_and_another_something_else() -> None:
     data = pictures(40, 3)
 
     def learn(seed: int) -> NDArray[np.float64]:
-        options = ClassifierOptions(epochs=1, batch=16, threads=1, seed=seed)
+        options = ClassifierOptions(epochs=1, batch=16, seed=seed)
         return predict(learnt(data, options), data[0])
 
     np.testing.assert_array_equal(learn(4), learn(4))
@@ -123,13 +121,13 @@ def test_the_last_batch_is_no_picture_alone() -> None:
         sizes.append(len(chosen))
         return network(torch.zeros(1, 3, SIDE_PX, SIDE_PX)).sum()
 
-    fit(make, 33, loss_of, ClassifierOptions(epochs=1, batch=16, threads=1))
+    fit(make, 33, loss_of, ClassifierOptions(epochs=1, batch=16))
     assert sizes == [11] * 3
 
 
 def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) -> None:
     data, target = pictures(60, 5)
-    options = ClassifierOptions(epochs=2, batch=16, threads=1)
+    options = ClassifierOptions(epochs=2, batch=16)
     network = learnt((data, target), options)
     path = tmp_path / "new" / "halves.onnx"
     example = {"pictures": scaled_planes(data[:2])}
@@ -165,22 +163,16 @@ def test_the_first_layers_make_a_sixteenth_of_the_size() -> None:
         assert layers(torch.zeros(1, 3, 64, 96)).shape == (1, CHANNELS, 4, 6)
 
 
-@dataclass(frozen=True)
-class Told:
-    network: Path
-    task: str = "look"
-    limits: tuple[str, ...] = ("Learnt from halves.",)
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        return {"accuracy": 0.75}
+def trained(network: Path, **metrics: float) -> Trained:
+    return Trained(network, "look", ("Learnt from halves.",), {**metrics, "accuracy": 0.75})
 
 
 def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
     network = tmp_path / "look.onnx"
     network.write_bytes(b"a network")
+    options = ClassifierOptions(3, seed=9)
     card = write_classifier_card(
-        Told(network), "my-look", "weights/yolo26n.pt", epochs=3, seed=9, credits=["Photos: A"]
+        trained(network), "my-look", "weights/yolo26n.pt", options, ["Photos: A"]
     )
     assert (card.sha256, card.size_bytes) == (file_sha256(network), 9)
     assert card.began_with == "yolo26n.pt"
@@ -199,11 +191,7 @@ def test_the_card_of_a_checkpoint_that_is_only_judged_names_it(tmp_path: Path) -
     network.write_bytes(b"a network")
     checkpoint.write_bytes(b"a checkpoint")
 
-    class Judged(Told):
-        @property
-        def metrics(self) -> dict[str, float]:
-            return {"crops learnt from": 12.0, "accuracy": 0.75}
-
-    card = write_classifier_card(Judged(network), "look", checkpoint, epochs=0, seed=0)
+    judged = trained(network, **{"crops learnt from": 12.0})
+    card = write_classifier_card(judged, "look", checkpoint, ClassifierOptions(0))
     assert card.checkpoint_sha256 == file_sha256(checkpoint)
     assert card.metrics == {"accuracy": 0.75}

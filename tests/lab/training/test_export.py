@@ -23,8 +23,8 @@ from cucumbervision.instances.instance import Instance
 from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision_lab.training.checkpoint import import_ultralytics
-from cucumbervision_lab.training.export import export_yolo, load_yolo
+from cucumbervision_lab.training.export import export_yolo
+from cucumbervision_lab.training.networks import import_ultralytics, load_yolo
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("_suppression")]
 
@@ -270,7 +270,7 @@ def test_checkpoints_folder_stays_clean(checkpoint: Path, exports: dict[str, Pat
 def test_bad_checkpoints_are_named(tmp_path: Path) -> None:
     bad = tmp_path / "bad.pt"
     bad.write_bytes(b"no checkpoint")
-    with pytest.raises(ModelError, match=r"bad\.pt: cannot load the weights"):
+    with pytest.raises(ModelError, match=r"bad\.pt: Ultralytics cannot load"):
         load_yolo(bad)
     older = import_ultralytics().YOLO("yolo11n.yaml")
     with pytest.raises(ModelError, match="no one-to-one head"):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.lab.training.conftest import StopAfterEpoch
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
@@ -19,16 +18,12 @@ from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, ov
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.training.house import (
     DetectorScore,
-    HousePlan,
     held_out_set,
-    house_recipe,
+    mixed,
     train_house,
     verdict,
 )
-from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.recipe import read_recipe
-from cucumbervision_lab.training.run_recipe import PACKAGED
-from cucumbervision_lab.training.settings import TrainOptions
+from cucumbervision_lab.training.train import TrainOptions
 
 CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
 HOUSE, DRAWN = (
@@ -57,28 +52,12 @@ def house(tmp_path: Path) -> Path:
     return folder
 
 
-def test_the_house_has_its_share_and_the_shipped_mixture_the_rest(house: Path) -> None:
-    base, plan = read_recipe(PACKAGED), HousePlan(share=0.4, drawn=30)
-    whole = house_recipe(base, house, plan, photos=True)
-    weights = {source.name: source.weight for source in whole.sources}
-    assert weights["house"] + weights["house-windows"] == pytest.approx(0.4)
-    assert sum(weights.values()) == pytest.approx(1)
-    assert {source.name for source in base.sources} < weights.keys()
-    bare = house_recipe(base, house, plan, photos=False)
-    kinds = {source.kind for source in bare.sources[2:]}
-    assert kinds <= {"drawn", "windows", "sheets"}
-    assert sum(source.weight for source in bare.sources) == pytest.approx(1)
-    assert all(source.count <= 30 for source in bare.sources if source.kind == "drawn")
-    assert not any(source.paste for source in bare.sources)
-
-
-def test_a_source_follows_the_labels(house: Path) -> None:
-    base, plan = read_recipe(PACKAGED), HousePlan()
-    before = house_recipe(base, house, plan, photos=False)
-    assert house_recipe(base, house, plan, photos=False) == before
-    file = house / "annotations.json"
-    file.write_text(file.read_text() + "\n")
-    assert house_recipe(base, house, plan, photos=False).sources[0] != before.sources[0]
+def test_the_house_is_repeated_until_it_has_its_share(house: Path) -> None:
+    dataset = read_coco(house)
+    others = [replace(dataset, pictures=dataset.pictures[:1] * 10)] * 2
+    # Two pictures of the house and twenty others: eight of twenty-eight are two sevenths.
+    assert mixed(dataset, others, 2 / 7) == [dataset] * 4 + others
+    assert mixed(dataset, others, 0.05) == [dataset, *others]
 
 
 def test_a_set_that_keeps_nothing_back_is_refused(house: Path) -> None:
@@ -121,17 +100,18 @@ def test_a_house_trains_on_is_judged_and_goes_on_after_an_interruption(
         pytest.skip("the source archive holds no checkpoints")
     monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path / "models"))
     out = tmp_path / "run"
-    said: list[str] = []
-    plan = HousePlan("64x16", drawn=2, windows=(64,), tested=2, per_epoch=8)
-    quick = TrainOptions(batch=4, threads=1, precision="f32")
-    begin = partial(train_house, house, out, init=CHECKPOINT, plan=plan, log=said.append)
+    quick = TrainOptions(2, 64, batch=4)
+    begin = partial(train_house, house, out, init=CHECKPOINT, frames=2, options=quick)
+
+    def stop(line: str) -> None:
+        if line.startswith("epoch"):
+            raise KeyboardInterrupt
+
     with pytest.raises(KeyboardInterrupt):
-        begin(options=quick, callbacks=StopAfterEpoch())
-    assert not RunState.load(out / "seg").is_done
-    judged = begin(options=quick)
-    assert any("only synthetic frames" in line for line in said)
-    state = RunState.load(out / "seg")
-    assert (state.pictures, state.is_done) == (16, True)
+        begin(log=stop)
+    lines: list[str] = []
+    judged = begin(log=lines.append)
+    assert [line[:12] for line in lines if line.startswith("epoch")] == ["epoch 2 of 2"]
     values = json.loads(judged.read_text())
     shipped = load_registry().get("cucumber-seg").files[0].sha256
     assert values["old"] == shipped != values["new"]

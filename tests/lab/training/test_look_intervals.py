@@ -12,14 +12,12 @@ from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
     look_features,
-    shipped_interval_models,
 )
 from cucumbervision_lab.training.end_crops import EndCrops
 from cucumbervision_lab.training.look_intervals import (
     SMALLEST_GROUP,
     fit_look_intervals,
     looked_fruit,
-    with_look_intervals,
 )
 from cucumbervision_lab.training.measured_ends import EndTruth, MeasuredFruit
 
@@ -108,9 +106,6 @@ def test_cut_fruit_given_masks_and_wrong_depth_teach_nothing(
     looks = [(TRUE, TRUE)] * len(wrong)
     plain = fit_look_intervals(*learnt)
     assert fit_look_intervals([*learnt[0], *wrong], [*learnt[1], *looks]) == plain
-    book = shipped_interval_models()
-    more = with_look_intervals(book, plain)
-    assert set(more.models) >= {*book.models, *plain}
 
 
 def test_only_held_out_fruit_on_networks_masks_are_looked_at() -> None:

@@ -1,21 +1,13 @@
-"""Model cards, and adding an exported network to the package."""
+"""Model cards: what an exported network is, how it was trained, and how good it is."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
-import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
-
-from cucumbervision.errors import ModelHashError, TrainingError
-from cucumbervision.files import parse_model, read_json
-from cucumbervision.perception import registry
-from cucumbervision.perception.registry import file_sha256, load_registry
 
 _LICENCE = "AGPL-3.0-only"
 
@@ -66,7 +58,7 @@ class ModelCard:
     began_with : str
         Initial weights of the training.
     plan : str
-        Training plan, as in '320x8,640x2'; empty if only the checkpoint is known.
+        What was trained, as in '50 epochs at 640 px'; empty if only the checkpoint is known.
     command : str
         Training command, without local paths.
     metrics : mapping of str to float
@@ -126,26 +118,6 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
     return page, record
 
 
-def read_card(path: Path) -> ModelCard:
-    """Read a card from its JSON file.
-
-    Raises
-    ------
-    TrainingError
-        If the file cannot be read or is invalid.
-    """
-    values = read_json(path, TrainingError, "export the network again")
-    card = parse_model(
-        ModelCard, values, source=path, error=TrainingError, remedy="export the network again"
-    )
-    fault = "" if card.task in _WHAT else f"unknown task {card.task!r}"
-    if not 0 < card.size_bytes < _TOO_LARGE:
-        fault = "size_bytes is out of range"
-    if fault:
-        raise TrainingError(fault, source=path, remedy="export the network again")
-    return card
-
-
 def card_markdown(card: ModelCard) -> str:
     """Return a card as Markdown.
 
@@ -166,7 +138,7 @@ def card_markdown(card: ModelCard) -> str:
     if card.began_with:
         lines.append(f"- began with: `{card.began_with}`")
     if card.plan:
-        lines.append(f"- plan (pixels x pictures): {card.plan}")
+        lines.append(f"- trained: {card.plan}")
     lines += [f"- {name} {version}" for name, version in card.versions.items()]
     if card.metrics:
         lines += ["", "## Figures", "", "On the validation pictures, by:", ""]
@@ -186,109 +158,3 @@ def card_markdown(card: ModelCard) -> str:
 def _table(metrics: Mapping[str, float]) -> list[str]:
     rows = [f"| {name} | {value:g} |" for name, value in metrics.items()]
     return ["| figure | value |", "|---|--:|", *rows]
-
-
-_TOO_LARGE = 2**40
-MOST_BYTES = 45_000_000
-"""Maximum total size of the packaged networks."""
-
-_TITLES = {
-    "segment": "YOLO26 for cucumbers: boxes and masks",
-    "pose": "YOLO26 for cucumbers: boxes and five keypoints",
-    "fruit": "Outline and keypoints of one cucumber at the camera's resolution",
-    "look": "Whether a cucumber ends where it was measured to",
-}
-
-_ENTRY = re.compile(r"^\[\[models\]\]$", re.MULTILINE)
-
-
-def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Path, ...]:
-    """Copy an exported network and its card into the package, and update the registry.
-
-    Parameters
-    ----------
-    exported : Path
-        Folder written by `export_trained`.
-    name : str
-        Name of the network; a packaged network with this name is replaced.
-    package : Path, optional
-        Folder of `models.toml` and `weights/`; by default that of the installed package.
-
-    Returns
-    -------
-    tuple of Path
-        The written files.
-
-    Raises
-    ------
-    ModelHashError
-        If the network's hash differs from its card.
-    TrainingError
-        If the card cannot be read, the total size would exceed `MOST_BYTES`, or the folder is
-        not writable.
-    """
-    card = read_card(exported / f"{name}.json")
-    network = exported / card.file
-    if not network.is_file() or file_sha256(network) != card.sha256:
-        raise ModelHashError(
-            "does not match the hash in its card", source=network, remedy="export it again"
-        )
-    package = package or Path(registry.__file__).parent
-    weights, toml = package / "weights", package / "models.toml"
-    other_networks = [p for p in weights.glob("*.onnx") if p.name != card.file]
-    total = sum(p.stat().st_size for p in other_networks) + card.size_bytes
-    if total > MOST_BYTES:
-        raise TrainingError(
-            f"the packaged weights would take {total / 1e6:.1f} MB in total",
-            source=network,
-            remedy=f"publish a smaller network; the limit is {MOST_BYTES / 1e6:.0f} MB",
-        )
-    try:
-        files = [network, exported / f"{name}.md", exported / f"{name}.json"]
-        written = [Path(shutil.copyfile(file, weights / file.name)) for file in files]
-        text = with_entry(toml.read_text(encoding="utf-8"), card)
-        toml.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise TrainingError(
-            f"cannot be written ({error})", source=package, remedy="publish from a source checkout"
-        ) from error
-    load_registry(toml).resolve(name)
-    return (*written, toml)
-
-
-def with_entry(toml: str, card: ModelCard) -> str:
-    """Return the text of `models.toml` with the network's entry added or replaced."""
-    starts = [match.start() for match in _ENTRY.finditer(toml)] + [len(toml)]
-    head, blocks = toml[: starts[0]], [toml[a:b] for a, b in pairwise(starts)]
-    entry, line = registry_entry(card), f"name = {json.dumps(card.name)}"
-    same = [k for k, block in enumerate(blocks) if line in block.splitlines()]
-    if same:
-        # Entries are separated by an empty line; the last one ends the file.
-        blocks[same[0]] = entry if same[0] == len(blocks) - 1 else f"{entry}\n"
-    else:
-        blocks.append(f"\n{entry}")
-    return head + "".join(blocks)
-
-
-def registry_entry(card: ModelCard) -> str:
-    """Return a network's entry for `models.toml`.
-
-    Examples
-    --------
-    >>> entry = registry_entry(ModelCard("c-seg", "segment", "c-seg.onnx", "ab", 5, "cd"))
-    >>> entry.splitlines()[:3]
-    ['[[models]]', 'name = "c-seg"', 'task = "segment"']
-    """
-    what = _TITLES[card.task]
-    values = {
-        "name": card.name,
-        "task": card.task,
-        "licence": card.licence,
-        "title": what,
-        "origin": "CucumberVision, begun with Ultralytics' weights",
-        "card": f"{card.name}.md",
-    }
-    lines = ["[[models]]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
-    lines += ["embedded = true", "", "[[models.files]]", 'role = "network"']
-    lines += [f"file = {json.dumps(card.file)}", f'sha256 = "{card.sha256}"']
-    return "\n".join([*lines, f"size_bytes = {card.size_bytes}"]) + "\n"

@@ -34,7 +34,7 @@ def pipeline(quick: bool) -> list[Figure]:
     return [
         five_fruit_figure(alone, count),
         Figure("a capture in the networks alone", 1e3 * own_s, "ms"),
-        Figure("a capture, read to journalled", 1e3 * whole_s, "ms"),
+        Figure("a capture, read to saved", 1e3 * whole_s, "ms"),
         Figure("the same, times one at the input size 640", whole_s / one_size_s, "x"),
         Figure("pipeline beyond its networks", 100 * (whole_s - own_s) / own_s, "%", "<= 8"),
     ]

@@ -16,7 +16,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.pipeline.folder import OutputFolder
 from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.run import FolderWorker, Task
+from cucumbervision.pipeline.run import FolderWorker
 from cucumbervision.streaming import stream as streaming
 from cucumbervision.streaming.stream import FruitStream
 from speeds.frames import MODELS, overlapped
@@ -32,7 +32,7 @@ def processor(quick: bool) -> list[Figure]:
     frames = [entry.ref.load() for entry in listed]
     with tempfile.TemporaryDirectory() as tmp:
         worker = FolderWorker(Measurer(MODELS), OutputFolder(Path(tmp)))
-        tasks = [partial(worker, Task(**vars(entry))) for entry in listed]
+        tasks = [partial(worker, entry) for entry in listed]
         of_capture = stage_ms(clock, tasks, rounds)
     of_frame = stage_ms(clock, [partial(stream.take, frame) for frame in frames], rounds)
     stages = by_stage("measure", of_capture) + by_stage("stream --fast", of_frame)

@@ -11,7 +11,7 @@ from typing import Any
 
 from figures import Figure
 
-READING, WRITING = "reading", "rows and journal"
+READING, WRITING = "reading", "rows and record"
 
 
 STAGES = {

@@ -31,7 +31,7 @@ app.main()
 
 
 def started(compiled: Path, *words: str) -> float:
-    """Return the seconds from the process's start to the first journalled capture.
+    """Return the seconds from the process's start to the first saved capture.
 
     Python keeps what it compiled of the sources in a folder, as it does where they are installed.
     """

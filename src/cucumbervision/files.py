@@ -8,6 +8,7 @@ import math
 import os
 import re
 import stat
+import uuid
 from collections.abc import Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -95,9 +96,39 @@ def _require_regular(path: Path, error: type[CucumberVisionError]) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file; raises a one-line error on failure."""
-    with wrap_os_errors("cannot be written", path, "choose another folder", CaptureError):
-        path.write_bytes(data)
+    """Put a whole file in place at once; raises a one-line error on failure."""
+    remedy = "choose another folder"
+    with wrap_os_errors("cannot be written", path, remedy, CaptureError), replacing(path) as part:
+        part.write_bytes(data)
+
+
+@contextmanager
+def replacing(path: Path, folder: Path | None = None) -> Iterator[Path]:
+    """Yield a temporary file, which replaces `path` when the block succeeds, on disk and whole.
+
+    Parameters
+    ----------
+    path : Path
+        The file, on this machine.
+    folder : Path, optional
+        Folder of the temporary file, on the same file system; by default that of `path`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; what was there before is still there.
+    """
+    # Writers recognise the format by the extension.
+    part = (folder or path.parent) / f".{uuid.uuid4().hex}{path.suffix}"
+    try:
+        yield part
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:
@@ -173,7 +204,7 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a table as CSV; texts are defused, None leaves a cell empty.
+    """Write a table as CSV at once; texts are defused, None leaves a cell empty.
 
     Parts of a text at which Excel may split the cell are defused, too.
 
@@ -200,7 +231,10 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
     ['name,length_cm', "'=1+1,12.5"]
     """
     # A file name may contain bytes that are not text.
-    with path.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file:
+    with (
+        replacing(path) as part,
+        part.open("w", encoding="utf-8-sig", errors="backslashreplace", newline="") as file,
+    ):
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([_csv_value(row[name]) for name in columns] for row in rows)
@@ -232,8 +266,9 @@ def cell_value(value: str | float | bool | None) -> str | int | float | None:
 
 
 def write_json(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON, UTF-8, one value per line."""
-    path.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Write a report as JSON at once, UTF-8, one value per line."""
+    with replacing(path) as part:
+        part.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def defused(text: str) -> str:

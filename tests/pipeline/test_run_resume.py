@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, RunResult, Step, measure_inputs
 
@@ -51,7 +50,7 @@ class Watched:
         return measure_inputs(inputs or [self.house], self.out, options, self._note, batch)
 
     def _note(self, outcome: Step) -> None:
-        if outcome.record is not None and not outcome.before:
+        if outcome.record is not None and not outcome.record.is_earlier:
             self.measured.append(outcome.name)
 
     def tables(self) -> list[bytes]:
@@ -61,10 +60,6 @@ class Watched:
 @pytest.fixture
 def run(house: Path) -> Watched:
     return Watched(house)
-
-
-def journal_of(out: Path) -> Path:
-    return max((out / "journal").glob("*.jsonl"))
 
 
 def test_a_second_run_measures_nothing_and_writes_the_same(run: Watched) -> None:
@@ -102,25 +97,31 @@ def test_a_run_stopped_at_once_keeps_what_earlier_runs_measured(run: Watched) ->
     assert run.tables() == whole
 
 
-def test_a_record_that_was_written_by_half_is_measured_again(run: Watched) -> None:
+def test_a_damaged_record_costs_its_own_capture(run: Watched) -> None:
     run()
-    whole, journal = run.tables(), journal_of(run.out)
-    journal.write_bytes(journal.read_bytes()[:-20])
-    result = run()
-    assert run.measured == [NAMES[-1]]
-    assert any("1 records of the journal are damaged" in note for note in result.notes)
+    whole, record = run.tables(), run.out / "records" / f"{NAMES[1]}.json"
+    record.write_bytes(record.read_bytes()[:-20])
+    run()
+    assert run.measured == [NAMES[1]]
     assert run.tables() == whole
 
 
-def test_a_flipped_bit_in_the_journal_is_seen(run: Watched) -> None:
+def test_a_run_that_read_nothing_leaves_the_tables(run: Watched) -> None:
     run()
-    whole, journal = run.tables(), journal_of(run.out)
-    data = bytearray(journal.read_bytes())
-    data[data.index(b'"length_cm":') + 13] ^= 1
-    journal.write_bytes(data)
-    run()
-    assert run.measured == [NAMES[0]]
+    whole = run.tables()
+    result = run(OPTIONS, None, run.house.parent / "hose")
+    assert (result.exit_code, result.captures) == (2, 0)
+    assert any("nothing was read" in note for note in result.notes)
     assert run.tables() == whole
+
+
+def test_results_inside_the_input_are_no_captures(run: Watched) -> None:
+    run.out = run.house / "results"
+    run()
+    whole = run.tables()
+    assert run().exit_code == 0
+    assert run.tables() == whole
+    assert run.measured == []
 
 
 def test_only_a_changed_capture_is_measured_again(run: Watched) -> None:
@@ -156,12 +157,8 @@ def test_a_picture_of_another_kind_is_drawn_and_none_is_not_missed(run: Watched)
     assert not list((run.out / "overlays").iterdir())
 
 
-def test_options_touch_what_they_had_a_part_in(run: Watched) -> None:
+def test_other_options_are_seen(run: Watched) -> None:
     run()
-    run(replace(OPTIONS, confidence=0.9, prompt="box"))  # no network looked at these
-    assert run.measured == []
-    run(replace(OPTIONS, instances="auto"))  # the same masks
-    assert run.measured == []
     run(replace(OPTIONS, methods=(MethodName.M1, MethodName.M3)))
     assert tuple(run.measured) == NAMES
 
@@ -276,18 +273,13 @@ from cucumbervision.cli.app import main; main()
     assert [capture["name"] for capture in report["captures"]] == [NAMES[0]]
 
 
-def test_rows_of_an_older_table_of_fields_are_measured_again(
-    run: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # As by an update of the software that knows one column more.
-    for module in ("pipeline.fields", "pipeline.folder", "pipeline.stages", "pipeline.tables"):
-        with suppress(AttributeError):
-            monkeypatch.setattr(f"cucumbervision.{module}.FIELDS", FIELDS[:-1])
+def test_other_code_is_seen(run: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As by an update of the software, whatever version it has.
+    monkeypatch.setattr("cucumbervision.pipeline.provenance.code_sha256", lambda: "older")
     run()
     monkeypatch.undo()
-    result = run()
+    run()
     assert tuple(run.measured) == NAMES
-    assert [list(row) for row in result.rows] == [[one.name for one in FIELDS]] * len(result.rows)
 
 
 def test_a_changed_file_of_intrinsics_is_seen(run: Watched) -> None:

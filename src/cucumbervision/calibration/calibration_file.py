@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.errors import CalibrationError, wrap_os_errors
-from cucumbervision.files import parse_model, read_json
+from cucumbervision.files import parse_model, read_json, replacing
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.names import checked_name
 
@@ -235,4 +235,5 @@ def write_site_calibration(path: Path, site: SiteCalibration) -> None:
     """
     with wrap_os_errors("cannot be written", path, kind=CalibrationError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(site.as_text(), encoding="utf-8")
+        with replacing(path) as part:
+            part.write_text(site.as_text(), encoding="utf-8")

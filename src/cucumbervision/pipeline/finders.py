@@ -26,7 +26,6 @@ from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns
-from cucumbervision.pipeline.stages import Stage
 from cucumbervision.plugins import Kind, Plugin, plugins
 
 if TYPE_CHECKING:
@@ -56,8 +55,8 @@ class Detections:
         Indices of instances that extended beyond the picture and were clipped.
     refused : tuple of CucumberVisionError
         Errors of entries of a file that are no valid instances of this picture.
-    stages : tuple of str
-        Processing stages, as `stages.py` names them.
+    stages : frozenset of str
+        What networks did: 'detected', 'posed' and 'drawn'.
     labels : tuple of str
         The classes that a detector knows.
     posed : bool
@@ -73,7 +72,7 @@ class Detections:
     instances: tuple[Instance, ...]
     clipped: frozenset[int] = frozenset()
     refused: tuple[CucumberVisionError, ...] = ()
-    stages: tuple[Stage, ...] = ()
+    stages: frozenset[str] = frozenset()
     labels: tuple[str, ...] = ()
     posed: bool = False
     tubes: tuple[Measurement | None, ...] = ()
@@ -119,12 +118,12 @@ class Finder:
     networks: NetworkLoader
     plugins: tuple[Plugin, ...] = ()
 
-    def models_of(self, stages: Collection[Stage]) -> tuple[dict[str, Any], ...]:
+    def models_of(self, stages: Collection[str]) -> tuple[dict[str, Any], ...]:
         """Return the networks that took part in some stages, and the plug-ins in their place."""
-        tasks = {"pose", "fruit"} if Stage.POSED in stages else set()
-        tasks |= _FINDING if Stage.DETECTED in stages else set()
-        drawn = Stage.DRAWN in stages
-        tasks |= {"look"} if drawn or Stage.DETECTED in stages else set()
+        tasks = {"pose", "fruit"} if "posed" in stages else set()
+        tasks |= _FINDING if "detected" in stages else set()
+        drawn = "drawn" in stages
+        tasks |= {"look"} if drawn or "detected" in stages else set()
         networks = [
             network
             for network in self.networks.models
@@ -197,8 +196,7 @@ def make_finder(
         # Existing masks are used unchanged unless the user chose a segmenter.
         drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
         if (painter is None and name == "none") or not drawn:
-            file_stages: tuple[Stage, ...] = (Stage.KEPT,) if detections.instances else ()
-            return _finished(capture, detections, detections.instances, file_stages, networks)
+            return _finished(capture, detections, detections.instances, networks)
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         try:
             if painter is None:
@@ -214,8 +212,8 @@ def make_finder(
         instances = tuple(
             masked.get(k, instance) for k, instance in enumerate(detections.instances)
         )
-        file_stages = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _finished(capture, detections, instances, (*file_stages, Stage.DRAWN), networks)
+        detections = replace(detections, stages=detections.stages | {"drawn"})
+        return _finished(capture, detections, instances, networks)
 
     parts = (plugin for plugin, _ in filter(None, (detector, painter)))
     # Fruit that a program gives are of no plug-in.
@@ -315,7 +313,6 @@ def _finished(
     capture: Capture,
     detections: Detections,
     instances: tuple[Instance, ...],
-    stages: tuple[Stage, ...],
     networks: NetworkLoader,
 ) -> Detections:
     """Return detections with final masks and keypoints, ordered where a pose network did not."""
@@ -333,7 +330,6 @@ def _finished(
     return replace(
         detections,
         instances=placed,
-        stages=detections.stages + stages,
         tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
     )
 
@@ -373,7 +369,7 @@ _ROUNDING_PX = 0.51  # boxes relative to the corner of the picture extend half a
 def _finder_of(plugin: Plugin, detector: Detector) -> Find:
     """Return the finder that a detector is; an installed one is a stage, which can be resumed."""
     installed = plugins("detectors").get(plugin.name) == plugin
-    stages = (Stage.DETECTED,) if installed else ()
+    stages = frozenset({"detected"} if installed else ())
 
     def find(capture: Capture) -> Detections:
         instances: list[Instance] = []
@@ -445,7 +441,7 @@ def _network_finder(
 
     def find(capture: Capture) -> Detections:
         instances = detectors.find(*_seen(capture))
-        return Detections(instances, stages=(Stage.DETECTED,), labels=labels, posed=posed)
+        return Detections(instances, stages=frozenset({"detected"}), labels=labels, posed=posed)
 
     return find
 
@@ -471,7 +467,7 @@ def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
         poses = pose.detect(capture.color)
         instances = with_keypoints(detections.instances, poses, sure=sure)
         return replace(
-            detections, instances=instances, stages=(*detections.stages, Stage.POSED), posed=True
+            detections, instances=instances, stages=detections.stages | {"posed"}, posed=True
         )
 
     return find_with_keypoints
@@ -486,7 +482,7 @@ def _file_finder(path: Path) -> Find:
         names = (capture.name, capture.source)
         listed = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
         cut = frozenset(k for k, clipped in enumerate(listed.clipped) if clipped)
-        return Detections(listed.instances, cut, listed.refused, (Stage.LISTED,))
+        return Detections(listed.instances, cut, listed.refused)
 
     return find
 
@@ -543,4 +539,4 @@ def _dataset_or_error(capture: Capture) -> Detections:
 
 
 def _dataset(capture: Capture) -> Detections:
-    return Detections(dataset_instances(capture), stages=(Stage.DATASET,))
+    return Detections(dataset_instances(capture))

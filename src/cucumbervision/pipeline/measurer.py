@@ -27,12 +27,13 @@ from cucumbervision.measurement.result import (
 )
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.traits import with_traits
+from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
 from cucumbervision.pipeline.fields import FIELDS, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns, RunPlugins
-from cucumbervision.pipeline.stages import StageHashes
+from cucumbervision.pipeline.provenance import deciding_sha256
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell, Field
     from cucumbervision.pipeline.finders import Detections, Finder
-    from cucumbervision.pipeline.stages import Stage
 
 _WARM_UP_PX = (640, 480)
 
@@ -169,8 +169,8 @@ class CaptureResult:
         Why nothing was measured, and invalid entries of a file of instances.
     error : CucumberVisionError, optional
         Why nothing was measured; None if the capture was measured, even without fruit.
-    stages : tuple of Stage
-        Processing stages of the fruit.
+    stages : frozenset of str
+        Stages that networks took part in, as in `Detections`.
     models : tuple of dict
         Name, SHA-256 and runtime of each network that was used; kind, name, package and version
         of each plug-in of another package.
@@ -184,7 +184,7 @@ class CaptureResult:
     fruit: tuple[Fruit, ...] = ()
     failures: tuple[Failure, ...] = ()
     error: CucumberVisionError | None = None
-    stages: tuple[Stage, ...] = ()
+    stages: frozenset[str] = frozenset()
     models: tuple[dict[str, Any], ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     fields: tuple[Field, ...] = FIELDS
@@ -274,9 +274,10 @@ class Measurer:
         return RunPlugins(self.options, self.plug_ins)
 
     @cached_property
-    def hashes(self) -> StageHashes:
-        """Hashes of everything that rows depend on, by stage."""
-        return StageHashes(self.options, self._registry, self.plugged, self.site)
+    def deciding_sha256(self) -> str:
+        """Hash of all that decides lengths besides the captures' own files."""
+        registry = self._registry or load_registry()
+        return deciding_sha256(self.options, registry, self.plugged.lines, self.site)
 
     def calibrated_by(self, site: SiteCalibration | None, path: Path | None = None) -> Measurer:
         """Return a measurer with another calibration, or none, that shares the loaded networks.

@@ -1,4 +1,4 @@
-"""Measure many captures into a folder, with a journal of finished captures and final tables."""
+"""Measure many captures into a folder, with a record of each finished capture, and tables."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from cucumbervision.pipeline.batch import (
     measure_all,
 )
 from cucumbervision.pipeline.finders import instance_notes
-from cucumbervision.pipeline.folder import Journal, JournalRecord, OutputFolder, place_of
-from cucumbervision.pipeline.inputs import Listed, distinct, each_once, list_captures
+from cucumbervision.pipeline.folder import CaptureRecord, OutputFolder
+from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
 from cucumbervision.pipeline.measurer import (
     Boundary,
     CaptureResult,
@@ -34,11 +34,11 @@ from cucumbervision.pipeline.measurer import (
     exit_code,
     plugin_failures,
 )
+from cucumbervision.pipeline.provenance import provenance_of
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import (
     capture_json,
     import_arrow,
-    provenance_of,
     rows_of,
     write_reports,
 )
@@ -60,17 +60,14 @@ class Step:
     ----------
     name : str
         Name of the capture in the tables; empty if the input failed.
-    record : JournalRecord, optional
+    record : CaptureRecord, optional
         The result; None if nothing was measured.
-    before : bool
-        Whether an earlier run measured it.
     failures : tuple of Failure
         The failures.
     """
 
     name: str
-    record: JournalRecord | None = field(repr=False)
-    before: bool
+    record: CaptureRecord | None = field(repr=False)
     failures: tuple[Failure, ...]
 
 
@@ -105,14 +102,12 @@ class RunResult:
     ----------
     out : Path
         Output folder.
-    records : callable
-        Returns a new iterator of the captures' records, in order.
     failures : list of Failure
         Captures that could not be read, measured or written.
     summary : Summary
         Counts and lengths.
     notes : list of str
-        Notes: inputs that were given twice, damaged records.
+        Notes, such as inputs that were given twice.
     before : int
         Number of captures measured by an earlier run.
     interrupted : bool
@@ -120,12 +115,24 @@ class RunResult:
     """
 
     out: Path
-    records: Callable[[], Iterator[JournalRecord]]
     failures: list[Failure] = field(default_factory=list)
     summary: Summary = field(default_factory=Summary)
     notes: list[str] = field(default_factory=list)
     before: int = 0
     interrupted: bool = False
+
+    def __post_init__(self) -> None:
+        self._names: list[str] = []  # a batch may be larger than the memory
+
+    def add(self, record: CaptureRecord) -> None:
+        """Count a capture."""
+        self.summary.add(record.rows, record.models, record.capture.get("left_out"))
+        self.before += record.is_earlier
+        self._names.append(str(record.capture["name"]))
+
+    def records(self) -> Iterator[CaptureRecord]:
+        """Yield the captures' records, in order, from the output folder."""
+        yield from filter(None, map(OutputFolder(self.out).find, self._names))
 
     @property
     def captures(self) -> int:
@@ -134,7 +141,7 @@ class RunResult:
 
     @cached_property
     def rows(self) -> list[dict[str, Cell]]:
-        """The rows of `fields.fruit_row`, one per fruit, read from the journal on demand."""
+        """The rows of `fields.fruit_row`, one per fruit."""
         return list(self.each_row())
 
     def each_row(self) -> Iterator[dict[str, Cell]]:
@@ -157,9 +164,10 @@ def measure_inputs(
     """Measure every capture of every input into a folder.
 
     `out` gets `measurements.csv`, `measurements.xlsx`, `measurements.json`, `overlays/` with one
-    annotated picture a capture, `failures.csv`, and `journal/`. An error in one capture is
-    recorded and the others are measured. Captures that the journal has with the same content,
-    options and networks are not measured again.
+    annotated picture a capture, `failures.csv`, and `records/` with a JSON file a capture. An error
+    in one capture is recorded and the others are measured. Captures whose record is there, and made
+    of the same files, options, networks and code, are not measured again. A run that reads no
+    capture leaves earlier tables as they are.
 
     Parameters
     ----------
@@ -189,30 +197,12 @@ def measure_inputs(
     if batch.parquet:
         import_arrow()
     folder = OutputFolder(as_path(out))
-    with folder.locked(".lock"), Journal(folder) as journal:
-        run = _Run(journal, folder, Measurer(options), batch)
-        return run.measure([as_path(path) for path in inputs], report)
+    with folder.locked(".lock"):
+        paths = [as_path(path) for path in inputs]
+        return _measured(folder, Measurer(options), batch, paths, report)
 
 
-@dataclass(frozen=True)
-class Task(Listed):
-    """A capture of a run.
-
-    Parameters
-    ----------
-    known_content : str
-        Hash of the content that was already measured with the same options; empty if none was.
-    """
-
-    known_content: str = ""
-
-    @property
-    def place(self) -> str:
-        """Key of the capture in the journal."""
-        return place_of(self.ref.location or self.input, self.name)
-
-
-class FolderWorker(Worker[JournalRecord]):
+class FolderWorker(Worker[CaptureRecord]):
     """Measures captures that changed, draws them into a folder, and returns journal records.
 
     Parameters
@@ -229,49 +219,53 @@ class FolderWorker(Worker[JournalRecord]):
         super().__init__(measurer)
         self._out, self._overlays = out, overlays
 
-    def read(self, item: Item) -> Outcome[JournalRecord] | ReadCapture:
-        """Read a capture, unless it was measured before."""
-        if not isinstance(item, Task):
+    def read(self, item: Item) -> Outcome[CaptureRecord] | ReadCapture:
+        """Read a capture, or its record if it was measured before."""
+        if isinstance(item, Failure):
             return super().read(item)
         with each_file_read_once():
             content = content_of(item.ref.parts()) if item.ref.parts is not None else ""
-            if self._is_known(item, content):
-                return Outcome()
+            if content and (record := self._earlier(item.name, content)) is not None:
+                return Outcome(record, record.failures)
             read = super().read(item)
         if isinstance(read, Outcome):
             return read
         content = content or _content_of_capture(read.capture)
-        return Outcome() if self._is_known(item, content) else replace(read, content=content)
-
-    def _is_known(self, task: Task, content: str) -> bool:
-        picture = self._picture(task.name)
-        same = bool(content) and content == task.known_content
-        return same and (not picture or self._out.has(picture))
-
-    def make(self, result: CaptureResult, content: str) -> Outcome[JournalRecord]:
-        """Return the record of a measured capture, and write its picture."""
-        failures, capture = list(result.failures), result.capture
-        record = picture = None
-        if result.error is None:
-            with Boundary(failures, capture.source, capture.name):
-                content_json = capture_json(result, result.rows())
-                digest = self.measurer.hashes.of(result.stages)
-                stages, models = tuple(map(str, result.stages)), list(result.models)
-                record = JournalRecord(
-                    place="",
-                    content=content,
-                    stages=stages,
-                    digest=digest,
-                    capture=content_json,
-                    failures=(),
-                    models=models,
-                    picture=None,
-                )
+        record = self._earlier(item.name, content)
         if record is not None:
-            with Boundary(failures, capture.source, capture.name):
-                picture = self.draw(result)
-            record = replace(record, failures=tuple(failures), picture=picture)
-        return Outcome(record, tuple(failures))
+            return Outcome(record, record.failures)
+        return replace(read, content=content)
+
+    def _earlier(self, name: str, content: str) -> CaptureRecord | None:
+        """Return the record of a capture if it would be made so again."""
+        record, picture = self._out.find(name), self._picture(name)
+        if record is None or record.picture is None or record.key != self._key(content):
+            return None
+        return None if picture and not self._out.has(picture) else record
+
+    def _key(self, content: str) -> str:
+        return f"{self.measurer.deciding_sha256} {content}"
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[CaptureRecord]:
+        """Return the record of a measured capture; it and its picture are written."""
+        failures, capture = list(result.failures), result.capture
+        if result.error is not None:
+            return Outcome(None, tuple(failures))
+        picture = None
+        with Boundary(failures, capture.source, capture.name):
+            picture = self.draw(result)
+        saved = False
+        with Boundary(failures, capture.source, capture.name):
+            record = CaptureRecord(
+                key=self._key(content),
+                capture=capture_json(result, result.rows()),
+                failures=tuple(failures),
+                models=list(result.models),
+                picture=picture,
+            )
+            self._out.save(capture.name, record)
+            saved = True
+        return Outcome(record if saved else None, tuple(failures))
 
     def draw(self, result: CaptureResult) -> str:
         """Write the annotated picture, and return its name in the folder; empty without one."""
@@ -322,91 +316,49 @@ def _content_of_capture(capture: Capture) -> str:
     return digest.hexdigest()
 
 
-@dataclass
-class _Run:
-    """State of a run."""
-
-    journal: Journal
-    out: OutputFolder
-    measurer: Measurer
-    batch: BatchOptions
-    started: datetime = field(default_factory=lambda: datetime.now(UTC))
-    order: list[bytes] = field(default_factory=list)
-    capture_names: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.result = RunResult(self.out.path, self._records)
-
-    def measure(self, inputs: Sequence[Path], report: Report | None) -> RunResult:
-        result = self.result
-        if self.journal.damaged:
-            damaged = f"{self.journal.damaged} records of the journal are damaged"
-            result.notes.append(f"{self.out.path}: {damaged}; their captures are measured again")
-        options, site = self.measurer.options, self.measurer.site
-        paths = distinct(inputs, result.notes.append)
-        listed = each_once(
-            list_captures(paths, options.reading, self.batch.opener), result.notes.append
-        )
-        result.failures += plugin_failures(self.measurer)
-        worker = FolderWorker(self.measurer, self.out, self.batch.overlays)
-        tasks = map(self._task, listed)
-        for task, outcome in measure_all(tasks, worker, self.batch.engine, self.batch.is_cancelled):
-            step = self._take(task, outcome)
-            if report is not None and step is not None:
-                report(step)
-        with Boundary(result.failures, str(self.out.path)):
-            self.journal.flush()
-        with Boundary(result.failures, options.instances):
-            result.notes += instance_notes(options.instances, self.capture_names)
-        result.notes += result.summary.doubts()
-        provenance = provenance_of(options, result.summary.models, site, self.started)
-        provenance["notes"] = result.notes
-        result.failures += write_reports(
-            self.out,
-            self._records,
-            result.summary,
-            result.failures,
-            provenance,
-            fields=self.measurer.plugged.fields,
-            parquet=self.batch.parquet,
-        )
-        return result
-
-    def _task(self, entry: Item) -> Task | Failure:
-        """Return a capture with the content hash of its journal record."""
-        if isinstance(entry, Failure):
-            return entry
-        task = Task(entry.input, entry.ref, entry.name)
-        record = self.journal.find(task.place)
-        if record is None or record.picture is None:
-            return task
-        same = self.measurer.hashes.still_hold(record.stages, record.digest)
-        return replace(task, known_content=record.content) if same else task
-
-    def _take(self, task: Task | Failure, outcome: Outcome[JournalRecord]) -> Step | None:
-        """Write a result to the journal, count it, and collect its failures."""
-        name = task.name if isinstance(task, Task) else ""
-        record, failures, before = outcome.value, list(outcome.failures), False
-        if isinstance(task, Task) and record is None and not failures:
-            if not task.known_content:
-                self.result.interrupted = True
-                return None
-            record, before = self.journal.find(task.place), True
-            failures += record.failures if record is not None else ()
-            self.result.before += 1
-        elif isinstance(task, Task) and record is not None:
-            record, noted = replace(record, place=task.place), len(failures)
-            with Boundary(failures, task.input, name):
-                self.journal.append(record)
-            record = record if len(failures) == noted else None
+def _measured(
+    out: OutputFolder,
+    measurer: Measurer,
+    batch: BatchOptions,
+    inputs: Sequence[Path],
+    report: Report | None,
+) -> RunResult:
+    started, options = datetime.now(UTC), measurer.options
+    result = RunResult(out.path, failures=plugin_failures(measurer))
+    names: list[tuple[tuple[str, ...], int | None]] = []
+    paths = distinct(inputs, result.notes.append)
+    listed = each_once(list_captures(paths, options.reading, batch.opener), result.notes.append)
+    worker = FolderWorker(measurer, out, batch.overlays)
+    for item, outcome in measure_all(listed, worker, batch.engine, batch.is_cancelled):
+        record, name = outcome.value, "" if isinstance(item, Failure) else item.name
+        if record is None and not outcome.failures:  # the run was cancelled before
+            record = out.find(name)
+            if record is None or not record.key.startswith(measurer.deciding_sha256):
+                result.interrupted = True
+                continue
+        result.failures += outcome.failures
         if record is not None:
-            self.result.summary.add(record.rows, record.models, record.capture.get("left_out"))
-            self.order.append(bytes.fromhex(record.place))
+            result.add(record)
             capture = record.capture
-            names = (str(capture["name"]), str(capture.get("source") or ""))
-            self.capture_names.append((names, capture.get("frame")))
-        self.result.failures += failures
-        return Step(name, record, before, tuple(failures))
-
-    def _records(self) -> Iterator[JournalRecord]:
-        return self.journal.records(place.hex() for place in self.order)
+            source = str(capture.get("source") or "")
+            names.append(((str(capture["name"]), source), capture.get("frame")))
+        if report is not None:
+            report(Step(name, record, outcome.failures))
+    with Boundary(result.failures, options.instances):
+        result.notes += instance_notes(options.instances, names)
+    result.notes += result.summary.doubts()
+    if not result.captures and out.has("measurements.csv"):
+        result.notes.append(f"{out.path}: nothing was read, so its tables stay as they were")
+        return result
+    provenance = provenance_of(options, result.summary.models, measurer.site, started)
+    provenance["notes"] = result.notes
+    result.failures += write_reports(
+        out,
+        result.records,
+        result.summary,
+        result.failures,
+        provenance,
+        fields=measurer.plugged.fields,
+        parquet=batch.parquet,
+    )
+    return result

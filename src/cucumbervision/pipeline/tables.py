@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import json
-import platform
 from itertools import islice
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.about import installed_versions, software
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.files import cell_value, json_value, write_csv
-from cucumbervision.geometry.tube_kernel import kernel_name
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Boundary, Failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from datetime import datetime
     from pathlib import Path
     from types import ModuleType
     from typing import Self
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.pipeline.fields import Cell, Column, Field
-    from cucumbervision.pipeline.folder import JournalRecord, OutputFolder
+    from cucumbervision.pipeline.folder import CaptureRecord, OutputFolder
     from cucumbervision.pipeline.measurer import CaptureResult
-    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.summary import Summary
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
@@ -288,27 +282,7 @@ def _method_json(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def provenance_of(
-    options: MeasureOptions,
-    models: Sequence[Mapping[str, Any]],
-    site: SiteCalibration | None,
-    started: datetime,
-) -> dict[str, Any]:
-    """Return the provenance of a run: software, options, networks, calibration, versions."""
-    return {
-        **software(),
-        "started": started.isoformat(timespec="seconds"),
-        "config": options.as_json(),
-        "config_sha256": options.sha256,
-        "models": [model for model in models if "package" not in model],
-        "plugins": [model for model in models if "package" in model],
-        "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
-        "kernel": kernel_name(),
-        "versions": {"python": platform.python_version(), **installed_versions()},
-    }
-
-
-def rows_of(records: Iterable[JournalRecord]) -> Iterator[dict[str, Cell]]:
+def rows_of(records: Iterable[CaptureRecord]) -> Iterator[dict[str, Cell]]:
     """Yield the rows of all fruit, in order."""
     for record in records:
         yield from record.rows
@@ -316,7 +290,7 @@ def rows_of(records: Iterable[JournalRecord]) -> Iterator[dict[str, Cell]]:
 
 def write_reports(
     out: OutputFolder,
-    records: Callable[[], Iterator[JournalRecord]],
+    records: Callable[[], Iterator[CaptureRecord]],
     summary: Summary,
     failures: Sequence[Failure],
     provenance: Mapping[str, Any],
@@ -386,7 +360,7 @@ def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str,
 
 
 def _json_pieces(
-    provenance: Mapping[str, Any], records: Iterable[JournalRecord], failures: Iterable[Failure]
+    provenance: Mapping[str, Any], records: Iterable[CaptureRecord], failures: Iterable[Failure]
 ) -> Iterator[str]:
     """Yield the text of `measurements.json` by capture, one value per line."""
     yield json.dumps(dict(provenance), indent=1, ensure_ascii=False).removesuffix("\n}")

@@ -43,6 +43,7 @@ __all__ = [
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
+_WRITTEN_BY_RUN = {"measurements.json", "records"}
 _REMEDY = (
     "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
     "named alike but for the words color and depth, or a .bag or .db3 recording"
@@ -184,7 +185,10 @@ def _listed_by(
 
 
 def list_folder(path: Path) -> Folder:
-    """Return the names of all files below a path; unreadable folders are listed as faults."""
+    """Return the names of all files below a path; unreadable folders are listed as faults.
+
+    Results that a run wrote into a folder inside are passed over.
+    """
     folder = Folder(path)
     if is_remote(path):
         store = path.fs  # type: ignore[attr-defined] # a `upath.UPath`
@@ -202,6 +206,9 @@ def list_folder(path: Path) -> Folder:
     # Links may lead to visited folders or form a cycle.
     visited = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
+        if place != str(path) and {*folders, *files} >= _WRITTEN_BY_RUN:
+            folders.clear()
+            continue
         subfolder = Path(place).relative_to(path)
         for name in sorted(files):
             folder.add((subfolder / name).as_posix())

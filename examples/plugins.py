@@ -1,4 +1,4 @@
-"""Plug-ins as another package would add them: a detector, a segmenter, a method, a trait, a reader.
+"""Plug-ins as another package would add them: a detector, segmenters, a method, a trait, a reader.
 
 A package makes them known by entry points in its `pyproject.toml`:
 
@@ -6,6 +6,7 @@ A package makes them known by entry points in its `pyproject.toml`:
     rt-detr = "plugins:RtDetr"
     [project.entry-points."cucumbervision.segmenters"]
     grabcut = "plugins:GrabCut"
+    sam2 = "plugins:Sam2"
     [project.entry-points."cucumbervision.methods"]
     M7 = "plugins:BOX_DIAGONAL"
     [project.entry-points."cucumbervision.traits"]
@@ -87,6 +88,36 @@ class GrabCut:
         rectangle = (x1, y1, max(x2 - x1, 1), max(y2 - y1, 1))
         cv2.grabCut(bgr, labels, rectangle, *models, 3, cv2.GC_INIT_WITH_RECT)
         return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+
+
+class Sam2:
+    """SAM 2 (Ravi et al. 2024; `pip install sam2`): the mask that it is surest of in each box.
+
+    The checkpoint, under its published name such as `sam2.1_hiera_tiny.pt`, is that of the
+    environment variable `SAM2_CHECKPOINT`.
+    """
+
+    def __init__(self, path: str | None = None) -> None:
+        from sam2.build_sam import build_sam2
+        from sam2.sam2_image_predictor import SAM2ImagePredictor
+
+        path = path or os.environ["SAM2_CHECKPOINT"]
+        version, _, size = Path(path).stem.partition("_hiera_")
+        letters = {"tiny": "t", "small": "s", "base_plus": "b+", "large": "l"}[size]
+        config = f"configs/{version}/{version}_hiera_{letters}.yaml"
+        self._predictor = SAM2ImagePredictor(build_sam2(config, path, device="cpu"))
+
+    def segment(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance], /
+    ) -> list[Instance]:
+        """Return the instances with masks."""
+        self._predictor.set_image(color_rgb)
+        return [replace(instance, mask=self._mask(instance.box)) for instance in instances]
+
+    def _mask(self, box: NDArray[np.float64]) -> NDArray[np.bool_]:
+        # SAM 2 measures from the picture's corner.
+        masks, ious, _ = self._predictor.predict(box=box + 0.5)
+        return np.asarray(masks[int(ious.argmax())] > 0)
 
 
 def _box_diagonal(region: Region) -> Measurement:

@@ -13,7 +13,7 @@ from figures import Figure
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.instances.boxes import box_ious
-from cucumbervision.perception.onnx_runtime import import_onnxruntime
+from cucumbervision.perception.runtime import import_onnxruntime
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.stream import FruitStream

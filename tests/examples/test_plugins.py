@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,35 @@ def test_rt_detr_finds_and_grabcut_draws(bench: Capture, example: Any, tmp_path:
         assert fruit.length.value_m == pytest.approx(own.length.value_m, rel=0.08)
     named = {(m["kind"], m["name"]) for m in result.captures[0].models if "package" in m}
     assert named == {("detector", "RtDetr"), ("segmenter", "GrabCut")}
+
+
+def test_sam_2_draws_what_it_is_surest_of(
+    bench: Capture, example: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Predictor:
+        """Stands in for SAM2ImagePredictor: the fruit of a box, and nothing."""
+
+        def __init__(self, model: tuple[str, str]) -> None:
+            assert model == ("configs/sam2.1/sam2.1_hiera_t.yaml", "sam2.1_hiera_tiny.pt")
+
+        def set_image(self, color: NDArray[np.uint8]) -> None:
+            self.shape = color.shape[:2]
+
+        def predict(self, box: NDArray[np.float64]) -> tuple[Any, Any, None]:
+            k = int(np.abs(boxes_of(bench) + 0.5 - box).sum(axis=1).argmin())
+            masks = np.stack([np.zeros(self.shape), bench.masks[k]])
+            return masks.astype(np.float32), np.array([0.5, 0.9]), None
+
+    build, predictor = ModuleType("sam2.build_sam"), ModuleType("sam2.sam2_image_predictor")
+    build.build_sam2 = lambda *model, device: model  # type: ignore[attr-defined]
+    predictor.SAM2ImagePredictor = Predictor  # type: ignore[attr-defined]
+    for module in (ModuleType("sam2"), build, predictor):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    segmenter = example.Sam2("sam2.1_hiera_tiny.pt")
+    result = measure([bench], instances="dataset", segmenter=segmenter)
+    for fruit, mask in zip(result.fruit, bench.masks, strict=True):
+        assert fruit.mask is not None
+        assert (fruit.mask == mask).mean() > 0.999
 
 
 def test_what_is_installed_gives_columns_and_leaves_the_rest_alone(

@@ -130,17 +130,17 @@ def test_a_sliver_keeps_a_pixel() -> None:
 def test_red_is_first_and_normalised_by_its_own_spread(size: tuple[int, int]) -> None:
     picture = np.full((*size, 3), (200, 100, 50), np.uint8)
     height, width = scaled_size(*size)
-    inside = prepare_picture(picture).planes()[0, :, :height, :width]
+    inside = prepare_picture(picture)[0, :, :height, :width]
     by_hand = [(200 - 123.675) / 58.395, (100 - 116.28) / 57.12, (50 - 103.53) / 57.375]
     for plane, value in zip(inside, by_hand, strict=True):
         np.testing.assert_allclose(plane, value, atol=1e-5)
 
 
 def test_padding_is_zero_on_the_right_and_below() -> None:
-    upright = prepare_picture(np.zeros((640, 480, 3), np.uint8)).planes()[0]
+    upright = prepare_picture(np.zeros((640, 480, 3), np.uint8))[0]
     assert not upright[:, :, 768:].any()
     assert (upright[:, :, :768] < -1).all()
-    flat = prepare_picture(np.zeros((480, 640, 3), np.uint8)).planes()[0]
+    flat = prepare_picture(np.zeros((480, 640, 3), np.uint8))[0]
     assert not flat[:, 768:].any()
 
 
@@ -148,7 +148,7 @@ def test_shrinking_smooths_as_pillow_does() -> None:
     # To half: a triangle four pixels wide on each, 1/8, 3/8, 3/8, 1/8.
     picture = np.zeros((2, 2048, 3), np.uint8)
     picture[:, 1000] = 255
-    row = prepare_picture(picture).planes()[0, 0, 0] * 58.395 + 123.675
+    row = prepare_picture(picture)[0, 0, 0] * 58.395 + 123.675
     np.testing.assert_allclose(row[498:502], [0, 32, 96, 0], atol=1e-3)
 
 
@@ -156,7 +156,7 @@ def test_a_sliver_is_smoothed_along_its_length() -> None:
     # Two rows stay two, but 2048 columns become 1024: the comb of single pixels turns grey.
     picture = np.zeros((2, 2048, 3), np.uint8)
     picture[:, ::2] = 255
-    row = prepare_picture(picture).planes()[0, 0, 0, 1:-1] * 58.395 + 123.675
+    row = prepare_picture(picture)[0, 0, 0, 1:-1] * 58.395 + 123.675
     np.testing.assert_allclose(row, 128, atol=1e-3)
 
 
@@ -164,8 +164,8 @@ def test_a_view_of_other_order_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(3)
     bgr = rng.integers(0, 256, (90, 160, 3), dtype=np.uint8)
     rgb = np.ascontiguousarray(bgr[..., ::-1])
-    assert np.array_equal(prepare_picture(bgr[..., ::-1]).planes(), prepare_picture(rgb).planes())
-    assert not np.array_equal(prepare_picture(bgr).planes(), prepare_picture(rgb).planes())
+    assert np.array_equal(prepare_picture(bgr[..., ::-1]), prepare_picture(rgb))
+    assert not np.array_equal(prepare_picture(bgr), prepare_picture(rgb))
 
 
 def test_edges_land_on_edges() -> None:
@@ -206,7 +206,7 @@ def test_padding_rows_may_be_left_out(size: tuple[int, int]) -> None:
     assert rows % 16 == 0
     assert 0 <= rows - scaled_size(*size)[0] < 16
     # Everything below the picture's own rows is nought.
-    assert not prepare_picture(np.full((*size, 3), 200, np.uint8)).planes()[:, :, rows:].any()
+    assert not prepare_picture(np.full((*size, 3), 200, np.uint8))[:, :, rows:].any()
     blobs = cv2.GaussianBlur(np.random.default_rng(7).normal(size=(256, 256)), (0, 0), 9)
     logits = np.asarray(blobs / blobs.std(), np.float32)
     logits[rows // 4 :] = logits[rows // 4 - 1]

@@ -4,15 +4,14 @@ import importlib.util
 import logging
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import MissingExtraError, ModelError
-from cucumbervision.perception.network import Network
-from cucumbervision.perception.openvino_runtime import _openvino_core
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.runtime import Network, TensorInfo, _import_openvino, open_network
 
 onnx = pytest.importorskip("onnx")
 
@@ -60,13 +59,6 @@ def determinant() -> bytes:
     graph = helper.make_graph([helper.make_node("Det", ["x"], ["y"])], "g", [x], [y])
     opset = [helper.make_opsetid("", 17)]
     return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
-
-
-def without_inputs() -> bytes:
-    """Give a network with a node that has lost its input: OpenVINO's reader crashes at it."""
-    model = onnx.load_from_string(determinant())
-    model.graph.node[0].input[:] = [""]
-    return bytes(model.SerializeToString())
 
 
 def run(network: Network) -> list[float]:
@@ -150,7 +142,7 @@ def test_weights_in_another_file_are_refused(tmp_path: Path) -> None:
     model.graph.initializer.append(weight)
     onnx.save(model, tmp_path / "net.onnx", save_as_external_data=True, location="w.bin")
     assert (tmp_path / "w.bin").exists()
-    with pytest.raises(ModelError, match=r"net\.onnx: its weights are in another file"):
+    with pytest.raises(ModelError, match=r"net\.onnx: .*cannot load it"):
         open_network(tmp_path / "net.onnx")
     onnx.save(onnx.load(tmp_path / "net.onnx"), tmp_path / "one.onnx")
     assert run(open_network(tmp_path / "one.onnx")) == run(open_network(scaled_sum()))
@@ -183,16 +175,6 @@ def test_wrong_feeds_are_named(runtime: str) -> None:
         network.run({"a": np.zeros((1, 3))})
     with pytest.raises(ModelError, match=r"tiny: the network fails on a \(1, 4\)"):
         network.run({"a": np.zeros((1, 4)), "b": np.zeros((1, 4))})
-
-
-@pytest.mark.parametrize("runtime", ["auto", "openvino"])
-@pytest.mark.parametrize("as_file", [True, False])
-def test_a_broken_graph_never_reaches_openvino(runtime: str, as_file: bool, tmp_path: Path) -> None:
-    need("openvino")
-    path = tmp_path / "mine.onnx"
-    path.write_bytes(without_inputs())
-    with pytest.raises(ModelError, match="ONNX Runtime cannot load it"):
-        open_network(path if as_file else path.read_bytes(), runtime)
 
 
 def test_auto_takes_openvino_first() -> None:
@@ -260,7 +242,22 @@ def test_two_threads_may_load_the_first_networks_of_a_process(tmp_path: Path) ->
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    _openvino_core.cache_clear()
+    _import_openvino.cache_clear()
     assert open_network(scaled_sum(), "auto").runtime == "onnxruntime (cpu)"
     with pytest.raises(MissingExtraError, match=r"cucumbervision\[openvino\]"):
         open_network(scaled_sum(), "openvino")
+
+
+def test_checking_a_large_output_takes_no_memory() -> None:
+    output = np.ones((1, 4, 1000, 500), np.float32)
+    info = TensorInfo("y", output.shape, output.dtype)
+    network = Network((), (info,), {}, "onnxruntime", "a.onnx", lambda _: [output])
+    tracemalloc.start()
+    try:
+        assert network.run({})["y"] is output
+        assert tracemalloc.get_traced_memory()[1] < output.size / 10  # bytes
+    finally:
+        tracemalloc.stop()
+    output[0, 3, 999, 499] = np.nan
+    with pytest.raises(ModelError, match="numbers that are not finite"):
+        network.run({})

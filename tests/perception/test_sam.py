@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.perception.card import Levels
-from cucumbervision.perception.network import Network
 from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.runtime import Network
 from cucumbervision.perception.sam import PROMPTS, Sam, _mask_fault
 
 Mask = NDArray[np.bool_]
@@ -61,8 +60,8 @@ class Remembered:
         self.inputs, self.runtime, self._encoder = encoder.inputs, encoder.runtime, encoder
         self._known: dict[bytes, dict[str, NDArray[Any]]] = {}
 
-    def run(self, feeds: Mapping[str, Levels], kept: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-        key = feeds["image"].pixels.tobytes()
+    def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        key = feeds["image"].tobytes()
         if key not in self._known:
             self._known[key] = dict(self._encoder.run(feeds))
         return self._known[key]
@@ -90,9 +89,9 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
 ) -> None:
     encoder, runs = segmenter._encoder, []
 
-    def run(feeds: Mapping[str, Levels], kept: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    def run(feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         runs.append(feeds)
-        return encoder.run(feeds, kept)
+        return encoder.run(feeds)
 
     monkeypatch.setattr(segmenter, "_encoder", SimpleNamespace(inputs=encoder.inputs, run=run))
     picture = drawn(480, 640, LEFT)

@@ -30,7 +30,6 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
     pass
@@ -72,10 +71,9 @@ def test_a_run_has_one_calibration_though_its_file_is_replaced(tmp_path: Path) -
     elsewhere = pickle.loads(pickle.dumps(calibrated))  # what a process of a batch gets
     assert elsewhere.site == calibrated.site
     # Its rows are those of the file that it read: with the new one they are measured again.
-    stages = (Stage.DATASET, Stage.KEPT)
-    same = Measurer(replace(options, calibration=after)).hashes.of(stages)
-    assert elsewhere.hashes.of(stages) == calibrated.hashes.of(stages) == same
-    assert not Measurer(options).hashes.still_hold(stages, same)
+    same = Measurer(replace(options, calibration=after)).deciding_sha256
+    assert elsewhere.deciding_sha256 == calibrated.deciding_sha256 == same
+    assert Measurer(options).deciding_sha256 != same
 
 
 ERRORS = {
@@ -190,12 +188,3 @@ def test_ends_are_looked_at_where_that_is_asked_for_and_networks_drew_the_masks(
     given = measurer.measure(capture)
     assert measurer.models == []
     assert all(fruit.fit is not None and fruit.fit.looks is None for fruit in given.fruit)
-
-
-def test_what_rows_depend_on_knows_the_look() -> None:
-    options = MeasureOptions(instances="models")
-    hashes = [
-        Measurer(replace(options, end_look=look)).hashes.of([Stage.DETECTED, Stage.KEPT])
-        for look in (False, True)
-    ]
-    assert hashes[0] != hashes[1]

@@ -33,8 +33,8 @@ class NetworkSegmenter(Segmenter, Protocol):
     """A segmenter of the registry.
 
     A class with these methods becomes available by an entry in `models.toml` whose `segmenter`
-    names it. It is called with the entry's files by role, and with `runtime`, `prompt`,
-    `full_precision` and `verified`.
+    names it. It is called with the entry's files by role, and with `runtime`, `prompt` and
+    `full_precision`.
     """
 
     prompt: str
@@ -94,7 +94,6 @@ def open_segmenter(
         runtime=runtime,
         prompt=prompt,
         full_precision=full_precision,
-        verified=True,
     )
     return cast("NetworkSegmenter", opened)
 
@@ -214,7 +213,6 @@ class NetworkLoader:
             full_precision=self._full_precision,
             most_fruit=self._most_fruit,
             input_sizes=self._input_sizes,
-            verified=isinstance(chosen, str),
         )
         if isinstance(chosen, str):
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)

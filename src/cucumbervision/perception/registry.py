@@ -80,7 +80,6 @@ class Model:
 
 _HERE = Path(__file__).parent
 _MANIFEST = "manifest.json"
-_CHECKPOINT = ".pt"  # of a segmenter that is named by its file
 
 IN_USE = "in-use.json"
 """In the user's folder: the user's own networks."""
@@ -113,17 +112,13 @@ class Registry:
         return self.shipped + self.user_models
 
     def get(self, name: str) -> Model:
-        """Return a model by its name, or the segmenter of a checkpoint of SAM 2 by its path.
+        """Return a model by its name.
 
         Raises
         ------
         UnknownModelError
             If there is none.
-        ModelError
-            If the checkpoint is missing.
         """
-        if name.endswith(_CHECKPOINT):
-            return _checkpoint(Path(name))
         for model in self.models:
             if model.name == name:
                 return model
@@ -174,8 +169,6 @@ class Registry:
 
     def folder(self, name: str) -> Path:
         """Return the folder of a model's files; it may not exist yet."""
-        if name.endswith(_CHECKPOINT):
-            return Path(name).parent
         return self.embedded if self.get(name).embedded else self.user / name
 
     def state(self, name: str) -> str:
@@ -270,22 +263,6 @@ class Registry:
         files = self.resolve(name).values()
         out.mkdir(parents=True, exist_ok=True)
         return tuple(Path(shutil.copyfile(path, out / path.name)) for path in files)
-
-
-def _checkpoint(path: Path) -> Model:
-    if not path.is_file():
-        raise ModelError("no such file", source=path, remedy="name a checkpoint of SAM 2")
-    file = ModelFile("checkpoint", path.name, file_sha256(path), path.stat().st_size)
-    return Model(
-        name=str(path),
-        task="prompted-mask",
-        licence="",
-        title="SAM 2 (Ravi et al. 2024)",
-        origin="the user",
-        files=(file,),
-        embedded=True,
-        segmenter="cucumbervision.perception.sam2:Sam2",
-    )
 
 
 def load_registry(path: Path | None = None, user: Path | None = None) -> Registry:

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.card import Levels
-
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Any
 
     from numpy.typing import ArrayLike, NDArray
@@ -30,6 +29,48 @@ _PATCH = 16
 _MEAN = (123.675, 116.28, 103.53)
 _STD = (58.395, 57.12, 57.375)
 _GREY = 114
+
+
+def input_planes(
+    pixels: NDArray[np.uint8],
+    mean: Sequence[float] = (0.0,),
+    scale: Sequence[float] = (255.0,),
+    size_px: tuple[int, int] | None = None,
+) -> NDArray[np.float32]:
+    """Return pictures as an input that takes (level - mean) / scale by planes.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (N, H, W, C)
+        The pictures.
+    mean, scale : sequence of float
+        One of each per channel, or one for all.
+    size_px : tuple of int, optional
+        Height and width of the input; zeros fill it to the right and below.
+
+    Returns
+    -------
+    ndarray of float32, shape (N, C, height, width)
+
+    Examples
+    --------
+    >>> input_planes(np.full((1, 2, 2, 3), 51, np.uint8))[0, :, 0, 0].tolist()
+    [0.20000000298023224, 0.20000000298023224, 0.20000000298023224]
+    """
+    import cv2
+
+    count, rows, columns, channels = pixels.shape
+    planes = np.zeros((count, channels, *(size_px or (rows, columns))), np.float32)
+    means, scales = (
+        np.broadcast_to(np.asarray(values, np.float32), (channels,)) for values in (mean, scale)
+    )
+    for picture, out in zip(pixels, planes, strict=True):
+        for channel, levels in enumerate(cv2.split(picture)):
+            inside = out[channel, :rows, :columns]
+            # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
+            np.subtract(levels, means[channel], out=inside, dtype=np.float32)
+            inside /= scales[channel]
+    return planes
 
 
 @dataclass(frozen=True)
@@ -86,20 +127,9 @@ class Letterbox:
         out[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = inner
         return out
 
-    def as_input(self, color_rgb: NDArray[np.uint8]) -> Levels:
-        """Return the network input for a picture, resized and padded.
-
-        Parameters
-        ----------
-        color_rgb : ndarray of uint8, shape (height, width, 3)
-            The picture.
-
-        Returns
-        -------
-        Levels
-            For an input (1, 3, input_height, input_width) of 0 to 1; red first.
-        """
-        return Levels(self.apply(color_rgb)[None])
+    def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the input (1, 3, input_height, input_width) of 0 to 1, red first."""
+        return input_planes(self.apply(color_rgb)[None])
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Map boxes from the network's input to the picture, and clip them.
@@ -272,7 +302,7 @@ def rows_needed(height: int, width: int) -> int:
     return -(-scaled_size(height, width)[0] // _PATCH) * _PATCH
 
 
-def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> Levels:
+def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> NDArray[np.float32]:
     """Scale, normalise and pad a picture as SAM's encoder expects it.
 
     Parameters
@@ -284,19 +314,18 @@ def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> Levels:
 
     Returns
     -------
-    Levels
-        For an input (1, 3, rows, 1024): less the mean colour, divided by its spread; zero to the
-        right and below.
+    ndarray of float32, shape (1, 3, rows, 1024)
+        Less the mean colour, divided by its spread; zero to the right and below.
 
     Examples
     --------
-    >>> picture = prepare_picture(np.full((9, 16, 3), 255, np.uint8)).planes()
+    >>> picture = prepare_picture(np.full((9, 16, 3), 255, np.uint8))
     >>> picture.shape, round(float(picture[0, 0, 575, 0]), 3), float(picture[0, 0, 576, 0])
     ((1, 3, 1024, 1024), 2.249, 0.0)
     """
     planes = _scaled_planes(color_rgb, *scaled_size(*color_rgb.shape[:2]))
     pixels = np.stack([np.asarray(plane, np.uint8) for plane in planes], axis=-1)[None]
-    return Levels(pixels, _MEAN, _STD, (rows, _SIDE))
+    return input_planes(pixels, _MEAN, _STD, (rows, _SIDE))
 
 
 def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> NDArray[np.float32]:

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.card import CardArray
-
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 PROMPTS = ("box", "box+point", "point")
@@ -64,7 +62,6 @@ _LEAST_PART = 0.1
 _HELD = 4  # pictures whose embeddings are held, 4 MB each
 
 _TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
-_TOGETHER_ON_CARD = 32  # there each call waits for the card once
 
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
@@ -84,8 +81,6 @@ class Sam:
         One of `PROMPTS`.
     full_precision : bool
         Compute in float32 for reproducible results.
-    verified : bool
-        As for `open_network`.
 
     Raises
     ------
@@ -100,27 +95,21 @@ class Sam:
         prompt: str = "box+point",
         *,
         full_precision: bool = False,
-        verified: bool = False,
     ) -> None:
         if prompt not in PROMPTS:
             raise ModelError(
                 f"no prompt is called {prompt!r}", remedy=f"choose one of {', '.join(PROMPTS)}"
             )
         self.prompt = prompt
-        self._encoder = open_network(
-            files["encoder"], runtime, full_precision=full_precision, verified=verified
-        )
+        self._encoder = open_network(files["encoder"], runtime, full_precision=full_precision)
         # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
         # twenty changes. In float32 ONNX Runtime is the faster one.
         self._decoder = open_network(
             files["decoder"],
             runtime_for_batches(runtime),
             full_precision=True,
-            verified=verified,
         )
-        self._encoded: OrderedDict[object, NDArray[np.float32] | CardArray] = OrderedDict()
-        self._kept = ("embedding",) if self._decoder.card else ()
-        self._together = _TOGETHER_ON_CARD if self._decoder.card else _TOGETHER
+        self._encoded: OrderedDict[object, NDArray[np.float32]] = OrderedDict()
 
     @property
     def runtime(self) -> str:
@@ -209,15 +198,15 @@ class Sam:
         height, width = color_rgb.shape[:2]
         embedding = self._encode(color_rgb)
         answered: list[_Answer] = []
-        for start in range(0, len(boxes), self._together):
-            points, labels = _prompts(boxes[start : start + self._together], prompt)
+        for start in range(0, len(boxes), _TOGETHER):
+            points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
             places = points_to_sam(points, height, width)
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
             answered.extend(zip(answer["logits"], answer["ious"], strict=True))
         return answered
 
-    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32] | CardArray:
-        """Return the picture's embedding, which stays on a card; the last ones are held."""
+    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the picture's embedding; the last ones are held."""
         # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
@@ -226,8 +215,7 @@ class Sam:
             fixed_rows = self._encoder.inputs[0].shape[2]
             # Padding is 44 % of the square under a picture of 16:9.
             rows = rows_needed(*color_rgb.shape[:2]) if fixed_rows is None else fixed_rows
-            picture_levels = prepare_picture(color_rgb, rows)
-            embedding = self._encoder.run({"image": picture_levels}, self._kept)["embedding"]
+            embedding = self._encoder.run({"image": prepare_picture(color_rgb, rows)})["embedding"]
             while len(self._encoded) >= _HELD:
                 self._encoded.popitem(last=False)
         self._encoded[picture] = embedding

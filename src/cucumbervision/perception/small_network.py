@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.card import Levels
+from cucumbervision.perception.resize import input_planes
 from cucumbervision.perception.runtime import open_network, runtime_for_batches
 
 if TYPE_CHECKING:
@@ -65,4 +65,4 @@ class SmallNetwork:
     ) -> dict[str, NDArray[np.float32]]:
         """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
         names = [tensor.name for tensor in self._network.inputs]
-        return self._network.run(dict(zip(names, (Levels(pictures), *values), strict=True)))
+        return self._network.run(dict(zip(names, (input_planes(pictures), *values), strict=True)))

@@ -10,15 +10,13 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
-from cucumbervision.perception.card import CardArray
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import (
     LARGEST_INPUT_PX,
     merge_sizes,
 )
-from cucumbervision.perception.network import Network
 from cucumbervision.perception.resize import Letterbox, fit
-from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.runtime import Network, open_network
 from cucumbervision.perception.yolo_layout import read_layout
 from cucumbervision.perception.yolo_rows import (
     RowKind,
@@ -59,8 +57,6 @@ class YoloDetector:
     input_sizes : tuple of int
         Input sizes (long sides, pixels), multiples of the stride; detections at several are merged
         (`merge_sizes`). Empty for the file's default.
-    verified : bool
-        As for `open_network`.
 
     Raises
     ------
@@ -77,13 +73,11 @@ class YoloDetector:
         full_precision: bool = False,
         most_fruit: int | None = None,
         input_sizes: tuple[int, ...] = (),
-        *,
-        verified: bool = False,
     ) -> None:
         self._network = (
             path
             if isinstance(path, Network)
-            else open_network(path, runtime, full_precision=full_precision, verified=verified)
+            else open_network(path, runtime, full_precision=full_precision)
         )
         self._most_fruit = most_fruit
         self._layout = read_layout(self._network)
@@ -191,8 +185,7 @@ class YoloDetector:
         layout = self._layout
         height, width = color_rgb.shape[:2]
         box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
-        kept = [layout.prototypes_name] if layout.prototypes_name else []
-        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)}, kept)
+        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)})
         output = outputs[layout.rows_name][0]
         kind, classes = layout.rows_of(output.shape, (box.input_height, box.input_width))
         rows = (
@@ -209,39 +202,24 @@ class YoloDetector:
     def _instances(
         self,
         rows: NDArray[np.float32],
-        prototypes: NDArray[np.float32] | CardArray | None,
+        prototypes: NDArray[np.float32] | None,
         box: Letterbox,
     ) -> tuple[Instance, ...]:
-        boxes = box.boxes_back(rows[:, :4])
-        grids = self._grids(rows[:, 6:], prototypes)
         instances = []
-        for row, edges, grid in zip(rows, boxes, grids, strict=True):
+        for row, edges in zip(rows, box.boxes_back(rows[:, :4]), strict=True):
             if edges[2] <= edges[0] or edges[3] <= edges[1]:
                 continue
             label = int(row[5])
             instance = Instance(
                 box=edges, confidence=float(row[4]), class_name=self.names.get(label, str(label))
             )
-            if grid is not None:
-                mask = box.mask_back(*grid, edges)
+            if prototypes is not None:
+                mask = box.mask_back(prototypes[0], row[6:], edges)
                 instance = replace(instance, detector_mask=mask if mask.any() else None)
             elif self._layout.keypoints[0] == _KEYPOINTS:
                 instance = replace(instance, keypoints=self._keypoints(row[6:], box))
             instances.append(instance)
         return tuple(instances)
-
-    def _grids(
-        self,
-        coefficients: NDArray[np.float32],
-        prototypes: NDArray[np.float32] | CardArray | None,
-    ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
-        """Return prototypes and their weights for each mask; on a card they are summed already."""
-        if prototypes is None:
-            return [None] * len(coefficients)
-        if not isinstance(prototypes, CardArray):
-            return [(prototypes[0], weights) for weights in coefficients]
-        sums = self._network.mixed(self._layout.prototypes_name, prototypes, coefficients)
-        return [(grid[None], np.ones(1, np.float32)) for grid in sums]
 
     def _keypoints(self, values: NDArray[np.float32], box: Letterbox) -> NDArray[np.float64]:
         points = values.reshape(self._layout.keypoints)

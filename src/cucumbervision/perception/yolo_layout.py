@@ -13,7 +13,7 @@ from cucumbervision.perception.yolo_rows import RowKind, row_kind
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cucumbervision.perception.network import Network, TensorInfo
+    from cucumbervision.perception.runtime import Network, TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""

@@ -61,7 +61,7 @@ class MeasureOptions:
         Whether a network evaluates both ends of each fruit whose mask a network drew; intervals
         then depend on its result.
     segmenter : str, optional
-        A segmenter's name or the path of a checkpoint of SAM 2, which draws all masks, or 'none'.
+        A segmenter's name, which draws all masks, or 'none'.
         With None, the default segmenter draws masks for instances without a mask, and for those
         whose detector mask does not fit a tube well (`measurement.m6.fits_well`).
     prompt : str

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError, TrainingError
-from cucumbervision.perception.onnx_runtime import import_onnxruntime
+from cucumbervision.perception.runtime import import_onnxruntime
 
 _INTEGRATIONS = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 

@@ -273,7 +273,7 @@ def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
             runs.append(name)
             return network.run(*given)
 
-        counted = SimpleNamespace(run=run, inputs=network.inputs, card=network.card)
+        counted = SimpleNamespace(run=run, inputs=network.inputs)
         monkeypatch.setattr(sam, name, counted)
     view = store.detections(WALK)[0]
     picture = {"stop": view.stop_key, "capture": view.capture}

@@ -128,7 +128,6 @@ def ablations() -> list[Ablation]:
         Ablation("as shipped"),
         Ablation("without the second size", single_size=True),
         Ablation("without the close look's vote", (no_close_look,)),
-        Ablation("without both", (no_close_look,), single_size=True),
     ]
 
 

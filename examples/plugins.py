@@ -74,12 +74,10 @@ class RtDetr:
 class GrabCut:
     """OpenCV's GrabCut: the fruit is what differs from the colours outside its box."""
 
-    def segment(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance], /
-    ) -> list[Instance]:
-        """Return the instances with masks."""
+    def segment(self, color_rgb: NDArray[np.uint8], fruit: Sequence[Instance], /) -> list[Instance]:
+        """Return the fruit with masks."""
         bgr = np.ascontiguousarray(color_rgb[..., ::-1])
-        return [replace(instance, mask=self._mask(bgr, instance.box)) for instance in instances]
+        return [replace(instance, mask=self._mask(bgr, instance.box)) for instance in fruit]
 
     def _mask(self, bgr: NDArray[np.uint8], box: NDArray[np.float64]) -> NDArray[np.bool_]:
         x1, y1, x2, y2 = (round(float(edge)) for edge in box)
@@ -91,33 +89,20 @@ class GrabCut:
 
 
 class Sam2:
-    """SAM 2 (Ravi et al. 2024; `pip install sam2`): the mask that it is surest of in each box.
+    """SAM 2 (Ravi et al. 2024; `pip install sam2`), by the variables SAM2_CONFIG and SAM2_FILE."""
 
-    The checkpoint, under its published name such as `sam2.1_hiera_tiny.pt`, is that of the
-    environment variable `SAM2_CHECKPOINT`.
-    """
-
-    def __init__(self, path: str | None = None) -> None:
+    def __init__(self) -> None:
         from sam2.build_sam import build_sam2
         from sam2.sam2_image_predictor import SAM2ImagePredictor
 
-        path = path or os.environ["SAM2_CHECKPOINT"]
-        version, _, size = Path(path).stem.partition("_hiera_")
-        letters = {"tiny": "t", "small": "s", "base_plus": "b+", "large": "l"}[size]
-        config = f"configs/{version}/{version}_hiera_{letters}.yaml"
-        self._predictor = SAM2ImagePredictor(build_sam2(config, path, device="cpu"))
+        model = build_sam2(os.environ["SAM2_CONFIG"], os.environ["SAM2_FILE"], device="cpu")
+        self._predictor = SAM2ImagePredictor(model)
 
-    def segment(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance], /
-    ) -> list[Instance]:
-        """Return the instances with masks."""
+    def segment(self, color_rgb: NDArray[np.uint8], fruit: Sequence[Instance], /) -> list[Instance]:
+        """Return the fruit with masks; SAM 2 measures from the picture's corner."""
         self._predictor.set_image(color_rgb)
-        return [replace(instance, mask=self._mask(instance.box)) for instance in instances]
-
-    def _mask(self, box: NDArray[np.float64]) -> NDArray[np.bool_]:
-        # SAM 2 measures from the picture's corner.
-        masks, ious, _ = self._predictor.predict(box=box + 0.5)
-        return np.asarray(masks[int(ious.argmax())] > 0)
+        predict = partial(self._predictor.predict, multimask_output=False)
+        return [replace(one, mask=predict(box=one.box + 0.5)[0][0] > 0) for one in fruit]
 
 
 def _box_diagonal(region: Region) -> Measurement:

@@ -150,30 +150,31 @@ def test_rt_detr_finds_and_grabcut_draws(bench: Capture, example: Any, tmp_path:
     assert named == {("detector", "RtDetr"), ("segmenter", "GrabCut")}
 
 
-def test_sam_2_draws_what_it_is_surest_of(
+def test_sam_2_draws_each_box(
     bench: Capture, example: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Predictor:
-        """Stands in for SAM2ImagePredictor: the fruit of a box, and nothing."""
+        """Stands in for SAM2ImagePredictor."""
 
         def __init__(self, model: tuple[str, str]) -> None:
-            assert model == ("configs/sam2.1/sam2.1_hiera_t.yaml", "sam2.1_hiera_tiny.pt")
+            assert model == ("config.yaml", "sam2.pt")
 
         def set_image(self, color: NDArray[np.uint8]) -> None:
-            self.shape = color.shape[:2]
+            assert color.shape == bench.color.shape
 
-        def predict(self, box: NDArray[np.float64]) -> tuple[Any, Any, None]:
+        def predict(self, box: NDArray[np.float64], multimask_output: bool) -> tuple[Any, ...]:
+            assert not multimask_output
             k = int(np.abs(boxes_of(bench) + 0.5 - box).sum(axis=1).argmin())
-            masks = np.stack([np.zeros(self.shape), bench.masks[k]])
-            return masks.astype(np.float32), np.array([0.5, 0.9]), None
+            return bench.masks[k][None].astype(np.float32), np.array([0.9]), None
 
     build, predictor = ModuleType("sam2.build_sam"), ModuleType("sam2.sam2_image_predictor")
     build.build_sam2 = lambda *model, device: model  # type: ignore[attr-defined]
     predictor.SAM2ImagePredictor = Predictor  # type: ignore[attr-defined]
     for module in (ModuleType("sam2"), build, predictor):
         monkeypatch.setitem(sys.modules, module.__name__, module)
-    segmenter = example.Sam2("sam2.1_hiera_tiny.pt")
-    result = measure([bench], instances="dataset", segmenter=segmenter)
+    monkeypatch.setenv("SAM2_CONFIG", "config.yaml")
+    monkeypatch.setenv("SAM2_FILE", "sam2.pt")
+    result = measure([bench], instances="dataset", segmenter=example.Sam2())
     for fruit, mask in zip(result.fruit, bench.masks, strict=True):
         assert fruit.mask is not None
         assert (fruit.mask == mask).mean() > 0.999

@@ -58,9 +58,8 @@ class RtDetr:
     def __call__(self, capture: Capture, /) -> list[Instance]:
         """Return the fruit of a capture, by their boxes."""
         small = cv2.resize(capture.color, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
-        batch = small.transpose(2, 0, 1)[None].astype(np.float32) / 255
-        name = self._session.get_inputs()[0].name
-        logits, boxes = self._session.run(["logits", "pred_boxes"], {name: batch})
+        feeds = {self._session.get_inputs()[0].name: small.transpose(2, 0, 1)[None] / np.float32(255)}
+        logits, boxes = self._session.run(["logits", "pred_boxes"], feeds)
         scores = 1 / (1 + np.exp(-logits[0, :, self._class_id].astype(np.float64)))
         size = np.array([capture.width, capture.height] * 2)
         half = boxes[0, :, 2:] / 2
@@ -82,8 +81,7 @@ class GrabCut:
     def _mask(self, bgr: NDArray[np.uint8], box: NDArray[np.float64]) -> NDArray[np.bool_]:
         x1, y1, x2, y2 = (round(float(edge)) for edge in box)
         labels = np.zeros(bgr.shape[:2], np.uint8)
-        models = np.zeros((1, 65)), np.zeros((1, 65))
-        rectangle = (x1, y1, max(x2 - x1, 1), max(y2 - y1, 1))
+        rectangle, models = (x1, y1, max(x2 - x1, 1), max(y2 - y1, 1)), np.zeros((2, 1, 65))
         cv2.grabCut(bgr, labels, rectangle, *models, 3, cv2.GC_INIT_WITH_RECT)
         return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
@@ -119,11 +117,7 @@ def _box_diagonal(region: Region) -> Measurement:
 
 # Without a rank the selector never chooses it: it gets its column, and lengths stay as they are.
 BOX_DIAGONAL = TableMethod(
-    name="M7",
-    title="diagonal of the box",
-    kind=LengthKind.BOX_CHORD,
-    measure=_box_diagonal,
-    needs=("box", "mask"),
+    "M7", "diagonal of the box", LengthKind.BOX_CHORD, _box_diagonal, needs=("box", "mask")
 )
 
 

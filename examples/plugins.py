@@ -40,7 +40,6 @@ from cucumbervision.measurement.result import Fruit, Reason
 if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions
 
-_SIDE_PX = 640
 
 
 class RtDetr:
@@ -57,7 +56,7 @@ class RtDetr:
 
     def __call__(self, capture: Capture, /) -> list[Instance]:
         """Return the fruit of a capture, by their boxes."""
-        small = cv2.resize(capture.color, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(capture.color, (640, 640), interpolation=cv2.INTER_AREA)
         feeds = {self._session.get_inputs()[0].name: small.transpose(2, 0, 1)[None] / np.float32(255)}
         logits, boxes = self._session.run(["logits", "pred_boxes"], feeds)
         scores = 1 / (1 + np.exp(-logits[0, :, self._class_id].astype(np.float64)))

@@ -159,8 +159,7 @@ def test_sam_2_draws_each_box(
         def __init__(self, model: tuple[str, str]) -> None:
             assert model == ("config.yaml", "sam2.pt")
 
-        def set_image(self, color: NDArray[np.uint8]) -> None:
-            assert color.shape == bench.color.shape
+        set_image = staticmethod(np.shape)
 
         def predict(self, box: NDArray[np.float64], multimask_output: bool) -> tuple[Any, ...]:
             assert not multimask_output

@@ -6,7 +6,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -23,7 +22,6 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.backend.camera_process import CameraFolder, stream
 from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, add_captures
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
@@ -49,17 +47,6 @@ def add_one(
     item = RoundCapture.to_add(store, round_key, capture, key=key, keep=True)
     [(_, added)] = add_all(store, [item], measurer, in_turn)
     return added
-
-
-class ThreadRecorder:
-    """The camera's process as a thread, for tests that put something in the camera's place."""
-
-    def __init__(self, folder: Path) -> None:
-        self._thread = threading.Thread(target=stream, args=[CameraFolder(folder)], daemon=True)
-        self._thread.start()
-
-    def poll(self) -> int | None:
-        return None if self._thread.is_alive() else 0
 
 
 @pytest.fixture

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
@@ -20,7 +21,7 @@ from cucumbervision.pipeline.finders import Finder
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
-from cucumbervision.service.gate import HeadLimit
+from cucumbervision.service.requests import HeadLimit, _OnceAMinute
 from cucumbervision.service.server import ServiceSettings
 from cucumbervision.service.work import Work
 
@@ -107,6 +108,39 @@ def test_who_sends_no_whole_head_or_body_is_not_waited_for() -> None:
         # The head of a second request on the same connection counts, too.
         health = b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n"
         assert answer(port, health, health[:30]).count(b"HTTP/1.1 200") == 1
+
+
+def test_half_heads_and_bare_connections_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Quick, "most_connections", 20)
+    monkeypatch.setattr(Quick, "head_s", 60.0)
+    health = b"GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    with listening(MEASURER) as port:
+        opened = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
+        for connection in opened[::2]:
+            with suppress(OSError):
+                connection.sendall(health[:30])
+        assert answer(port, health).startswith(b"HTTP/1.1 200 ")
+        for connection in opened:
+            connection.close()
+
+
+def test_a_malformed_chunk_is_refused_without_an_error_of_the_program(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    head = HEAD.replace(b"Content-Length: %d", b"Transfer-Encoding: chunked")
+    with listening(MEASURER) as port:
+        assert answer(port, head, b"zz\r\n").startswith(b"HTTP/1.1 400 ")
+        both = head.replace(b"Host", b"Content-Length: 5\r\nHost")
+        told = answer(port, both, b"0\r\n\r\n")
+        assert told.startswith(b"HTTP/1.1 400 ")
+        assert b"contradict" in told
+    assert not caplog.records
+
+
+def test_a_flood_of_requests_writes_a_line_a_minute() -> None:
+    once = _OnceAMinute()
+    record = logging.LogRecord("a", logging.WARNING, "", 0, "damaged", (), None)
+    assert [bool(once.filter(record)) for _ in range(3)] == [True, False, False]
 
 
 def test_who_comes_when_too_many_wait_is_refused_before_its_body_is_read() -> None:

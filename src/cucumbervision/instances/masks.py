@@ -416,42 +416,6 @@ def without_flower(
     return cleaned
 
 
-def painted_mask(
-    mask: NDArray[np.bool_], points_px: NDArray[np.float64], radius_px: float, *, erase: bool
-) -> NDArray[np.bool_]:
-    """Return a mask with a brush stroke added or erased.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        The mask.
-    points_px : ndarray of float64, shape (N, 2)
-        x and y along the stroke.
-    radius_px : float
-        Radius of the brush.
-    erase : bool
-        Erase instead of add.
-
-    Examples
-    --------
-    >>> mask = np.zeros((20, 20), bool)
-    >>> line = np.array([[5.0, 10.0], [15.0, 10.0]])
-    >>> painted = painted_mask(mask, line, 2.0, erase=False)
-    >>> bool(painted[10, 10]), bool(painted[4, 10])
-    (True, False)
-    >>> int(painted_mask(painted, line, 4.0, erase=True).sum())
-    0
-    """
-    import cv2
-
-    ink = np.zeros(mask.shape, np.uint8)
-    line = np.rint(points_px).astype(np.int32).reshape(-1, 1, 2)
-    cv2.polylines(ink, [line], False, 1, thickness=max(round(2 * radius_px), 1))
-    for x, y in line[[0, -1], 0].tolist():
-        cv2.circle(ink, (x, y), max(round(radius_px), 1), 1, thickness=-1)
-    return mask & (ink == 0) if erase else mask | (ink > 0)
-
-
 _BOX_SIDE_PX, _BOX_FILL, _BOX_CORNER = 12, 0.95, 0.08
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cucumbervision.errors import AccessError
 from cucumbervision.service.requests import RequestError, bounded, check_source
@@ -134,28 +133,3 @@ def _without_token() -> JSONResponse:
     refused = problem(401, "AccessError", "the token is missing or wrong")
     refused.headers["WWW-Authenticate"] = "Bearer"
     return refused
-
-
-class HeadLimit(H11Protocol):
-    """HTTP/1.1 that closes a connection if the head of a request is not complete in time."""
-
-    head_s = 10.0
-
-    def connection_made(self, transport: Any) -> None:
-        """Start the timeout of the first head."""
-        super().connection_made(transport)
-        self._await_head()
-
-    def data_received(self, data: bytes) -> None:
-        """Process data, and start the timeout of the next head."""
-        super().data_received(data)
-        self._await_head()
-
-    def _await_head(self) -> None:
-        cycle: Any = self.cycle  # the latest request; None before the first
-        if cycle is None or cycle.response_complete:
-            self.loop.call_later(self.head_s, self._close_without_head, cycle)
-
-    def _close_without_head(self, before: object) -> None:
-        if self.cycle is before:
-            self.transport.close()

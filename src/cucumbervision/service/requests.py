@@ -1,4 +1,4 @@
-"""Check the origin and the host of every request to the service and the dashboard.
+"""The gate of both servers, service and dashboard: connections, heads, origins and bodies.
 
 `Host` and `Origin` are parsed here and nowhere else.
 """
@@ -7,22 +7,27 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import logging
 import re
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import uvicorn
 from starlette.exceptions import HTTPException
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError, CucumberVisionError
 
 if TYPE_CHECKING:
     from starlette.datastructures import Headers
-    from starlette.types import Message, Receive
+    from starlette.types import ASGIApp, Message, Receive
 
 _PORTS = {"http": 80, "https": 443}
 _LONGEST_NAME = 253
+_MINUTE_S = 60.0
+_LEAVE_S = 5  # longest wait for open connections at the end
 _PLACE = re.compile(
     r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<name>[\w.-]+))(?::(?P<port>\d{0,5}))?", re.A
 )
@@ -116,13 +121,16 @@ def check_source(headers: Headers, *, method: str = "GET", local: bool = False) 
     Raises
     ------
     RequestError
-        If `Host` or `Origin` is malformed or repeated.
+        If `Host` or `Origin` is malformed or repeated, or the length of the body is ambiguous.
     AccessError
         If the request comes from another origin, or is addressed to another host.
     """
     for header in ("Host", "Origin"):
         if len(headers.getlist(header)) > 1:
             raise RequestError(f"the header {header} is there twice", remedy="send it once")
+    if "content-length" in headers and "transfer-encoding" in headers:
+        fault = "the headers Content-Length and Transfer-Encoding contradict each other"
+        raise RequestError(fault, remedy="send one of them")
     host, origin = headers.get("host", ""), headers.get("origin")
     place = parse_place(host) if host else None
     source = None if origin is None else parse_origin(origin)
@@ -187,3 +195,113 @@ def bounded(
 def _too_large(most_bytes: int) -> HTTPException:
     words = f"the body is larger than the {most_bytes / 1e6:g} MB that are taken"
     return HTTPException(413, words, _CLOSED)
+
+
+class HeadLimit(H11Protocol):
+    """HTTP/1.1 with limits for the number of connections and for the time of a request's head.
+
+    Where all connections are in use, the one that has waited longest for its head is closed: half
+    heads exclude nobody.
+    """
+
+    head_s = 10.0
+    most_connections = 512
+    _headless: ClassVar[dict[HeadLimit, asyncio.TimerHandle]] = {}  # the oldest first
+
+    def connection_made(self, transport: Any) -> None:
+        """Start the timeout of the first head, or close a connection that is one too many."""
+        super().connection_made(transport)
+        self._await_head()
+        if len(self.connections) > self.most_connections:
+            self.logger.warning("too many connections: those without a request are closed")
+            oldest = next(iter(self._headless))
+            oldest._forget()
+            oldest.transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Process data, and start or end the timeout of a head."""
+        super().data_received(data)
+        self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._forget()
+        super().connection_lost(exc)
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse a malformed request; who answers its first part is told that the client left."""
+        cycle: Any = self.cycle
+        if cycle is not None and not cycle.response_complete:
+            cycle.disconnected = True
+            cycle.message_event.set()
+        if cycle is not None and cycle.response_started:
+            self.transport.close()
+        else:
+            super().send_400_response(msg)
+
+    def _await_head(self) -> None:
+        cycle: Any = self.cycle  # the latest request; None before the first
+        is_socket = self.transport.get_protocol() is not self
+        if is_socket or (cycle is not None and not cycle.response_complete):
+            self._forget()
+        elif self not in self._headless:
+            timer = self.loop.call_later(self.head_s, self.transport.close)
+            self._headless[self] = timer
+
+    def _forget(self) -> None:
+        timer = self._headless.pop(self, None)
+        if timer is not None:
+            timer.cancel()
+
+
+class _OnceAMinute(logging.Filter):
+    """Passes a message once a minute: a flood of requests does not fill the disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._passed_s: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a message is written."""
+        text, now_s = f"{record.msg}{record.exc_info and record.exc_info[1]!r}", time.monotonic()
+        self._passed_s = {key: at for key, at in self._passed_s.items() if now_s - at < _MINUTE_S}
+        return self._passed_s.setdefault(text, now_s) == now_s
+
+
+def listen(app: ASGIApp, address: str, port: int, *, sockets: str = "none") -> None:
+    """Serve an application until it is interrupted, with `HeadLimit`.
+
+    Parameters
+    ----------
+    app : callable
+        The ASGI application.
+    address : str
+        Address to bind to.
+    port : int
+        TCP port.
+    sockets : str
+        Uvicorn's implementation of web sockets.
+    """
+    descriptors = 1024
+    try:
+        import resource
+
+        descriptors = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    except ImportError:  # Windows
+        pass
+    # One pass of the event loop accepts as many as `backlog`, before any of them can be refused.
+    backlog = max(min(descriptors // 16, 128), 8)
+    HeadLimit.most_connections = min(descriptors // 2, 4096)
+    for name in ("uvicorn.error", "asyncio"):
+        logging.getLogger(name).addFilter(_OnceAMinute())
+    uvicorn.run(
+        app,
+        host=address,
+        port=port,
+        http=HeadLimit,
+        ws=sockets,
+        backlog=backlog,
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=_LEAVE_S,
+    )

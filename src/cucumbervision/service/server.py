@@ -104,16 +104,12 @@ def serve(
     require_extra()
     settings = settings or ServiceSettings(os.environ.get(TOKEN_VARIABLE, ""))
     check_access(address, settings.token)
-    import uvicorn
-
     from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.service.app import create_app
-    from cucumbervision.service.gate import HeadLimit
+    from cucumbervision.service.requests import listen
 
     measurer = Measurer(options)
     measurer.warm_up()
     app = create_app(measurer, settings)
     ready()
-    uvicorn.run(
-        app, host=address, port=port, http=HeadLimit, log_level="warning", server_header=False
-    )
+    listen(app, address, port)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import streamlit as st
-from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.agronomy.profiles import CropProfile, load_profile, profiles
 from cucumbervision.errors import CucumberVisionError
@@ -59,8 +58,6 @@ def store() -> Store:
 
 def _who() -> tuple[str, str]:
     """Return the viewer whom the proxy logged in, else 'dashboard', and the device."""
-    if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
-        return "dashboard", ""
     return st.context.headers.get(VIEWER) or "dashboard", device_of(st.context.cookies)
 
 
@@ -134,12 +131,8 @@ def change_settings(**changes: object) -> None:
 
 def _language() -> str:
     """Return the language of the settings, else the one of the viewer's browser."""
-    if chosen := settings().language:
-        return chosen
-    context = get_script_run_ctx(suppress_warning=True)
-    if context is None:  # a request beside Streamlit's pages
-        return asked_language()
-    return best_of(context.context_info.locale if context.context_info else None)
+    # Without a page it is a request beside Streamlit's.
+    return settings().language or asked_language() or best_of(st.context.locale)
 
 
 decide_by(_language)

@@ -41,9 +41,7 @@ from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, fruit_table
 from cucumbervision_greenhouse.rounds.merge_and_link import (
     DAY_S,
-    RowCounts,
     earlier_rounds,
-    row_counts,
 )
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.records import (
@@ -159,12 +157,6 @@ def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def rows_of(round_summary: RoundSummary) -> Sequence[RowCounts]:
-    """Return a round's rows with their counts; computed again only after a change."""
-    return row_counts(content_of(round_summary))
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
 def doubts_of(round_summary: RoundSummary) -> list[str]:
     """Return the doubts about the data of a round in the core's words, each once."""
     return round_doubts(store(), content_of(round_summary).views)
@@ -266,6 +258,5 @@ def read_ahead() -> None:
     for round_summary in rounds()[:1]:
         for view in graded_round(round_summary).fruit[:LINES]:
             thumbnail_of(view)
-        rows_of(round_summary)
         forecast_of(round_summary)
         today_of(round_summary)

@@ -19,7 +19,6 @@ from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.backend.settings import Units
-    from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
     from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
 _DEMONSTRATION = marked("Demonstration (computer-made example)")
@@ -181,20 +180,6 @@ def row_name(row: str | None) -> str:
     ('Row 3', 'Row ?')
     """
     return _("Row {row}").format(row=row or "?")
-
-
-def count_words(report: RowCounts) -> str:
-    """Return a row's number of fruit in words.
-
-    Examples
-    --------
-    >>> from cucumbervision_greenhouse.rounds.merge_and_link import RowCounts
-    >>> count_words(RowCounts("", 0, 0, 3))
-    '3 fruit found'
-    """
-    if report.fruit == 0:
-        return _("no fruit found")
-    return counted(report.fruit, "{n} fruit found", "{n} fruit found")
 
 
 def clock_words(walked_s: float) -> str:

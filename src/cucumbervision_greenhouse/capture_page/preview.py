@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from starlette.websockets import WebSocket
 
-    from cucumbervision_greenhouse.backend.camera_feed import Preview
+    from cucumbervision_greenhouse.backend.cameras import Preview
 
 
 # What the core advises.

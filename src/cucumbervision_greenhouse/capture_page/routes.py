@@ -27,7 +27,7 @@ from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.backend.language import ask_for, page_text
 from cucumbervision_greenhouse.backend.language import gettext as _
-from cucumbervision_greenhouse.backend.theme import font_file, style_sheet
+from cucumbervision_greenhouse.backend.theme import style_sheet
 from cucumbervision_greenhouse.capture_page import state
 from cucumbervision_greenhouse.capture_page.preview import preview
 from cucumbervision_greenhouse.capture_page.shutter import Press, Shutter
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 _STATIC = Path(__file__).with_name("static")
 _MEDIA_TYPES = {"html": "text/html", "js": "text/javascript"}  # of files with texts
 _PRESS_S = 4.0  # longest delay of the answer until presses are saved
+_LONGEST_ROW_M = 1000.0
 _MOST_TOGETHER = 50  # presses in one request
 
 Source = Literal["camera", "replay"]
@@ -58,7 +59,7 @@ class SentPress(Sent):
     source: Source
     row: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     side: Annotated[str, Field(max_length=LONGEST_NAME)] = "left"
-    position_m: Annotated[float, Field(ge=0, le=10_000)]
+    position_m: Annotated[float, Field(ge=0)]
 
 
 class SentPresses(Sent):
@@ -136,6 +137,9 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
             )
         except NameRefusedError as error:
             taken.append(said(error))
+            continue
+        if sent_press.position_m > _LONGEST_ROW_M:
+            taken.append(_("no row is as long as this position: correct it and press again"))
             continue
         press = Press(sent_press.number, sent_press.at_s)
         if sent_press.round not in round_keys:
@@ -223,9 +227,9 @@ async def _static(request: Request) -> Response:
     name = request.path_params["name"]
     if name == "theme.css":
         return Response(style_sheet(), media_type="text/css", headers={"cache-control": "no-cache"})
-    shared = name.startswith(("picture.", "theme."))
-    path = font_file() if name == "font.woff2" else (PICTURE_FILES if shared else _STATIC) / name
-    if path.parent not in {PICTURE_FILES, _STATIC, font_file().parent} or not path.is_file():
+    shared = name.startswith("picture.")
+    path = (PICTURE_FILES if shared else _STATIC) / name
+    if path.parent not in {PICTURE_FILES, _STATIC} or not path.is_file():
         raise HTTPException(404)
     # A service worker must lie at or above the address of the page that it caches.
     return _file(request, path, {"service-worker-allowed": "/capture"})

@@ -1,9 +1,4 @@
-"""The shutter: a press grabs a burst and saves it; it is measured later.
-
-Three threads, so that nothing delays a press: one saves the raw frames of bursts, the job queue
-measures captures in order, and one codes captures that wait for long. The queue is on disk, so that
-a kill loses nothing.
-"""
+"""The shutter: a press grabs a burst, which one thread fuses and saves; it is measured later."""
 
 from __future__ import annotations
 
@@ -11,13 +6,12 @@ import threading
 import time
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from cucumbervision.errors import CameraError, CucumberVisionError
-from cucumbervision_greenhouse.backend.camera_feed import PictureGoneError
-from cucumbervision_greenhouse.backend.jobs import fault_of, give_way
+from cucumbervision.errors import CameraError
+from cucumbervision_greenhouse.backend.cameras import PictureGoneError
+from cucumbervision_greenhouse.backend.jobs import fault_of
 from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import last_step, unless_taken
 from cucumbervision_greenhouse.store.records import key_of
@@ -26,13 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cucumbervision.capture.frames import Stop
-    from cucumbervision_greenhouse.backend.replay_feed import Burst, Feed
+    from cucumbervision_greenhouse.backend.cameras import Burst, Feed
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.views import StopSummary
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 _REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
-_SOON = 4  # this many captures are measured soon and are not coded
 
 
 @dataclass(frozen=True)
@@ -106,7 +99,6 @@ class Shutter:
     ) -> None:
         self._store, self._waiting, self._on_queued = store, waiting, on_queued
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
-        self._coder = ThreadPoolExecutor(1, thread_name_prefix="coding", initializer=give_way)
         self._lock = threading.Lock()
         self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
 
@@ -153,24 +145,16 @@ class Shutter:
     def close(self) -> None:
         """Save all presses, then end."""
         self._pool.shutdown(wait=True)
-        self._coder.shutdown(wait=True, cancel_futures=True)
 
     def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
-        home = round_for_capture(self._store, round_key, simulated=grabbed.simulated)
-        waiting = [
-            capture.stop for capture in self._waiting.captures() if capture.round_key == home
-        ]
+        capture = grabbed.capture()
+        home = round_for_capture(self._store, round_key, simulated=capture.simulated)
+        waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
         taken: list[Stop | StopSummary] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
-        key = key_of("press", round_key, press.number)
-        queued_capture = grabbed.keep(self._waiting, key, home, stop)
+        capture = replace(capture, stop=stop, timestamp_s=press.at_s)
+        queued = self._waiting.put(
+            capture, key_of("press", round_key, press.number), home, press.at_s
+        )
         self._on_queued()
-        self._coder.submit(self._code, queued_capture)
-        return queued_capture
-
-    def _code(self, queued_capture: Waiting) -> None:
-        """Code a capture that is not measured soon: raw frames take five times the space."""
-        waiting = {capture.key: capture for capture in self._waiting.captures()[_SOON:]}
-        if queued_capture.key in waiting:
-            with suppress(CucumberVisionError):  # it stays uncoded
-                self._waiting.code(waiting[queued_capture.key])
+        return queued

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
 import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.backend import resources, tasks
+from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.plain_text import plain
+from cucumbervision_greenhouse.backend.theme import THEME_STYLE
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE
 from cucumbervision_greenhouse.dashboard.views import (
@@ -30,41 +31,40 @@ from cucumbervision_greenhouse.dashboard.views import (
     upload,
 )
 
-if TYPE_CHECKING:
-    from streamlit.navigation.page import StreamlitPage
-
 # Streamlit drops the input of a closed page; these values are kept for its return.
 _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
 _ICON = Path(__file__).parents[1] / "capture_page/static/icon.svg"
-_STYLE, _HEAD = (Path(__file__).with_name("static") / name for name in ("pages.css", "head.html"))
+_HEAD = """<div class="head"><h1 class="quiet">{title}</h1><a class="brand" href="{home}"
+target="_self">CucumberVision</a><span class="house">{house}</span></div>"""
 
 
 def main() -> None:
     """Draw the page that the viewer chose."""
     st.set_page_config(page_title="CucumberVision", page_icon=_ICON, layout="wide")
-    st.html(_STYLE)
+    for style in (THEME_STYLE, Path(__file__).with_name("static") / "pages.css"):
+        st.html(style)
     try:
         _check_guard()
         pages = _pages()
         st.session_state["pages"] = {page.url_path or "today": page for page in pages}
         chosen = st.navigation(pages, position="hidden")
         tasks.prepare()
-        page_elements.keep_address()
         read_address()
         _draw_navigation(pages, chosen)
         keep_inputs()
+        opened = st.session_state.get("round") or ""
+        st.session_state["version"] = round_caches.news(opened)["version"]
         page_elements.live()
         chosen.run()
-        page_elements.note_address()
         if chosen != pages[-1]:
             footer(pages[-1])
     except CucumberVisionError as error:
         st.error(plain(said(error)), icon=":material/error:")
 
 
-def _pages() -> list[StreamlitPage]:
+def _pages() -> list[st.Page]:
     draw = [
         (marked("Today"), today.page, ":material/today:"),
         (marked("Capture"), _leave_for_capture, ":material/photo_camera:"),
@@ -91,10 +91,11 @@ def _pages() -> list[StreamlitPage]:
 
 def _leave_for_capture() -> None:
     """Open the capture page, which is not a Streamlit page."""
-    page_elements.go(f"/capture?{urlencode(page_elements.here())}")
+    address = json.dumps(f"/capture?{urlencode(page_elements.here())}")
+    st.html(f"<script>location.replace({address})</script>", unsafe_allow_javascript=True)
 
 
-def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
+def _draw_navigation(pages: list[st.Page], chosen: st.Page) -> None:
     if chosen.url_path in _WITH_FRUIT and "fruit" not in st.query_params:
         st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
     st.set_page_config(page_title=f"{chosen.title} · CucumberVision")
@@ -106,7 +107,7 @@ def _draw_navigation(pages: list[StreamlitPage], chosen: StreamlitPage) -> None:
 
 
 def _head(title: str) -> str:
-    """Return the top of a page: the program, the house that is open, the choice of colours."""
+    """Return the top of a page: the program and the house that is open."""
     opened = st.session_state.get("round")
     rounds = [resources.store().round(opened)] if opened else resources.rounds()
     house = next((x.record.house for x in rounds if x is not None), "")
@@ -114,9 +115,8 @@ def _head(title: str) -> str:
         "home": escape(f"/?{urlencode(page_elements.here())}"),
         "house": escape(house),
         "title": escape(title),
-        "colors": escape(_("Light or dark colours")),
     }
-    return _HEAD.read_text(encoding="utf-8").format(**parts)
+    return _HEAD.format(**parts)
 
 
 def read_address() -> None:
@@ -135,7 +135,7 @@ def keep_inputs() -> None:
             st.session_state[name] = st.session_state[name]
 
 
-def footer(about_page: StreamlitPage) -> None:
+def footer(about_page: st.Page) -> None:
     """Draw the link to the licence and the source (AGPL-3.0, section 13)."""
     with st.container(key="about", horizontal_alignment="right"):
         st.page_link(

@@ -78,44 +78,6 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     return _scene(cloud, marks, lines, float(reach_mm.max()))
 
 
-def cloud_ply(capture: Capture, record: DetectionRecord) -> bytes | None:
-    """Return a fruit's depth points and their near surroundings as a binary PLY file.
-
-    Parameters
-    ----------
-    capture : Capture
-        The frame.
-    record : DetectionRecord
-        The fruit, with mask.
-
-    Returns
-    -------
-    bytes or None
-        Every pixel with a reading: x, y, z in metres in camera coordinates, colour, and 1 for the
-        fruit or 0 for what is near it. None where the fruit has no mask or no depth.
-    """
-    pixels = _fruit_pixels(capture, record)
-    if pixels is None:
-        return None
-    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    kinds += [(name, "u1") for name in ("red", "green", "blue", "fruit")]
-    parts = []
-    for is_fruit, where in ((1, pixels[0]), (0, pixels[1])):
-        points, colors = _sample(capture, where, int(where.sum()) or 1)
-        part = np.empty(len(points), kinds)
-        for name, column in zip("xyz", points.T, strict=True):
-            part[name] = column
-        for name, column in zip(("red", "green", "blue"), colors.T, strict=True):
-            part[name] = column
-        part["fruit"] = is_fruit
-        parts.append(part)
-    vertices = np.concatenate(parts)
-    words = {"<f4": "float", "u1": "uchar"}
-    properties = "".join(f"property {words[kind]} {name}\n" for name, kind in kinds)
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
-    return f"{head}{properties}end_header\n".encode() + vertices.tobytes()
-
-
 def _fruit_pixels(
     capture: Capture, record: DetectionRecord
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from functools import wraps
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl
 
 import streamlit as st
-from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import readable
@@ -29,11 +28,13 @@ if TYPE_CHECKING:
     from streamlit.delta_generator import DeltaGenerator
 
     from cucumbervision_greenhouse.agronomy.picking import PickWork
-    from cucumbervision_greenhouse.backend.jobs import Job, Work
+    from cucumbervision_greenhouse.backend.jobs import Job
     from cucumbervision_greenhouse.store.records import JointRecord
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _PICTURE_PX = 168  # two abreast on a phone
+_NEWS_S = 1.0  # how soon a page shows what another viewer did
+_SHORT_S = 5.0  # the time left is not shown for less
 
 
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
@@ -298,12 +299,6 @@ def first_steps(*, begun: bool) -> None:
             link("upload", _("Upload"))
 
 
-def browser_button(name: str, label: str, address: str, *, done: str = "") -> None:
-    """Draw a button that the browser itself acts on: 'print' or 'send' an address (theme.js)."""
-    told = f'data-act="{name}" data-address="{escape(address)}" data-done="{escape(done)}"'
-    st.html(f'<button type="button" class="act" {told}>{escape(label)}</button>')
-
-
 def link(page: str, label: str, **parts: str) -> None:
     """Draw a link to another page of the round; its name is the end of the address."""
     target = st.session_state.get("pages", {}).get(page)
@@ -345,7 +340,6 @@ def name_in_address(name: str, value: str | None) -> None:
         st.query_params[name] = value
     elif name in st.query_params:
         del st.query_params[name]
-    note_address()
 
 
 def say_missing(name: str, present: Container[str | None], words: str) -> None:
@@ -364,57 +358,43 @@ def say_missing(name: str, present: Container[str | None], words: str) -> None:
         st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
 
 
-def note_address() -> None:
-    """Remember the address of the page that is open."""
-    context = get_script_run_ctx()
-    page = context.page_script_hash if context else ""
-    st.session_state["address"] = page, st.query_params.to_dict()
-
-
-def keep_address() -> None:
-    """Keep the address if only news redraws the page.
-
-    A slow browser sends an earlier address with them, which would close the fruit that was just
-    opened.
-    """
-    context, (page, address) = get_script_run_ctx(), st.session_state.get("address", ("", {}))
-    news = getattr(st.session_state.get("live"), "changed", None)
-    if not news or context is None or context.is_history_navigation:
-        return
-    sent = st.query_params.to_dict()
-    is_link = dict(parse_qsl(str(news["at"]).lstrip("?"))) != sent
-    if page == context.page_script_hash and not is_link and address != sent:
-        st.query_params.from_dict(address)
-
-
-def start_job(key: str, title: str, work: Work, round_key: str) -> None:
-    """Queue a job on a round and remember it in the viewer's session."""
-    st.session_state[key] = resources.worker().submit(title, work, round_key).number
-
-
 def finished_job(key: str) -> Job | None:
     """Return the viewer's job once it is finished; `live` shows its progress."""
     job = resources.worker().get(st.session_state.get(key))
     return job if job is not None and job.finished else None
 
 
+@st.fragment(run_every=_NEWS_S)
 def live() -> None:
-    """Show the current work, and redraw the page whenever its round changes."""
-    opened, context = st.session_state.get("round") or "", get_script_run_ctx()
-    data = {
-        "round": opened,
-        "version": round_caches.news(opened)["version"],
-        "page": context.page_script_hash if context else "",
-    }
-    component("live")(key="live", data=data, on_changed_change=lambda: None)
+    """Show the current work; draw the page anew after a change of its round by anybody."""
+    news = round_caches.news(st.session_state.get("round") or "")
+    if st.session_state["version"] != news["version"]:
+        st.rerun()
+    work = news["work"]
+    if not work["words"]:
+        st.session_state.pop("work_begun", None)
+    elif work["total"]:
+        share = min(work["done"] / work["total"], 1.0)
+        st.progress(share, plain(work["words"] + _time_left(work)))
+    else:
+        st.caption(plain(work["words"]))
 
 
-def go(address: str) -> None:
-    """Go from Streamlit's pages to another address of this server."""
-    component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)
-
-
-_MARKS = ("ruler", "stroke")
+def _time_left(work: Mapping[str, Any]) -> str:
+    """Return how long work takes until its end, by the steps since this page showed it first."""
+    name, now_s = work["words"].split(":")[0], time.monotonic()
+    begun = st.session_state.setdefault("work_begun", (name, now_s, work["done"]))
+    if begun[0] != name:
+        begun = st.session_state["work_begun"] = (name, now_s, work["done"])
+    if work["done"] <= begun[2]:
+        return ""
+    left_s = (now_s - begun[1]) / (work["done"] - begun[2]) * (work["total"] - work["done"])
+    if left_s < _SHORT_S:
+        return ""
+    words, number = (
+        (_("about {n} s left"), left_s) if left_s < 90 else (_("about {n} min left"), left_s / 60)
+    )
+    return ", " + words.format(n=round(number))
 
 
 def component(name: str) -> Any:
@@ -465,7 +445,7 @@ def picture(
     bar : dict
         As `scale_bar` gives it.
     tools : tuple of str
-        Of 'ruler', 'point', 'box', 'brush' and 'erase'.
+        Of 'ruler', 'point' and 'box'.
     ruler_text : str
         What is written on the ruler.
     title : str
@@ -487,8 +467,7 @@ def picture(
     Returns
     -------
     ComponentResult
-        `ruler`: the numbers that were drawn, once; `stroke`: the 'points' of a brush, its 'radius',
-        and whether it takes away ('erase').
+        `ruler`: the numbers that were drawn, once.
     """
     width, height = size_px
     data = {
@@ -508,6 +487,6 @@ def picture(
         "map": content,
     }
     # The page reads the values; a callback is needed for the component to send them.
-    acts = {**dict.fromkeys(_MARKS, lambda: None), **(on or {})}
+    acts = {"ruler": lambda: None, **(on or {})}
     callbacks = {f"on_{name}_change": act for name, act in acts.items()}
     return component("picture")(key=key, data=data, **callbacks)

@@ -20,12 +20,11 @@ from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_r
 from cucumbervision_greenhouse.store.records import Round
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Collection
 
     from cucumbervision_greenhouse.store.views import RoundSummary
 
 _MISSING = "missing_round"
-_NEW_HOUSE = "\n"  # no house has such a name
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
@@ -84,20 +83,15 @@ def missing_round() -> str:
     return str(st.session_state.get(_MISSING) or "")
 
 
-def _begin(rounds: Iterable[RoundSummary]) -> None:
+def _begin(rounds: Collection[RoundSummary]) -> None:
     st.text_input(_("Name"), placeholder=_("Morning round"), key="new_name")
     houses = resources.houses(rounds)
-    house_choices = [*houses, _NEW_HOUSE]
-    if houses:
-        st.selectbox(
-            _("House"),
-            house_choices,
-            format_func=lambda house: _("New house …") if house == _NEW_HOUSE else house,
-            key="known_house",
-        )
-    if not houses or st.session_state.get("known_house") == _NEW_HOUSE:
-        label = _("New house") if houses else _("House")
-        st.text_input(label, placeholder=_("House 1"), key="new_house")
+    newest = next((x.record.house for x in rounds), "")
+    st.session_state.setdefault("new_house", newest)
+    # Never a choice that text is typed into: a house that is not picked from it would be lost.
+    st.text_input(_("House"), placeholder=_("House 1"), key="new_house")
+    if len(houses) > 1:
+        st.pills(_("Known houses"), houses, key="known_house", on_change=_choose_house)
     titles = resources.crop_titles()
     usual = resources.settings().profile
     crop = st.selectbox(
@@ -110,8 +104,6 @@ def _begin(rounds: Iterable[RoundSummary]) -> None:
     def begin() -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
-        if houses and (chosen := st.session_state["known_house"]) != _NEW_HOUSE:
-            house = chosen
         record = Round(name=name, house=house, profile=crop)
         try:
             resources.store().save_round(record)
@@ -127,6 +119,10 @@ def _begin(rounds: Iterable[RoundSummary]) -> None:
     st.button(_("Start this round"), type="primary", width="stretch", on_click=begin)
     if fault := st.session_state.pop("begin_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
+
+
+def _choose_house() -> None:
+    st.session_state["new_house"] = st.session_state["known_house"] or ""
 
 
 def _change(round_summary: RoundSummary | None) -> None:

@@ -1,15 +1,13 @@
-"""Routes beside Streamlit's pages: its first page, uploads, files of a round."""
+"""Routes beside Streamlit's pages: uploads, files of a round, the page to print."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import quote
 
-import streamlit
 from pydantic import Field
 from starlette.exceptions import HTTPException
 from starlette.responses import HTMLResponse, Response
@@ -26,10 +24,6 @@ from cucumbervision_greenhouse.exports.writers import render_sheet, write_export
 
 if TYPE_CHECKING:
     from starlette.requests import Request
-
-
-PAGES = ("", "upload", "results", "map", "days", "forecast", "accuracy", "settings", "about")
-"""Addresses of Streamlit's pages."""
 
 
 class UploadPart(Sent):
@@ -89,36 +83,15 @@ def _files(request: Request, _: bytes) -> Response:
 
 @answer
 def _print(request: Request, _: bytes) -> Response:
-    """Answer with a round's page to print."""
-    return HTMLResponse(render_sheet(_tables_of(request)[1], printed_words()))
-
-
-@lru_cache(maxsize=1)
-def _index() -> str:
-    """Return Streamlit's first page with the address of its server, and the program's icon.
-
-    Otherwise it tries addresses below the page's first, which fail in the console. For an emoji as
-    the icon, it would import all emojis before the first page.
-    """
-    text = (Path(streamlit.__file__).parent / "static/index.html").read_text(encoding="utf-8")
-    told = (
-        "<script>window.__streamlit = {BACKEND_BASE_URL: location.origin}</script>"
-        '<link rel="stylesheet" href="/capture/theme.css"><script src="/capture/theme.js"></script>'
-    )
-    text = text.replace('"./favicon.png"', '"/capture/icon.svg"')
-    title = "<title>CucumberVision</title>"
-    return text.replace("<title>Streamlit</title>", title).replace("<head>", f"<head>{told}", 1)
-
-
-async def _streamlit_page(_: Request) -> Response:
-    return HTMLResponse(_index(), headers={"cache-control": "no-cache"})
+    """Answer with a round's page, which the browser prints."""
+    sheet = render_sheet(_tables_of(request)[1], printed_words())
+    return HTMLResponse(f"{sheet}<script>print()</script>")
 
 
 def routes() -> list[Route]:
-    """Return the routes, which come before Streamlit's own."""
+    """Return the routes."""
     post = ["POST"]
     return [
-        *(Route(f"/{page}", _streamlit_page) for page in PAGES),
         Route("/api/uploads", _begin_upload, methods=post),
         Route("/api/uploads/{upload}/{number}", _receive, methods=post),
         Route("/api/files/{round}", _files),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import secrets
 import socket
+import threading
+import webbrowser
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,48 +17,15 @@ from cucumbervision_greenhouse.backend.settings import (
     REPLAY_VARIABLE,
     STORE_VARIABLE,
 )
-from cucumbervision_greenhouse.backend.theme import streamlit_options
 
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
-_APP = Path(__file__).with_name("guarded_app.py")
+_BROWSER_S = 1.0  # until the server listens
 
 
 def require_extra() -> None:
     """Raise MissingExtraError if the extra 'dashboard' is not installed."""
     if find_spec("streamlit") is None:
         raise MissingExtraError("streamlit", "dashboard")
-
-
-def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
-    """Return Streamlit's command line.
-
-    Examples
-    --------
-    >>> "--browser.gatherUsageStats=false" in server_arguments("127.0.0.1", 8501, browser=False)
-    True
-    """
-    options = {
-        "server.address": address,
-        "server.port": port,
-        "server.headless": "false" if browser else "true",
-        "server.showEmailPrompt": "false",
-        # Besides the greeting this hides Streamlit's developer menu on the page.
-        "logger.hideWelcomeMessage": "true",
-        "server.fileWatcherType": "none",
-        # Streamlit collects garbage after each run of a fragment, which takes 0.16 s, several times
-        # a second, and blocks measuring. Python collects by itself when necessary.
-        "runner.postScriptGC": "false",
-        "server.maxUploadSize": 200,
-        # Streamlit sends large messages, beyond this size in bytes, by their hash if they were sent
-        # before; a page that has dropped one fails with "Cached ForwardMsg MISS".
-        "global.minCachedMessageSize": 10**12,
-        "browser.gatherUsageStats": "false",
-        "browser.serverAddress": address,
-        "client.toolbarMode": "minimal",
-        "client.showErrorDetails": "none",
-        **streamlit_options(),
-    }
-    return ["run", str(_APP), *(f"--{name}={value}" for name, value in options.items())]
 
 
 def serve(
@@ -113,9 +82,12 @@ def serve(
     os.environ.update({name: str(value) for name, value in variables.items() if value})
     if ready is not None:
         ready(place)
-    from streamlit.web import cli
+    from cucumbervision.service.requests import listen
+    from cucumbervision_greenhouse.dashboard.guarded_app import guarded_app
 
-    cli.main(server_arguments(address, port, browser=browser), standalone_mode=False)
+    if browser:
+        threading.Timer(_BROWSER_S, webbrowser.open, [place]).start()
+    listen(guarded_app(how), address, port, sockets="websockets-sansio")
 
 
 def _shown_host(address: str) -> str:

@@ -20,18 +20,14 @@ from cucumbervision_greenhouse.rounds.from_store import (
     joint_groups,
     stored_merging,
 )
-from cucumbervision_greenhouse.rounds.merge_and_link import earlier_round, later_rounds
 from cucumbervision_greenhouse.rounds.row_fruit import joint_tube_is_used
-from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 
 # Fields from a joint tube fit; all others are those of the best view.
@@ -200,122 +196,6 @@ def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
             keys = (row.fruit_keys[k] for k in members.tolist())
             length_of_key.update(dict.fromkeys(keys, (*length, count)))
     return length_of_key
-
-
-_NEAR_M, _FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
-_SHOWN = 4
-
-
-@dataclass(frozen=True)
-class OtherDay:
-    """A fruit on another day.
-
-    Parameters
-    ----------
-    round : RoundSummary
-        The round of that day.
-    linked : DetectionSummary, optional
-        The same fruit on that day, if it is linked.
-    neighbours : tuple of DetectionSummary
-        Other candidates, the nearest first.
-    """
-
-    round: RoundSummary
-    linked: DetectionSummary | None
-    neighbours: tuple[DetectionSummary, ...]
-
-
-@dataclass(frozen=True)
-class FruitContext:
-    """A fruit and its context.
-
-    Parameters
-    ----------
-    fruit : DetectionSummary
-        The representative view.
-    views : tuple of DetectionSummary
-        All its views, the representative one first.
-    neighbours : tuple of DetectionSummary
-        Other fruit of the same row, the nearest first.
-    earlier, later : OtherDay, optional
-        The same on the day before and after, where a round of it is there.
-    """
-
-    fruit: DetectionSummary
-    views: tuple[DetectionSummary, ...]
-    neighbours: tuple[DetectionSummary, ...]
-    earlier: OtherDay | None = None
-    later: OtherDay | None = None
-
-
-def around(store: Store, round_key: str, key: str) -> FruitContext | None:
-    """Return a fruit with its context; None if it is no longer there.
-
-    Parameters
-    ----------
-    store : Store
-        Where it is.
-    round_key : str
-        Its round.
-    key : str
-        Any of its views.
-    """
-    detections = store.detections(round_key)
-    group = next((view.group for view in detections if view.key == key), None)
-    if group is None:
-        return None
-    views = sorted((v for v in detections if v.group == group), key=lambda v: not v.best)
-    fruit = next(view for view in views if view.best)
-    candidates = [
-        v for v in detections if v.best and v.group != group and v.verdict is not Verdict.REJECTED
-    ]
-    links = store.links(round_key, LinkKind.GROWTH)
-    keys = {view.key for view in views}
-    before, after = earlier_round(store, round_key), later_rounds(store, round_key)[:1]
-    return FruitContext(
-        fruit=fruit,
-        views=tuple(views),
-        neighbours=nearest(fruit, candidates, _NEAR_M),
-        earlier=None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
-        later=_other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
-    )
-
-
-def _ends(links: Iterable[LinkRecord], keys: set[str]) -> set[str]:
-    """Return the other ends of the links of some detections."""
-    linked_keys = set()
-    for link in links:
-        if link.first in keys:
-            linked_keys.add(link.second)
-        elif link.second in keys:
-            linked_keys.add(link.first)
-    return linked_keys
-
-
-def _other_day(
-    store: Store, round_summary: RoundSummary, fruit: DetectionSummary, ends: set[str]
-) -> OtherDay:
-    detections = store.detections(round_summary.key)
-    group = next((view.group for view in detections if view.key in ends), None)
-    best = counted_fruit(detections)
-    linked = next((view for view in best if view.group == group), None)
-    candidates = [view for view in best if view.group != group]
-    return OtherDay(round_summary, linked, nearest(fruit, candidates, _FAR_M))
-
-
-def nearest(
-    fruit: DetectionSummary, candidates: Sequence[DetectionSummary], reach_m: float
-) -> tuple[DetectionSummary, ...]:
-    """Return the few fruit of the same row that hang nearest along it, within a reach."""
-    if fruit.along_m is None:
-        return ()
-    at_m = fruit.along_m
-    placed = [
-        (abs(view.along_m - at_m), view.key, view)
-        for view in candidates
-        if view.row == fruit.row and view.along_m is not None
-    ]
-    return tuple(view for gap, _, view in sorted(placed)[:_SHOWN] if gap <= reach_m)
 
 
 def least_sure_first(fruit: Sequence[DetectionSummary]) -> list[DetectionSummary]:

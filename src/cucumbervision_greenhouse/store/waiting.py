@@ -1,9 +1,8 @@
 """The queue of captures to measure, written to disk atomically when they are taken.
 
-Each is a native capture folder, or a folder of raw frames of a burst, with a file `waiting.json`
-that names its future stop and round. It is written under a temporary name, flushed to the disk and
-then renamed, so that a killed program leaves no partial capture. Raw frames are linked, not copied:
-saving a press codes nothing. They are fused and coded when there is time.
+Each is a native capture folder with a file `waiting.json` that names its future stop and round. It
+is written under a temporary name, flushed to the disk and then renamed, so that a killed program
+leaves no partial capture.
 """
 
 from __future__ import annotations
@@ -18,16 +17,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cucumbervision.capture.frames import Stop, fuse_burst
-from cucumbervision.capture.raw_frames import SUFFIX, read_frame
+from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.readers.native import MANIFEST, write_native
-from cucumbervision.errors import CaptureError, NameRefusedError, StoreError, wrap_os_errors
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.errors import NameRefusedError, StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from cucumbervision.capture.frames import Capture
 
 MOST_TRIES = 3  # limits how often a capture can crash the program
@@ -74,17 +70,8 @@ class Waiting:
         CaptureError
             If it was damaged since.
         """
-        for _ in range(2):  # another thread may code it at the same time
-            paths = _raw_frames(self.folder)
-            if (self.folder / MANIFEST).exists() or not paths:
-                capture = next(iter(open_source(self.folder))).load()
-                return replace(capture, source=self.source or capture.source)
-            fused = _fused(paths)
-            if fused is not None:
-                return replace(
-                    fused, stop=self.stop, timestamp_s=self.pressed_s, source=self.source
-                )
-        raise CaptureError("its frames are damaged", source=self.folder, remedy="take it again")
+        capture = next(iter(open_source(self.folder))).load()
+        return replace(capture, source=self.source or capture.source)
 
 
 def waiting_folder(store: str) -> Path:
@@ -142,96 +129,27 @@ class WaitingCaptures:
         StoreError, CaptureError
             If it cannot be written; nothing is left behind.
         """
-        queued_capture = self._new(capture.stop, key, round_key, pressed_s, capture.source)
-        self._put(queued_capture, lambda half: write_native(capture, half))
-        return queued_capture
-
-    def put_frames(
-        self,
-        frames: Sequence[Path],
-        stop: Stop,
-        key: str,
-        round_key: str,
-        pressed_s: float,
-        source: str = "",
-    ) -> Waiting:
-        """Save the raw frames of a burst durably by linking them, whoever else removes theirs.
-
-        Raises
-        ------
-        StoreError
-            If one is gone, or they cannot be written; nothing is left behind.
-        """
-        queued_capture = self._new(stop, key, round_key, pressed_s, source)
-
-        def link(half: Path) -> None:
-            for frame in frames:
-                _link(frame, half / frame.name)
-
-        self._put(queued_capture, link)
-        return queued_capture
-
-    def code(self, queued_capture: Waiting) -> None:
-        """Fuse and code the raw frames of a capture, which then takes a fifth of the room.
-
-        It stays whole if this is killed: its manifest is written last, and the frames go after it.
-
-        Raises
-        ------
-        CucumberVisionError
-            If it cannot be read or written; it stays as it was.
-        """
-        paths = _raw_frames(queued_capture.folder)
-        if not paths or queued_capture.tries:  # it is coded, or is being measured
-            return
-        half = self.folder / f"{_TEMPORARY}coded-{queued_capture.folder.name}"
-        shutil.rmtree(half, ignore_errors=True)
-        try:
-            manifest = write_native(queued_capture.load(), half)
-            _sync(half)
-            with suppress(FileNotFoundError):  # it was measured meanwhile
-                for path in half.iterdir():
-                    if path != manifest:
-                        path.rename(queued_capture.folder / path.name)
-                sync_folder(queued_capture.folder)
-                manifest.rename(queued_capture.folder / MANIFEST)
-                sync_folder(queued_capture.folder)
-                for path in paths:
-                    path.unlink()
-        finally:
-            shutil.rmtree(half, ignore_errors=True)
-
-    def _new(self, stop: Stop, key: str, round_key: str, pressed_s: float, source: str) -> Waiting:
-        name = f"{round(1e6 * pressed_s):016d}-{key}"
-        return Waiting(
-            key=key,
-            round_key=round_key,
-            stop=stop,
-            pressed_s=pressed_s,
-            folder=self.folder / name,
-            source=source,
-        )
-
-    def _put(self, queued_capture: Waiting, fill: Callable[[Path], object]) -> None:
-        half = self.folder / f"{_TEMPORARY}{queued_capture.folder.name}"
+        folder = self.folder / f"{round(1e6 * pressed_s):016d}-{key}"
+        half = self.folder / f"{_TEMPORARY}{folder.name}"
         description = {
-            "key": queued_capture.key,
-            "round": queued_capture.round_key,
-            "pressed_s": queued_capture.pressed_s,
-            "stop": asdict(queued_capture.stop),
-            "source": queued_capture.source,
+            "key": key,
+            "round": round_key,
+            "pressed_s": pressed_s,
+            "stop": asdict(capture.stop),
+            "source": capture.source,
         }
         try:
             with wrap_os_errors("cannot be written", self.folder, _REMEDY, StoreError):
                 half.mkdir(parents=True)
-                fill(half)
+                write_native(capture, half)
                 (half / _DESCRIPTION_FILE).write_text(json.dumps(description), encoding="utf-8")
                 _sync(half)
-                half.rename(queued_capture.folder)
+                half.rename(folder)
                 sync_folder(self.folder)
         except BaseException:
             shutil.rmtree(half, ignore_errors=True)
             raise
+        return Waiting(key, round_key, capture.stop, pressed_s, folder, capture.source)
 
     def captures(self) -> list[Waiting]:
         """Return the queued captures, the oldest first, without those that failed too often."""
@@ -300,33 +218,6 @@ class WaitingCaptures:
             queued_capture.folder / _DESCRIPTION_FILE: queued_capture for queued_capture in queue
         }
         return queue
-
-
-def _raw_frames(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"*{SUFFIX}"))
-
-
-def _fused(paths: Sequence[Path]) -> Capture | None:
-    """Return the capture that raw frames make together, called by the first; None without any.
-
-    A frame that a power failure cut off costs only itself.
-    """
-    frames: list[Capture] = []
-    for path in paths:
-        with suppress(CaptureError):
-            frames.append(read_frame(path))
-    if len(frames) < 2:
-        return frames[0] if frames else None
-    fused = fuse_burst([frame.color for frame in frames], [frame.depth_m for frame in frames])
-    first = frames[0]
-    return replace(frames[fused.burst_frame], **vars(fused), name=first.name, frame=first.frame)
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        target.hardlink_to(source)
-    except OSError:  # on another disk, or on one that knows no links
-        shutil.copyfile(source, target)
 
 
 class _Description(BaseModel):

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from cucumbervision_greenhouse.backend.theme import streamlit_options, style_sheet
+from cucumbervision_greenhouse.backend.theme import COLORS, style_sheet
 
 THEMES = ("light", "dark")
 
@@ -23,16 +23,12 @@ def contrast(color: str, other: str) -> float:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_text_is_read_in_the_sun_and_the_accent_on_its_button(theme: str) -> None:
-    options = streamlit_options()
-    color = {name: str(options[f"theme.{theme}.{name}Color"]) for name in ("background", "primary")}
-    assert contrast("#FFFFFF", color["primary"]) >= 4.5
+    color = COLORS[theme]
+    assert contrast("#FFFFFF", color["primaryColor"]) >= 4.5
     for name in ("text", "grayText", "link"):
-        assert contrast(str(options[f"theme.{theme}.{name}Color"]), color["background"]) >= 7
+        assert contrast(color[f"{name}Color"], color["backgroundColor"]) >= 7
     for hue in ("red", "yellow", "blue", "green"):
-        on, text = (
-            str(options[f"theme.{theme}.{hue}{part}Color"]) for part in ("Background", "Text")
-        )
-        assert contrast(text, on) >= 7
+        assert contrast(color[f"{hue}TextColor"], color[f"{hue}BackgroundColor"]) >= 7
 
 
 def test_the_style_sheet_has_the_colours_of_streamlit_by_its_names() -> None:

@@ -21,7 +21,7 @@ pytest.importorskip("streamlit")
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
 
-REDRAWS = 40  # what each of them would leave behind is found by the second
+REDRAWS = 8  # what each of them would leave behind is found by the second
 NEWS = 300  # of an hour, on the capture page, where every one is drawn
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
@@ -129,49 +129,19 @@ def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: D
     page.locator("svg.view").wait_for()
 
 
-def test_a_link_that_is_tapped_as_news_come_is_followed(dashboard: Dashboard) -> None:
-    page, lines = dashboard.page, list[Any]()
-    # No news but what this test sends.
-    page.route_web_socket("**/api/news?*", lambda line: lines.append(line))
-    page.goto(f"{dashboard.address}/results")
-    page.get_by_text("tap one to open it").wait_for()
-    dashboard.quiet()
-    # The page asks to be drawn anew 0.4 s after the news; the link is tapped just before.
+def test_what_somebody_else_does_is_shown_and_follows_no_link(dashboard: Dashboard) -> None:
+    page = dashboard.page
     links = "[...document.querySelectorAll('.st-key-nav a')]"
     tap = f"name => {links}.find(link => link.innerText.includes(name)).click()"
-    for number, name in enumerate(["Settings", "Results"] * 5):
-        lines[-1].send(json.dumps({"version": f"news {number}", "work": None}))
-        page.evaluate(f"name => setTimeout({tap}, 380, name)", name)
-        page.wait_for_url(re.compile(f"/{name.lower()}"))
-        page.get_by_role("heading", name=name, level=1).wait_for()
-        page.wait_for_timeout(1500)
-        assert f"/{name.lower()}" in page.url
-        dashboard.quiet()
-
-
-def test_news_wait_while_a_page_is_being_drawn(dashboard: Dashboard) -> None:
-    page, lines, sent = dashboard.page, list[Any](), list[Any]()
-    page.route_web_socket("**/api/news?*", lambda line: lines.append(line))
-    page.on("websocket", lambda line: line.on("framesent", lambda frame: sent.append(line.url)))
-    page.goto(f"{dashboard.address}/results")
-    page.get_by_text("tap one to open it").wait_for()
-    dashboard.quiet()
-    mark = "state => document.querySelector('.stApp').setAttribute('data-test-script-state', state)"
-
-    def asked() -> int:
-        return sum("_stcore/stream" in url for url in sent)
-
-    page.evaluate(mark, "running")
-    before = asked()
-    lines[-1].send(json.dumps({"version": "another", "work": None}))
-    page.wait_for_timeout(2000)
-    assert asked() == before
-    page.evaluate(mark, "notRunning")
-    for _ in range(300):
-        if asked() > before:
-            return
-        page.wait_for_timeout(200)
-    raise AssertionError("the news were forgotten")
+    with open_store(dashboard.store) as store:
+        shown = store.rounds()[0].key
+        left = next(x.key for x in store.detections(shown) if x.best and x.picked_s is None)
+        for change, name in ((store.pick, "Settings"), (store.unpick, "Results")):
+            change([left])
+            page.evaluate(tap, name)
+            page.get_by_role("heading", name=name, level=1).wait_for()
+            dashboard.quiet()
+            assert f"/{name.lower()}" in page.url
 
 
 def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:

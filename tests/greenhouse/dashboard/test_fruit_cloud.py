@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ pytest.importorskip("streamlit")
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.mask_codes import encode_rle
-from cucumbervision_greenhouse.dashboard.fruit_cloud import cloud_ply, point_cloud
+from cucumbervision_greenhouse.dashboard.fruit_cloud import point_cloud
 from cucumbervision_greenhouse.store.records import DetectionRecord
 
 CAMERA = Intrinsics(80, 60, 100.0, 100.0, 39.5, 29.5)
@@ -28,35 +27,6 @@ def plane() -> tuple[Capture, DetectionRecord]:
     depth_m[25, 35] = 0.0  # no reading
     record = DetectionRecord(1, mask=encode_rle(mask), stem_x_m=0.0, stem_y_m=-0.05, stem_z_m=0.5)
     return Capture(color, depth_m, CAMERA, name="a"), record
-
-
-def test_the_file_holds_every_reading_of_the_fruit(
-    plane: tuple[Capture, DetectionRecord], tmp_path: Path
-) -> None:
-    content = cloud_ply(*plane)
-    assert content is not None
-    head, body = content.split(b"end_header\n", 1)
-    lines = head.decode().splitlines()
-    assert lines[:3] == ["ply", "format binary_little_endian 1.0", "element vertex 199"]
-    kinds = {"float": "<f4", "uchar": "u1"}
-    names = [(line.split()[2], kinds[line.split()[1]]) for line in lines[3:]]
-    points = np.frombuffer(body, np.dtype(names))
-    assert len(points) == 199  # 200 pixels, one without a reading; the wall is too far behind
-    assert set(points["fruit"]) == {1}
-    assert points["z"] == pytest.approx(0.5)
-    # Pixel (30, 20): (30 - 39.5) / 100 * 0.5 m to the left, (20 - 29.5) / 100 * 0.5 m up.
-    assert (points["x"].min(), points["y"].min()) == pytest.approx((-0.0475, -0.0475))
-    assert set(points["green"]) == {120}
-
-
-def test_what_is_near_at_the_same_depth_is_marked_as_no_fruit(
-    plane: tuple[Capture, DetectionRecord],
-) -> None:
-    capture, record = plane
-    capture.depth_m[18:20, 30:40] = 0.52  # a leaf above it
-    content = cloud_ply(capture, record)
-    assert content is not None
-    assert b"element vertex 219\n" in content
 
 
 def test_one_reading_far_behind_does_not_make_the_fruit_small(
@@ -77,5 +47,5 @@ def test_one_reading_far_behind_does_not_make_the_fruit_small(
 
 def test_without_mask_or_depth_there_is_nothing(plane: tuple[Capture, DetectionRecord]) -> None:
     capture, record = plane
-    assert cloud_ply(capture, replace(record, mask=None)) is None
+    assert point_cloud(capture, replace(record, mask=None)) is None
     assert point_cloud(replace(capture, depth_m=np.zeros_like(capture.depth_m)), record) is None

@@ -115,12 +115,6 @@ def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestCli
         assert asked.post(path, content=b"x").status_code in (400, 404)
 
 
-def test_the_pages_have_the_program_s_icon(asked: TestClient) -> None:
-    first = asked.get("/results").text
-    assert re.findall(r'<link rel="[^"]*icon"[^>]*href="([^"]+)"', first) == ["/capture/icon.svg"]
-    assert asked.get("/capture/icon.svg").headers["content-type"].startswith("image/svg")
-
-
 def test_the_printed_page_is_in_inches_where_they_are_chosen(
     asked: TestClient, store: Store
 ) -> None:

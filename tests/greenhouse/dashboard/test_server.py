@@ -9,25 +9,26 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE, serve, server_arguments
+from cucumbervision_greenhouse.dashboard.server import LOGIN_VARIABLE, serve
 
 
 @pytest.fixture(autouse=True)
-def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """A home without any login; what Streamlit was started with."""
-    commands: list[list[str]] = []
+def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+    """A home without any login; what the server was started with."""
+    commands: list[tuple[object, ...]] = []
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in (LOGIN_VARIABLE, TOKEN_VARIABLE):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("streamlit.web.cli.main", lambda words, **_: commands.append(words))
+    name = "cucumbervision.service.requests.listen"
+    monkeypatch.setattr(name, lambda *given, **_: commands.append(given))
     return commands
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.5", "greenhouse.local", "::"])
 def test_other_machines_need_the_random_token_of_the_link(
-    address: str, started: list[list[str]]
+    address: str, started: list[tuple[object, ...]]
 ) -> None:
     shown: list[str] = []
     serve("house.db", address=address, browser=False, ready=shown.append)
@@ -42,7 +43,7 @@ def test_other_machines_need_the_random_token_of_the_link(
 
 
 def test_this_machine_needs_none_and_a_short_one_is_refused(
-    started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+    started: list[tuple[object, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[str] = []
     serve("house.db", browser=False, ready=shown.append)
@@ -56,10 +57,3 @@ def test_this_machine_needs_none_and_a_short_one_is_refused(
 def test_a_replay_that_does_not_exist_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CucumberVisionError, match="does not exist"):
         serve(str(tmp_path / "house.db"), replay=tmp_path / "no", browser=False)
-
-
-def test_telemetry_is_off() -> None:
-    arguments = server_arguments("127.0.0.1", 8501, browser=False)
-    assert "--browser.gatherUsageStats=false" in arguments
-    assert "--server.showEmailPrompt=false" in arguments
-    assert "--server.address=127.0.0.1" in arguments

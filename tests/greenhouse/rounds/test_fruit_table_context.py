@@ -10,7 +10,6 @@ from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.rounds.forecasting import detection_rates, fruit_states
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
-    around,
     fruit_table,
     least_sure_first,
     round_figures,
@@ -64,37 +63,6 @@ def store(tmp_path: Path) -> Store:
         opened.save_stop(stop(one.key, 0, (0.0, 0.3)))
         opened.save_stop(stop(one.key, 1, (-0.1, 0.9)))
     return opened
-
-
-def test_views_neighbours_and_days_stand_about_a_fruit(store: Store) -> None:
-    # Along the row: 0.0 and 0.3 m of the first stop, 0.3 and 1.3 m of the second.
-    first, second, again, far = store.detections(TUESDAY.key)
-    store.merge(second.key, again.key)
-    found = around(store, TUESDAY.key, again.key)
-    assert found is not None
-    assert {view.key for view in found.views} == {second.key, again.key}
-    assert found.views[0].best
-    assert [view.key for view in found.neighbours] == [first.key]  # the other is a metre away
-    assert far.key not in {view.key for view in found.neighbours}
-    assert found.later is None
-    assert found.earlier is not None
-    assert found.earlier.linked is None
-    monday = store.detections(MONDAY.key)
-    assert [view.key for view in found.earlier.neighbours][:2] == [
-        monday[1].key,
-        monday[2].key,
-    ] or [view.key for view in found.earlier.neighbours][:2] == [monday[2].key, monday[1].key]
-    number = store.link_growth(monday[1].key, second.key)
-    linked = around(store, TUESDAY.key, second.key)
-    assert linked is not None
-    assert linked.earlier is not None
-    assert linked.earlier.linked is not None
-    assert linked.earlier.linked.key == monday[1].key
-    store.undo(number=number)
-    back = around(store, TUESDAY.key, second.key)
-    assert back is not None
-    assert back.earlier is not None
-    assert back.earlier.linked is None
 
 
 def test_the_least_sure_are_looked_at_first_until_somebody_judged_them(store: Store) -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.raw_frames import write_frame
 from cucumbervision.errors import CaptureError, StoreError
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.waiting import MOST_TRIES, WaitingCaptures
@@ -41,66 +40,6 @@ def test_what_is_kept_comes_back_the_same_in_the_order_of_the_presses(tmp_path: 
         assert (loaded.color == was.color).all()
         assert (loaded.stop, loaded.name, loaded.source) == (was.stop, was.name, was.source)
         assert one.stop == was.stop
-
-
-def burst(folder: Path, sizes: int = 3) -> list[Path]:
-    """Raw frames of a ring, of which each reads 1 mm more than the last."""
-    folder.mkdir()
-    paths = [folder / f"{number:016d}.frame" for number in range(sizes)]
-    for number, path in enumerate(paths):
-        write_frame(replace(capture(number), color=capture().color), path)
-    return paths
-
-
-def test_raw_frames_of_a_burst_wait_as_they_are_and_outlive_their_ring(tmp_path: Path) -> None:
-    paths, place = burst(tmp_path / "ring"), Stop("3", "left", 1.2, 7)
-    queue = WaitingCaptures(tmp_path / "house.waiting")
-    about = (place, key_of("stop"), ROUND, 1_700_000_000.0, "camera 42")
-    kept = queue.put_frames(paths, *about)
-    assert [one.stat().st_nlink for one in paths] == [2, 2, 2]  # nothing was copied
-    for path in paths:
-        path.unlink()
-    (back,) = WaitingCaptures(tmp_path / "house.waiting").captures()
-    assert back == kept
-    loaded = back.load()
-    # The median of 0.500, 0.501 and 0.502 m.
-    assert loaded.depth_m == pytest.approx(np.full((48, 64), 0.501), abs=1e-7)
-    assert (loaded.burst_size, loaded.name, loaded.source) == (3, "c0", "camera 42")
-    assert (loaded.stop, loaded.timestamp_s) == (place, 1_700_000_000.0)
-    queue.code(back)
-    assert sorted(one.name for one in back.folder.iterdir()) == [
-        "capture.json",
-        "color_000000.png",
-        "depth_000000.png",
-        "waiting.json",
-    ]
-    coded = back.load()
-    assert (coded.depth_m == loaded.depth_m).all()
-    assert (coded.color == loaded.color).all()
-    for name in ("stop", "timestamp_s", "source", "name", "burst_size", "frame", "provenance"):
-        assert getattr(coded, name) == getattr(loaded, name)
-
-
-def test_a_burst_whose_frame_left_the_ring_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    paths = burst(tmp_path / "ring")
-    paths[1].unlink()
-    queue = WaitingCaptures(tmp_path / "house.waiting")
-    with pytest.raises(StoreError):
-        queue.put_frames(paths, Stop(), key_of("stop"), ROUND, 1.0)
-    assert list(queue.folder.iterdir()) == []
-
-
-def test_a_frame_that_a_power_failure_cut_off_costs_only_itself(tmp_path: Path) -> None:
-    queue = WaitingCaptures(tmp_path / "house.waiting")
-    kept = queue.put_frames(burst(tmp_path / "ring"), Stop(), key_of("stop"), ROUND, 1.0)
-    frames = sorted(kept.folder.glob("*.frame"))
-    frames[0].write_bytes(frames[0].read_bytes()[:-1])
-    # The median of 0.501 and 0.502 m.
-    assert kept.load().depth_m == pytest.approx(np.full((48, 64), 0.5015), abs=1e-7)
-    for frame in frames:
-        frame.write_bytes(b"")
-    with pytest.raises(CaptureError, match="damaged"):
-        kept.load()
 
 
 def test_what_fails_again_and_again_is_set_aside_and_not_lost(tmp_path: Path) -> None:

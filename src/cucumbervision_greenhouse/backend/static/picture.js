@@ -5,13 +5,10 @@ const HINTS = {
   ruler: _("Tap two points: the straight distance between them is measured in depth."),
   point: _("Tap the middle of the fruit: its outline is drawn."),
   box: _("Drag a box around the fruit: its outline is drawn."),
-  brush: _("Paint what belongs to the fruit as well; two fingers move the picture."),
-  erase: _("Paint what does not belong to the fruit; two fingers move the picture."),
 };
-const NAMES = { ruler: _("Ruler"), point: _("Redraw by tap"), box: _("Redraw by box"), brush: _("Brush"), erase: _("Rubber") };
+const NAMES = { ruler: _("Ruler"), point: _("Redraw by tap"), box: _("Redraw by box") };
 const ADDS = { point: _("Add by tap"), box: _("Add by box") };
-const DRAGGED = ["box", "brush", "erase"];
-const NEAREST = 20, BRUSH = 13, MARK_PX = 12; // the radius of a mark, which a thumb hits
+const NEAREST = 20, MARK_PX = 12; // the radius of a mark, which a thumb hits
 const PATIENCE_MS = 120000;
 const state = new WeakMap();
 
@@ -166,7 +163,7 @@ function draw(root, data, own) {
   const unit = own.unit = w / Math.min(900, 1.35 * wide); // words are read on a phone too
   own.px = Math.max(w / wide, h / (box.height || wide));
   // A finger on a picture that nobody zoomed scrolls the page.
-  svg.style.touchAction = DRAGGED.includes(own.tool) || own.zoomed ? "none" : "pan-y";
+  svg.style.touchAction = own.tool === "box" || own.zoomed ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
   svg.classList.toggle("drawing", own.tool !== "");
   svg.classList.toggle("map", Boolean(data.map));
@@ -183,11 +180,6 @@ function draw(root, data, own) {
     make("rect", { x: Math.min(x1, x2), y: Math.min(y1, y2), width: Math.abs(x2 - x1), height: Math.abs(y2 - y1), fill: "none", stroke: "#ff0", "stroke-width": 3 * unit }, svg);
   }
   for (const line of own.draft) make("polygon", { points: line.join(" "), fill: "#ff0", "fill-opacity": 0.25, stroke: "#ff0", "stroke-width": 2.5 * unit, "stroke-dasharray": `${8 * unit}` }, svg);
-  const painted = own.stroke || own.painted;
-  if (painted) {
-    const ink = own.tool === "erase" ? "#f00" : "#0f0";
-    make("polyline", { points: painted.join(" "), fill: "none", stroke: ink, "stroke-opacity": 0.5, "stroke-width": 2 * BRUSH * unit, "stroke-linecap": "round", "stroke-linejoin": "round" }, svg);
-  }
   if (data.bar) drawBar(svg, data.bar, { x, y, w, h }, unit);
   if (data.map) putCard(root, data, own);
 }
@@ -284,10 +276,10 @@ function chips(root, data, own, again) {
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
-  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, painted: null, draft: [], told: "", job: null, prepared: "", zoomed: false, details: false, fingers: new Map(), moved: false };
+  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, draft: [], told: "", job: null, prepared: "", zoomed: false, details: false, fingers: new Map(), moved: false };
   state.set(root, own);
   if (own.stale) Object.assign(own, { stale: false, draft: [] });
-  if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [], painted: null });
+  if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [] });
   own.view = own.view || opening(data);
   prepare(data, own);
   const opened = data.map?.opened?.key;
@@ -317,20 +309,19 @@ export default function (component) {
     own.fingers.set(event.pointerId, raw(event));
     own.moved = false;
     if (own.fingers.size > 1) {
-      own.drag = own.stroke = null;
+      own.drag = null;
       draw(root, data, own);
       return;
     }
-    if (DRAGGED.includes(own.tool)) svg.setPointerCapture(event.pointerId);
-    if (own.tool === "box") own.drag = [...at(event), ...at(event)];
-    if (own.tool === "brush" || own.tool === "erase") own.stroke = at(event);
+    if (own.tool !== "box") return;
+    svg.setPointerCapture(event.pointerId);
+    own.drag = [...at(event), ...at(event)];
   };
   svg.onpointermove = (event) => {
     const before = own.fingers.get(event.pointerId);
     if (!before || !event.buttons) return;
     const now = raw(event);
     if (own.fingers.size === 1 && own.drag) own.drag = [own.drag[0], own.drag[1], ...at(event)];
-    else if (own.fingers.size === 1 && own.stroke) own.stroke = [...own.stroke, ...at(event)];
     else if (own.fingers.size > 1 || (own.tool === "" && (own.zoomed || event.pointerType === "mouse"))) {
       const other = [...own.fingers].find(([id]) => id !== event.pointerId)?.[1];
       const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
@@ -351,16 +342,10 @@ export default function (component) {
       const [x1, y1, x2, y2] = own.drag;
       if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) send("box", own.drag);
     }
-    if (own.stroke) {
-      const radius = Math.round(10 * BRUSH * own.unit) / 10;
-      setTriggerValue("stroke", { points: own.stroke, radius, erase: own.tool === "erase" });
-      Object.assign(own, { painted: own.stroke, stroke: null, told: _("Measuring …") });
-      redraw();
-    }
   };
   svg.onpointerup = lift;
   svg.onpointercancel = lift;
-  svg.onpointerleave = (event) => { if (!own.drag && !own.stroke) own.fingers.delete(event.pointerId); };
+  svg.onpointerleave = (event) => { if (!own.drag) own.fingers.delete(event.pointerId); };
   svg.onwheel = (event) => {
     if (!event.ctrlKey && !document.fullscreenElement) return; // the page scrolls
     event.preventDefault();

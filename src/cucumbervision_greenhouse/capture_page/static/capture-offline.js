@@ -1,6 +1,6 @@
 // Keeps the capture page on the tablet, so that it opens and takes presses while the connection is lost.
 const SHELF = "capture-1";
-const PARTS = ["/capture", ...["capture.js", "presses.js", "picture.js", "picture.html", "picture.css", "theme.css", "theme.js", "font.woff2", "capture.css", "capture.webmanifest", "icon.svg"].map((name) => `/capture/${name}`)];
+const PARTS = ["/capture", ...["capture.js", "presses.js", "picture.js", "picture.html", "picture.css", "theme.css", "theme.js", "capture.css", "capture.webmanifest", "icon.svg"].map((name) => `/capture/${name}`)];
 const PATIENCE_MS = 3000;
 
 self.addEventListener("install", (event) => {

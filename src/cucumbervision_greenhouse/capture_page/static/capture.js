@@ -92,8 +92,8 @@ function showWalk(walk) {
   if (walk.missing) show($("told"), _("There is no such round as this address names. Choose one, or start a new round."));
   else if (walk.home !== walk.round) show($("told"), _("These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours."));
   else if (walk.aside) show($("told"), walk.aside);
-  else show($("told"), own.undone);
-  $("take").disabled = !walk.round;
+  else show($("told"), isPlaced() ? own.undone : _("Photos were lost: enter where the next stop is."));
+  $("take").disabled = !walk.round || !isPlaced();
   $("rows").replaceChildren(...Object.entries(walk.rows).map(([row, on]) => new Option(`${shown(on.position_m)} ${own.along[0]}`, row)));
   $("house-name").textContent = walk.house;
   show($("doubts"), walk.doubts.length ? `${_("Check the data of this round.")} ${walk.doubts.join(". ")}.` : "");
@@ -102,7 +102,9 @@ function showWalk(walk) {
 }
 
 // ---- The place of the next stop, in the unit that was chosen.
-const shown = (position_m) => (position_m * own.along[1]).toFixed(2);
+// A position that is not known, as after a loss, is null; no photo is taken until somebody enters it.
+const shown = (position_m) => (position_m === null ? "" : (position_m * own.along[1]).toFixed(2));
+const isPlaced = () => own.place !== null && own.place.position_m !== null;
 
 function showUnit(along) {
   if (along[0] === own.along[0]) return;
@@ -119,6 +121,7 @@ function usePlace(place) {
   $("position").value = shown(place.position_m);
   $("step").value = shown(place.step_m);
   $("way").value = place.back ? "back" : "onward";
+  $("take").disabled = !own.walk?.round || !isPlaced();
   localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, from: own.walk?.from, at: Date.now() }));
 }
 
@@ -133,19 +136,18 @@ function placeIn(row) {
 
 function readPlace() {
   // A field that nobody typed into keeps its place to the millimetre.
-  const number = (id, known_m, most_m) => {
+  const number = (id, known_m, most_m = Infinity) => {
     const value_m = $(id).valueAsNumber / own.along[1];
     return $(id).value !== shown(known_m) && Number.isFinite(value_m) ? Math.min(Math.max(value_m, 0), most_m) : known_m;
   };
   const row = $("row").value.replace(UNSEEN, "").trim(), typed = $("position").value !== shown(own.place.position_m);
-  const place = { row, side: $("side").value, position_m: number("position", own.place.position_m, 10000), step_m: number("step", own.place.step_m, 5), back: $("way").value === "back" };
+  const place = { row, side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m, 5), back: $("way").value === "back" };
   if (row !== own.place.row && !typed) {
     const { position_m, step_m, back } = placeIn(row);
     usePlace({ ...place, position_m, step_m, back });
     return;
   }
-  own.place = place;
-  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, from: own.walk?.from, at: Date.now() }));
+  usePlace(place);
 }
 
 // Positions end at 0: from there a walk goes on upwards only when somebody says so.
@@ -160,12 +162,13 @@ const presses = new Presses({
   saved: (one) => {
     own.mine = one.place && { key: one.stop, ...one.place };
     if (one.stop) keepStops([...stops, { stop: one.stop, home: one.home, at_s: one.at_s }]);
-    if (one.place && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
+    if (one.place && isPlaced() && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
   },
-  // The walk goes back to the first place whose picture is gone.
+  // Whether somebody walked on or back since is not known.
   lost: (some) => {
-    const first = some.reduce((a, b) => (a.at_s <= b.at_s ? a : b));
-    if (first.sent.round === own.round && own.place) usePlace({ ...own.place, row: first.sent.row, side: first.sent.side, position_m: first.sent.position_m });
+    if (!own.place || some.every((one) => one.sent.round !== own.round)) return;
+    usePlace({ ...own.place, position_m: null });
+    show($("told"), _("Photos were lost: enter where the next stop is."));
   },
   answered: (connected) => {
     if (own.connected === connected) return;
@@ -209,9 +212,10 @@ function flash() {
 }
 
 function press() {
-  if ($("take").disabled || !own.place) return;
+  if ($("take").disabled) return;
   const at_s = serverTime_s();
   readPlace();
+  if (!isPlaced()) return;
   const { row, side, position_m } = own.place;
   presses.press({ at_s, round: own.round, source: own.source, row, side, position_m });
   usePlace(onward(own.place));
@@ -377,22 +381,22 @@ $("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {})
 
 // ---- Rounds and fields.
 $("round").onchange = () => { own.round = $("round").value; own.home = ""; readWalk(); };
-function drawHouses() {
-  const houses = own.walk?.houses || [];
-  $("known-house").replaceChildren(...houses.map((one) => new Option(one, one)), new Option(_("New house …"), ""));
-  $("known-house").onchange();
-}
-$("known-house").onchange = () => { $("new-house").hidden = $("known-house").value !== ""; };
-$("begin").onclick = () => { drawHouses(); $("new").showModal(); };
+$("begin").onclick = () => {
+  $("houses").replaceChildren(...(own.walk?.houses || []).map((one) => new Option(one, one)));
+  $("house").value = own.walk?.house || "";
+  $("new").showModal();
+};
+$("house").onfocus = () => $("house").select();
 $("new").onclose = async () => {
   if ($("new").returnValue !== "begin") return;
   try {
-    const begun = await post("/api/rounds", { name: $("name").value, house: $("known-house").value || $("house").value });
+    const begun = await post("/api/rounds", { name: $("name").value, house: $("house").value });
     Object.assign(own, { round: begun.round, home: "" });
     readWalk();
   } catch (fault) { show($("told"), fill(_("The round was not started: {fault}"), { fault: fault.message })); }
 };
 for (const id of ["row", "side", "position", "step", "way"]) $(id).onchange = readPlace;
+$("position").oninput = () => { $("take").disabled = !own.walk?.round || $("position").value === ""; };
 
 // ---- The last stop.
 let template = null, drawn = "", told = "";

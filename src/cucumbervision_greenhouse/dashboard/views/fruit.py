@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urljoin
 
-import numpy as np
 import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import MaskSource
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import painted_mask
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.fruit_pictures import (
@@ -44,10 +41,7 @@ from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilt
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.backend.jobs import Job
     from cucumbervision_greenhouse.backend.settings import Units
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
     from cucumbervision_greenhouse.store.records import (
@@ -182,9 +176,8 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
         button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
         draw_undo(round_summary.key)
     address = f"/results?{urlencode(page_elements.here(fruit=key))}"
-    page_elements.browser_button(
-        "send", _("Send a link to this fruit"), address, done=_("The link is copied")
-    )
+    with st.popover(_("Send a link to this fruit"), icon=":material/link:", width="stretch"):
+        st.code(urljoin(st.context.url or "", address), language=None)
 
 
 def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
@@ -203,11 +196,7 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
 
 
 def _cloud(capture: Capture, record: DetectionRecord) -> None:
-    from cucumbervision_greenhouse.dashboard.fruit_cloud import (
-        CLOUD_HEIGHT_PX,
-        cloud_ply,
-        point_cloud,
-    )
+    from cucumbervision_greenhouse.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
 
     deck = point_cloud(capture, record)
     if deck is None:
@@ -221,14 +210,6 @@ def _cloud(capture: Capture, record: DetectionRecord) -> None:
             "white, its ends in yellow, the place to cut in orange; the bar is 5 cm long. Drag to "
             "turn, pinch or wheel to zoom."
         )
-    )
-    st.download_button(
-        _("All points (PLY)"),
-        lambda: cloud_ply(capture, record) or b"",
-        f"fruit-{record.number}.ply",
-        "application/octet-stream",
-        icon=":material/download:",
-        on_click="ignore",
     )
 
 
@@ -250,7 +231,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         (capture.width, capture.height),
         layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
-        tools=("ruler", "point", "box", "brush", "erase"),
+        tools=("ruler", "point", "box"),
         ruler_text=ruler or "",
         title=_("Fruit {number} of {capture}").format(number=record.number, capture=view.capture),
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
@@ -276,8 +257,6 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         key="adds_fruit",
         help=_("Off: this corrects the outline of this fruit."),
     )
-    if drawn.stroke:
-        _paint(detail, capture, drawn.stroke)
     _accept_others(detail)
 
 
@@ -320,36 +299,6 @@ def _accept_others(detail: DetectionDetail) -> None:
         on_click=accept,
         key=f"rest_{view.key}",
     )
-
-
-def painted_now(key: str, capture: Capture, stroke: dict[str, Any]) -> NDArray[np.bool_]:
-    """Return a fruit's outline with a stroke of the brush.
-
-    The outline is that of now: another viewer, or an earlier stroke, may have changed it since the
-    page was drawn.
-    """
-    record = resources.store().detection(key).view.record
-    mask = np.zeros((capture.height, capture.width), bool)
-    if record.mask is not None:
-        mask = decode_rle(record.mask, capture.height, capture.width)
-    points = np.array(stroke["points"], np.float64).reshape(-1, 2)
-    return painted_mask(mask, points, float(stroke["radius"]), erase=bool(stroke["erase"]))
-
-
-def _paint(detail: DetectionDetail, capture: Capture, stroke: dict[str, Any]) -> None:
-    """Measure a fruit with an outline that was painted; `live` redraws the page then."""
-    options, measurer = resources.settings().options, resources.measurer()
-    store = resources.store()
-
-    def work(job: Job) -> int:
-        job.total = 2
-        mask = painted_now(detail.view.key, capture, stroke)
-        job.step()
-        return measurer.correct(store, detail, capture, mask, options, MaskSource.HAND)
-
-    view = detail.view
-    title = marked("Measuring with the new outline")
-    page_elements.start_job(f"correction_{view.key}", title, work, view.round_key)
 
 
 def _outcome(key: str) -> tuple[int | None, str]:

@@ -1,4 +1,4 @@
-"""Row map: where the fruit hang, how many there are, and corrections of the merging."""
+"""Row map: where the fruit hang, and the stops of the round."""
 
 from __future__ import annotations
 
@@ -8,30 +8,19 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.fruit_words import length_words
 from cucumbervision_greenhouse.backend.language import counted, language
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.backend.round_tables import map_words, row_and_side
-from cucumbervision_greenhouse.backend.round_words import (
-    count_words,
-    position_words,
-    round_day,
-    row_name,
-    step_words,
-)
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.map_picture import MAP_PX, map_picture
 from cucumbervision_greenhouse.dashboard.page_elements import button, do, draw_undo, picture
 from cucumbervision_greenhouse.dashboard.views.stops import list_stops
-from cucumbervision_greenhouse.rounds.fruit_table import around, least_sure_first
+from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from cucumbervision_greenhouse.backend.round_tables import GradedRound
-    from cucumbervision_greenhouse.rounds.fruit_table import FruitContext, OtherDay
     from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 _ROWS_AT_ONCE = 4
@@ -40,23 +29,20 @@ _ROWS_AT_ONCE = 4
 @page_elements.of_round
 def page(round_summary: RoundSummary) -> None:
     """Draw the page."""
-    maps, undo, views = st.container(), st.container(), st.container()
+    maps, undo = st.container(), st.container()
     list_stops(round_summary)  # first, since a stop on a third side prevents drawing the map
     with undo:
         draw_undo(round_summary.key)
     with maps:
         opened = _opened(round_summary)
-        keys = {view.key for view in opened.views} if opened else ()
+        groups = round_caches.content_of(round_summary).group_of
         page_elements.say_missing(
-            "fruit", keys, _("There is no such fruit in this round (any more).")
+            "fruit", groups, _("There is no such fruit in this round (any more).")
         )
         _maps(round_summary, opened)
-    with views:
-        if opened is not None:
-            _same(opened)
 
 
-def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
+def _maps(round_summary: RoundSummary, opened: DetectionSummary | None) -> None:
     units = resources.settings().units
     graded = round_caches.graded_round(round_summary)
     lines = round_caches.map_lines_of(round_summary, units, language())
@@ -84,9 +70,7 @@ def _maps(round_summary: RoundSummary, opened: FruitContext | None) -> None:
         format_func=plain,
         selection_mode="multi",
     )
-    for report in round_caches.rows_of(round_summary):
-        st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report)}")
-    named = None if opened is None else row_and_side(opened.fruit)
+    named = None if opened is None else row_and_side(opened)
     drawn = [row for row in rows if row in chosen or row == named]
     drawn_lines = [line for line in lines if line["row"] in drawn]
     abreast = st.columns(min(2, max(len(drawn), 1)))
@@ -127,11 +111,10 @@ def _row(
 
     def judged() -> None:
         asked = st.session_state[key].judged
-        context = around(resources.store(), round_summary.key, asked["key"])
-        if context is not None and asked["act"] != "open":
-            keys = [view.key for view in context.views]
+        views = _views_of(round_summary, asked["key"])
+        if views and asked["act"] != "open":
             verdict = Verdict(asked["act"])
-            do(partial(resources.store().set_verdict, keys, verdict))
+            do(partial(resources.store().set_verdict, [view.key for view in views], verdict))
 
     told = picture(
         key,
@@ -146,9 +129,9 @@ def _row(
         page_elements.leave_for("results", fruit=told.judged["key"])
 
 
-def _answer(graded: GradedRound, context: FruitContext) -> dict[str, Any]:
+def _answer(graded: GradedRound, fruit: DetectionSummary) -> dict[str, Any]:
     """Return what is said of a fruit beside its mark."""
-    fruit, units = context.fruit, resources.settings().units
+    units = resources.settings().units
     verdicts = {
         None: "",
         Verdict.ACCEPTED: f". {_('Marked: a fruit.')}",
@@ -162,9 +145,16 @@ def _answer(graded: GradedRound, context: FruitContext) -> dict[str, Any]:
     }
 
 
-def _opened(round_summary: RoundSummary) -> FruitContext | None:
-    key = st.query_params.get("fruit")
-    return around(resources.store(), round_summary.key, key) if key else None
+def _opened(round_summary: RoundSummary) -> DetectionSummary | None:
+    views = _views_of(round_summary, st.query_params.get("fruit", ""))
+    return next((view for view in views if view.best), None)
+
+
+def _views_of(round_summary: RoundSummary, key: str) -> list[DetectionSummary]:
+    """Return all views of the fruit of one of them, as they are in the store now."""
+    views = resources.store().detections(round_summary.key)
+    groups = {view.group for view in views if view.key == key}
+    return [view for view in views if view.group in groups]
 
 
 def _doubtful(graded: GradedRound) -> None:
@@ -186,63 +176,3 @@ def _doubtful(graded: GradedRound) -> None:
     says, go = st.columns([3, 2], vertical_alignment="center")
     says.markdown(words)
     button(go, _("Show the least certain"), "visibility", look)
-
-
-def _same(context: FruitContext) -> None:
-    """Draw the views of a fruit, its neighbours and those of other days, to be told apart."""
-    fruit, store = context.fruit, resources.store()
-    apart = None if len(context.views) == 1 else (_("Different fruit"), "call_split", store.unmerge)
-    title = counted(len(context.views), "Seen {n} time", "Seen {n} times")
-    _pictures(fruit, title, context.views, apart)
-    same = (_("Same fruit"), "merge", partial(store.merge, fruit.key))
-    _pictures(fruit, _("Fruit nearby"), context.neighbours, same)
-    for day, is_earlier in ((context.earlier, True), (context.later, False)):
-        if day is not None:
-            _other_day(fruit, day, is_earlier=is_earlier)
-
-
-def _other_day(fruit: DetectionSummary, day: OtherDay, *, is_earlier: bool) -> None:
-    store = resources.store()
-
-    def link(key: str) -> int:
-        if day.linked is not None:
-            do(partial(part, day.linked.key))
-        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
-        return store.link_growth(*pair)
-
-    def part(key: str) -> int:
-        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
-        return store.unlink_growth(*pair)
-
-    when = round_day(day.round.walked_s)
-    if day.linked is not None:
-        act = (_("Different fruit"), "link_off", part)
-        title = _("The same fruit on {day}").format(day=when)
-        _pictures(fruit, title, [day.linked], act)
-    title = _("Fruit nearby on {day}").format(day=when)
-    _pictures(fruit, title, day.neighbours, (_("Same fruit"), "link", link))
-
-
-def _pictures(
-    shown_fruit: DetectionSummary,
-    title: str,
-    views: Sequence[DetectionSummary],
-    act: tuple[str, str, Callable[[str], int]] | None,
-) -> None:
-    """Draw views side by side, each with what can be done about it to `shown_fruit`."""
-    if not views:
-        return
-    units = resources.settings().units
-    st.markdown(f"**{title}**")
-
-    def words(view: DetectionSummary) -> str:
-        place = f"{step_words(view.step).lower()} · {position_words(view.along_m, units)}"
-        return f"{length_words(view.record, units)} · {place}"
-
-    def draw(view: DetectionSummary) -> None:
-        if act is not None:
-            label, icon, change = act
-            name = f"{label}_{shown_fruit.key}_{view.key}"
-            button(st, label, icon, do, partial(change, view.key), key=name)
-
-    page_elements.pictures(views, words, draw)

@@ -53,7 +53,8 @@ def page(round_summary: RoundSummary) -> None:
         return
     _ready(round_summary, today)
     st.header(_("Pick list"))
-    page_elements.browser_button("print", _("Print"), f"/api/print/{round_summary.key}")
+    address = f"/api/print/{round_summary.key}"
+    st.link_button(_("Print"), address, icon=":material/print:", width="stretch")
     _picks(round_summary, today)
 
 

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("streamlit")
@@ -16,10 +14,7 @@ from tests.greenhouse.dashboard.app_pages import (
 )
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision.instances.mask_codes import encode_rle
-from cucumbervision_greenhouse.dashboard.views.fruit import painted_now
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
@@ -38,18 +33,6 @@ def test_undo_on_a_fruit_s_page_takes_a_deleted_stop_back_and_merges(house: Path
             assert put_back.key == stop.key
             assert put_back.fitted_m is not None
             store.place_stop(stop.key, StopPlace(stop.row, stop.side, 9.0, 1))
-
-
-def test_a_stroke_counts_on_the_outline_that_another_viewer_has_drawn(store: Store) -> None:
-    detail = store.detection(store.detections(WALK)[0].key)
-    capture = stored_capture(store.images, detail.capture, detail.stop)
-    drawn = np.zeros((capture.height, capture.width), bool)
-    drawn[200:220, 300:400] = True
-    store.correct(detail.view.key, replace(detail.view.record, mask=encode_rle(drawn)))
-    stroke = {"points": [10.0, 10.0, 20.0, 10.0], "radius": 3.0, "erase": False}
-    painted = painted_now(detail.view.key, capture, stroke)
-    assert painted[drawn].all()
-    assert painted[10, 15]
 
 
 def test_fruit_turn_with_the_side_of_their_stop(store: Store) -> None:

@@ -28,8 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tes
 
 from tests.conftest import record
 
-from cucumbervision_greenhouse.backend.camera_feed import PREVIEW_FPS
-from cucumbervision_greenhouse.backend.camera_process import CameraFolder
+from cucumbervision_greenhouse.backend.cameras import PREVIEW_FPS
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
@@ -196,7 +195,6 @@ def measure(folder: Path, plan: Plan) -> dict[str, Any]:
             return outcome
     finally:
         server.kill()
-        CameraFolder(server.store.with_suffix(".frames") / "replay").end()
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ from cucumbervision.capture.readers import (
     open_source,
 )
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError, DepthError
 from cucumbervision_greenhouse.backend.resources import settings, where
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.realsense_device import CameraSettings
 
 REACH_S = 0.15  # largest distance in time of a burst's frames from its press
 FAR_S = 1.0  # a picture farther in time from a press shows another place
@@ -90,7 +90,7 @@ class Camera(Protocol):
     """A source of frames; as a context manager it is open."""
 
     state: str
-    settings: CameraSettings | None
+    settings: CameraSettings
 
     def __enter__(self) -> Self: ...
 
@@ -145,9 +145,10 @@ class StreamCamera:
 class FolderCamera:
     """Captures of a folder in turn, again and again; each stands still until it is taken."""
 
-    state, settings = "replay", None
+    state = "replay"
 
     def __init__(self, path: Path, burst: int = 5) -> None:
+        self.settings = CameraSettings()
         self._source = open_source(path, ReadOptions(burst=burst))
         self._refs: Iterator[CaptureRef] = iter(())
 

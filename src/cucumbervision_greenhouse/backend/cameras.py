@@ -323,11 +323,6 @@ class Feed:
         self._state, self._message, self._count = "opening", "", 0
         self._shown = Preview("opening", number=-1)
 
-    @property
-    def open(self) -> bool:
-        """Whether the camera is open."""
-        return self._thread is not None
-
     def preview(self) -> Preview:
         """Return the newest frame; open the camera if necessary."""
         with self._changed:

@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision_greenhouse.backend import resources, round_caches, tasks
+from cucumbervision_greenhouse.backend import resources, tasks
 from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import marked
@@ -54,8 +54,6 @@ def main() -> None:
         read_address()
         _draw_navigation(pages, chosen)
         keep_inputs()
-        opened = st.session_state.get("round") or ""
-        st.session_state["version"] = round_caches.news(opened)["version"]
         page_elements.live()
         chosen.run()
         if chosen != pages[-1]:

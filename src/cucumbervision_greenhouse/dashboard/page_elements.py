@@ -364,11 +364,16 @@ def finished_job(key: str) -> Job | None:
     return job if job is not None and job.finished else None
 
 
-@st.fragment(run_every=_NEWS_S)
 def live() -> None:
     """Show the current work; draw the page anew after a change of its round by anybody."""
-    news = round_caches.news(st.session_state.get("round") or "")
-    if st.session_state["version"] != news["version"]:
+    opened = st.session_state.get("round") or ""
+    _live(opened, round_caches.news(opened)["version"])
+
+
+@st.fragment(run_every=_NEWS_S)
+def _live(round_key: str, version: str) -> None:
+    news = round_caches.news(round_key)
+    if version != news["version"]:
         st.rerun()
     work = news["work"]
     if not work["words"]:
@@ -383,7 +388,7 @@ def live() -> None:
 def _time_left(work: Mapping[str, Any]) -> str:
     """Return how long work takes until its end, by the steps since this page showed it first."""
     name, now_s = work["words"].split(":")[0], time.monotonic()
-    begun = st.session_state.setdefault("work_begun", (name, now_s, work["done"]))
+    begun = st.session_state.get("work_begun", ("", 0.0, 0))
     if begun[0] != name:
         begun = st.session_state["work_begun"] = (name, now_s, work["done"])
     if work["done"] <= begun[2]:

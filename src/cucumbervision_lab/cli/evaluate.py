@@ -44,31 +44,26 @@ def evaluate_models(
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
-    from cucumbervision_lab.detection.report import (
-        detection_tables,
-        summarise,
-        write_detection_report,
-    )
-    from cucumbervision_lab.detection.run import DetectionOptions, evaluate_detection
+    from cucumbervision_lab.detection.report import detection_tables, write_detection_report
+    from cucumbervision_lab.detection.run import evaluate_detection
 
-    plan = DetectionOptions(
-        data,
-        seg,
-        pose,
-        None if segmenter == "none" else segmenter,
-        runtime,
-        confidence,
-        split,
-        limit,
-        sam_limit,
-        parse_input_sizes(input_size),
-    )
     with part_bars() as report:
-        result = evaluate_detection(plan, report)
-    summary = summarise(result)
-    tables = detection_tables(summary, plan.confidence)
+        result = evaluate_detection(
+            data,
+            seg,
+            pose,
+            segmenter=None if segmenter == "none" else segmenter,
+            runtime=runtime,
+            confidence=confidence,
+            split=split,
+            limit=limit,
+            sam_limit=sam_limit,
+            input_sizes=parse_input_sizes(input_size),
+            report=report,
+        )
+    tables = detection_tables(result)
     show_tables(tables)
-    show(f"Results: {write_detection_report(result, summary, tables, out)}")
+    show(f"Results: {write_detection_report(result, tables, out)}")
 
 
 def evaluate_photos(
@@ -85,21 +80,24 @@ def evaluate_photos(
 ) -> None:
     """Evaluate the networks on audited real photos: recall and precision by test."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
-    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
+    from cucumbervision_lab.cli.screen import show, show_tables, ticking
+    from cucumbervision_lab.detection.photos import audited_photos
+    from cucumbervision_lab.detection.photos import evaluate_photos as evaluate
+    from cucumbervision_lab.detection.picture_result import open_networks
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report
-    from cucumbervision_lab.detection.run import evaluate_real_photos
+    from cucumbervision_lab.detection.run import chosen_networks
 
-    with part_bars() as report:
-        result = evaluate_real_photos(
-            folder,
-            seg,
-            pose,
-            runtime=runtime,
-            confidence=confidence,
-            split=split,
-            input_sizes=parse_input_sizes(input_size),
-            report=report,
-        )
+    photos, missing = audited_photos(folder, split)
+    networks = open_networks(
+        *chosen_networks(seg, pose),
+        "mobile-sam",
+        runtime=runtime,
+        confidence=confidence,
+        ranked=False,
+        input_sizes=parse_input_sizes(input_size),
+    )
+    with ticking("photos", len(photos)) as tick:
+        result = evaluate(photos, networks, missing, tick)
     tables = photo_tables(result)
     show_tables(tables)
     show(f"Results: {write_photo_report(result, tables, out)}")

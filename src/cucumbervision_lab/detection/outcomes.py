@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, share
 from cucumbervision.instances.boxes import box_iou, box_ious, share_inside
 from cucumbervision_lab.detection.pictures import Stage, code_iou
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -113,118 +114,9 @@ def _boxes(values: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(values, np.float64).reshape(-1, 4)
 
 
-_BLOSSOM, STEM = 0, 4
+_ENDS = [0, 4]  # blossom and stem
 
 _EDGE_PX = 1.5  # a box closer to the border counts as cut off
-
-
-@dataclass(frozen=True)
-class FruitRow:
-    """Outcome of one labelled fruit.
-
-    Parameters
-    ----------
-    picture, scene : str
-        Picture and scene.
-    fruit : int
-        Index among the picture's labels.
-    long_px : float
-        Longer side of the box, pixels.
-    distance_m, hidden_share : float
-        Distance and occluded share of the fruit; NaN if unknown.
-    cut_off : bool, optional
-        Whether the fruit extends beyond the picture.
-    found : bool
-        Whether the fruit was detected.
-    score, box_iou, mask_iou : float
-        Confidence and overlaps of its detection; NaN if missed (`mask_iou` also without masks).
-    """
-
-    picture: str
-    scene: str
-    fruit: int
-    long_px: float
-    distance_m: float
-    hidden_share: float
-    cut_off: bool | None
-    found: bool
-    score: float = math.nan
-    box_iou: float = math.nan
-    mask_iou: float = math.nan
-
-
-@dataclass(frozen=True)
-class DetectionRow:
-    """Outcome of one detection.
-
-    Parameters
-    ----------
-    picture, scene : str
-        Picture and scene.
-    detection : int
-        Index among the picture's detections, best first.
-    score : float
-        Confidence.
-    long_px : float
-        Longer side of the box, pixels.
-    distance_m : float
-        Distance at the centre of the box; NaN if unknown.
-    cut_off : bool
-        Whether the box touches the picture's border.
-    outcome : str
-        'hit', 'false' or 'neutral'.
-    x1, y1, x2, y2 : float
-        Box, pixels.
-    """
-
-    picture: str
-    scene: str
-    detection: int
-    score: float
-    long_px: float
-    distance_m: float
-    cut_off: bool
-    outcome: str
-    x1: float
-    y1: float
-    x2: float
-    y2: float
-
-
-@dataclass(frozen=True)
-class EndRow:
-    """Errors of both ends of one fruit.
-
-    Parameters
-    ----------
-    picture, scene : str
-        Picture and scene.
-    fruit : int
-        Index among the picture's labels.
-    length_px : float
-        Length of the polyline through the five labelled keypoints, pixels.
-    blossom_percent, stem_percent : float
-        Distance between labelled and predicted end, percent of that length; NaN for an end
-        outside the picture.
-    blossom_seen, stem_seen : bool
-        Whether the end is visible.
-    swapped : bool, optional
-        Whether the predicted ends are swapped; None if an end lies outside the picture.
-    blossom_score, stem_score : float
-        Predicted visibility, 0 to 1.
-    """
-
-    picture: str
-    scene: str
-    fruit: int
-    length_px: float
-    blossom_percent: float
-    stem_percent: float
-    blossom_seen: bool
-    stem_seen: bool
-    swapped: bool | None
-    blossom_score: float
-    stem_score: float
 
 
 def match_fruit(
@@ -257,7 +149,7 @@ def match_detections(
     Returns
     -------
     matches : Matches
-        Pairs of indices into `required` and into `seen`.
+        Pairs of indices into `required` and into `detections`.
     detections : tuple of DetectedFruit
         Detections above the threshold.
     required : tuple of int
@@ -268,71 +160,74 @@ def match_detections(
     return matches, detections, required
 
 
+_FRUIT = (
+    *("picture", "scene", "fruit", "long_px", "distance_m", "hidden_share", "cut_off"),
+    *("found", "score", "box_iou", "mask_iou"),
+)
+_DETECTION = (
+    *("picture", "scene", "detection", "score", "long_px", "distance_m", "cut_off"),
+    *("outcome", "x1", "y1", "x2", "y2"),
+)
+_END = (
+    *("picture", "scene", "fruit", "length_px", "blossom_percent", "stem_percent"),
+    *("blossom_seen", "stem_seen", "swapped", "blossom_score", "stem_score"),
+)
+
+
 def fruit_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
-) -> list[FruitRow]:
-    """Return the outcome of every fruit to be detected."""
+) -> pd.DataFrame:
+    """Return a row for every fruit to be detected.
+
+    Columns: picture, scene, fruit (index among the picture's labels), long_px (longer side of the
+    box), distance_m, hidden_share, cut_off, found; and of its detection score, box_iou, mask_iou.
+    What is not known is NaN or None.
+    """
     rows = []
     for frame in frames:
         matches, detections, required = match_detections(frame, confidence, stage)
         hit = {required[t]: detections[s] for t, s in matches.pairs}
         for k in required:
             fruit, by = frame.true[k], hit.get(k)
-            rows.append(
-                FruitRow(
-                    frame.name,
-                    frame.scene,
-                    k,
-                    fruit.long_px,
-                    fruit.distance_m,
-                    fruit.hidden_share,
-                    fruit.cut_off,
-                    by is not None,
-                    *(() if by is None else _overlaps(frame, k, by)),
-                )
-            )
-    return rows
-
-
-def _overlaps(frame: Frame, number: int, by: DetectedFruit) -> tuple[float, float, float]:
-    fruit = frame.true[number]
-    masks = frame.has_masks and fruit.code is not None
-    of_masks = code_iou(fruit.code, by.code) if masks else math.nan
-    return by.score, box_iou(fruit.box, by.box), of_masks
+            known = fruit.long_px, fruit.distance_m, fruit.hidden_share, fruit.cut_off
+            overlaps = (math.nan,) * 3
+            if by is not None:
+                has_masks = frame.has_masks and fruit.code is not None
+                of_masks = code_iou(fruit.code, by.code) if has_masks else math.nan
+                overlaps = by.score, box_iou(fruit.box, by.box), of_masks
+            rows.append((frame.name, frame.scene, k, *known, by is not None, *overlaps))
+    return pd.DataFrame(rows, columns=_FRUIT)
 
 
 def detection_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
-) -> list[DetectionRow]:
-    """Return the outcome of every detection above a confidence threshold."""
+) -> pd.DataFrame:
+    """Return a row for every detection above a confidence threshold.
+
+    Columns: picture, scene, detection (index, best first), score, long_px, distance_m (at the
+    centre of the box), cut_off (by the picture's border), outcome ('hit', 'false' or 'neutral'),
+    and the box x1, y1, x2, y2.
+    """
     rows = []
     for frame in frames:
         matches, detections, _ = match_detections(frame, confidence, stage)
         outcome = dict.fromkeys(range(len(detections)), "hit")
         outcome |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
-        for k, detection in enumerate(detections):
-            edges = [float(x) for x in detection.box]
-            rows.append(
-                DetectionRow(
-                    frame.name,
-                    frame.scene,
-                    k,
-                    detection.score,
-                    detection.long_px,
-                    detection.distance_m,
-                    _at_border(detection.box, frame),
-                    outcome[k],
-                    *edges,
-                )
-            )
-    return rows
+        for k, found in enumerate(detections):
+            known = found.score, found.long_px, found.distance_m, _at_border(found.box, frame)
+            rows.append((frame.name, frame.scene, k, *known, outcome[k], *found.box.tolist()))
+    return pd.DataFrame(rows, columns=_DETECTION)
 
 
-def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
-    """Compute the errors of the ends used for measurement.
+def end_rows(frames: Sequence[Frame], confidence: float) -> pd.DataFrame:
+    """Return the errors of the ends used for measurement, a row a fruit.
 
     Includes every detected fruit with predicted keypoints whose five labelled keypoints have known
-    positions. Swapped ends are not corrected, and ends outside the picture are skipped.
+    positions. Swapped ends are not corrected, and ends outside the picture are NaN.
+
+    Columns: picture, scene, fruit, length_px (of the line through the labelled keypoints),
+    blossom_percent and stem_percent (distances of the ends, of that length), blossom_seen,
+    stem_seen, swapped (None if an end lies outside the picture), blossom_score, stem_score.
 
     Examples
     --------
@@ -343,48 +238,32 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     >>> detection = DetectedFruit(box, 0.9, None, swapped)
     >>> truth = (TrueFruit(box, keypoints=true_points),)
     >>> frame = Frame("a", "a", 200, 50, truth, kept=(detection,))
-    >>> row, = end_rows([frame], 0.3)
-    >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen
-    (100.0, 100.005, True, False)
+    >>> row = end_rows([frame], 0.3).iloc[0]
+    >>> float(row.length_px), round(float(row.blossom_percent), 3), bool(row.swapped)
+    (100.0, 100.005, True)
     """
     rows = []
     for frame in frames:
         matches, detections, required = match_detections(frame, confidence, Stage.KEPT)
         for t, s in matches.pairs:
-            true_points, points = frame.true[required[t]].keypoints, detections[s].keypoints
-            if true_points is None or points is None or not _placed(true_points):
+            true, points = frame.true[required[t]].keypoints, detections[s].keypoints
+            if true is None or points is None:
                 continue
-            rows.append(_ends(frame, required[t], true_points, points))
-    return rows
+            # A position is known inside the picture and outside.
+            if ((true[:, 2] > 0) | true[:, :2].any(axis=1)).all():
+                rows.append((frame.name, frame.scene, required[t], *_end_errors(true, points)))
+    return pd.DataFrame(rows, columns=_END)
 
 
-def _placed(keypoints: NDArray[np.float64]) -> bool:
-    """Return whether all keypoints have a known position, inside the picture or outside."""
-    return bool(((keypoints[:, 2] > 0) | keypoints[:, :2].any(axis=1)).all())
-
-
-def _ends(
-    frame: Frame, number: int, true_points: NDArray[np.float64], points: NDArray[np.float64]
-) -> EndRow:
-    length = float(np.linalg.norm(np.diff(true_points[:, :2], axis=0), axis=1).sum())
-    ends, points_px = true_points[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
-    straight = np.linalg.norm(points_px - ends, axis=1)
-    crossed = np.linalg.norm(points_px[::-1] - ends, axis=1)
-    labelled = true_points[[_BLOSSOM, STEM], 2] > 0
+def _end_errors(true: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[Any, ...]:
+    length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
+    ends, found = true[_ENDS, :2], points[_ENDS, :2]
+    straight = np.linalg.norm(found - ends, axis=1)
+    crossed = np.linalg.norm(found[::-1] - ends, axis=1)
+    labelled = true[_ENDS, 2] > 0
     percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
-    return EndRow(
-        frame.name,
-        frame.scene,
-        number,
-        length,
-        float(percent[0]),
-        float(percent[1]),
-        bool(true_points[_BLOSSOM, 2] == 2),
-        bool(true_points[STEM, 2] == 2),
-        bool(crossed.sum() < straight.sum()) if labelled.all() else None,
-        float(points[_BLOSSOM, 2]),
-        float(points[STEM, 2]),
-    )
+    swapped = bool(crossed.sum() < straight.sum()) if labelled.all() else None
+    return length, *percent, *(true[_ENDS, 2] == 2), swapped, *points[_ENDS, 2]
 
 
 def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
@@ -392,96 +271,57 @@ def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
     return bool(inside.min() < _EDGE_PX)
 
 
-_DISTANCE_M = (0.0, 0.45, 0.6, 0.75, 0.9, math.inf)
+_SCALES: tuple[tuple[str, str, float, tuple[float, ...]], ...] = (
+    ("distance (m)", "distance_m", 1.0, (0.0, 0.45, 0.6, 0.75, 0.9, math.inf)),
+    ("longer side of the box (px)", "long_px", 1.0, (0, 50, 100, 200, 300, 450, math.inf)),
+    ("hidden share (%)", "hidden_share", 100.0, (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.01)),
+)
 
-_LONG_PX = (0.0, 50.0, 100.0, 200.0, 300.0, 450.0, math.inf)
 
+class Score(NamedTuple):
+    """Recall of fruit; precision of detections, without neutral ones, or None where unknown."""
 
-_HIDDEN = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.01)
-
-
-@dataclass(frozen=True)
-class GroupScore:
-    """Recall and precision of one group.
-
-    Parameters
-    ----------
-    factor, group : str
-        Property for grouping, and the group.
-    recall : Estimate
-        Recall of the fruit in this group.
-    precision : Estimate, optional
-        Precision of the detections in this group, without neutral ones; None if the property is
-        unknown for false positives.
-    """
-
-    factor: str
-    group: str
     recall: Estimate
     precision: Estimate | None
 
 
-def overall(fruit: Sequence[FruitRow], detections: Sequence[DetectionRow]) -> GroupScore:
-    """Compute recall and precision of all fruit and detections."""
-    return GroupScore("all", "all", _recall(fruit), _precision(detections))
+def overall(fruit: pd.DataFrame, detections: pd.DataFrame | None) -> Score:
+    """Compute recall and precision of fruit and detections."""
+    recall = share(fruit["found"], fruit["scene"].tolist())
+    if detections is None:
+        return Score(recall, None)
+    judged = detections[detections["outcome"] != "neutral"]
+    return Score(recall, share(judged["outcome"] == "hit", judged["scene"].tolist()))
 
 
-def group_scores(fruit: Sequence[FruitRow], detections: Sequence[DetectionRow]) -> list[GroupScore]:
-    """Compute recall and precision by group.
+def group_scores(fruit: pd.DataFrame, detections: pd.DataFrame) -> Iterator[tuple[str, str, Score]]:
+    """Compute recall and precision by distance, size, occluded share and `cut_off`.
 
-    Parameters
-    ----------
-    fruit : sequence of FruitRow
-        Fruit for recall, grouped by distance, size, occluded share and `cut_off`.
-    detections : sequence of DetectionRow
-        Detections for precision, grouped by distance, size and `cut_off`; the occluded share of a
-        false positive is unknown.
+    The occluded share of a false positive is unknown.
 
-    Returns
-    -------
-    list of GroupScore
-        Scores of all groups that are not empty.
+    Yields
+    ------
+    (str, str, Score)
+        Property, group and score of each group that is not empty.
     """
-    scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, detections)
-    scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, detections)
-    scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
+    for factor, column, scale, edges in _SCALES:
+        has_precision = column in detections
+        for start, end in pairwise(edges):
+            inside = fruit[fruit[column].between(start, end, inclusive="left")]
+            found = (
+                detections[detections[column].between(start, end, inclusive="left")]
+                if has_precision
+                else None
+            )
+            if len(inside) or (found is not None and len(found)):
+                yield factor, _name(start, end, scale), overall(inside, found)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
-        cut_fruit = [r for r in fruit if r.cut_off is cut]
-        cut_detections = [r for r in detections if r.cut_off is cut]
-        if cut_fruit or cut_detections:
-            scores.append(GroupScore("edge", name, _recall(cut_fruit), _precision(cut_detections)))
-    return scores
-
-
-def _by_scale(
-    factor: str,
-    field: str,
-    edges: Sequence[float],
-    fruit: Sequence[FruitRow],
-    detections: Sequence[DetectionRow] | None,
-) -> list[GroupScore]:
-    """Compute recall and, if `detections` are given, precision in the intervals between `edges`."""
-    scores = []
-    for start, end in pairwise(edges):
-        fruit_inside = [r for r in fruit if start <= getattr(r, field) < end]
-        detections_inside = [r for r in detections or () if start <= getattr(r, field) < end]
-        if fruit_inside or detections_inside:
-            precision = None if detections is None else _precision(detections_inside)
-            name = _name(start, end, 100.0 if detections is None else 1.0)
-            scores.append(GroupScore(factor, name, _recall(fruit_inside), precision))
-    return scores
+        inside, found = (rows[rows["cut_off"] == cut] for rows in (fruit, detections))
+        if len(inside) or len(found):
+            yield "edge", name, overall(inside, found)
 
 
 def _name(start: float, end: float, scale: float) -> str:
     if math.isinf(end) or (end > 1 and scale > 1):
         return f"{scale * start:g} or more"
     return f"under {scale * end:g}" if start == 0 else f"{scale * start:g} to {scale * end:g}"
-
-
-def _recall(rows: Sequence[FruitRow]) -> Estimate:
-    return share([r.found for r in rows], [r.scene for r in rows])
-
-
-def _precision(rows: Sequence[DetectionRow]) -> Estimate:
-    judged = [r for r in rows if r.outcome != "neutral"]
-    return share([r.outcome == "hit" for r in judged], [r.scene for r in judged])

@@ -11,16 +11,7 @@ import numpy as np
 from cucumbervision.capture.pictures import read_color
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection import photo_audit
-from cucumbervision_lab.detection.outcomes import (
-    DetectionRow,
-    EndRow,
-    FruitRow,
-    GroupScore,
-    detection_rows,
-    end_rows,
-    fruit_rows,
-    overall,
-)
+from cucumbervision_lab.detection.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.picture_result import detect_picture
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
@@ -33,43 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.picture_result import Networks
 
 _GREY = 114  # letterbox padding
-
-Scores = tuple[tuple[str, GroupScore], ...]
-
-
-@dataclass(frozen=True)
-class PhotoResult:
-    """Results of the networks on real photos.
-
-    Parameters
-    ----------
-    confidence : float
-        Confidence threshold.
-    photos, scenes, missing : int
-        Number of evaluated photos, of their scenes, and of audited photos that are missing.
-    scores : tuple of (str, GroupScore)
-        Recall and precision of all photos, and by setting.
-    fruit, detections : tuple
-        Rows of all fruit and of all detections.
-    tests : tuple of (str, GroupScore)
-        Recall and precision by test: 'first audit', 'trial board', 'on the plant', ...
-    small : tuple of (str, GroupScore)
-        Recall and precision at half size, of all photos and by test.
-    ends : tuple of EndRow
-        Errors of the ends of detected fruit with labelled ends, in percent of the straight line
-        between them.
-    """
-
-    confidence: float
-    photos: int
-    scenes: int
-    missing: int
-    scores: Scores
-    fruit: tuple[FruitRow, ...]
-    detections: tuple[DetectionRow, ...]
-    tests: Scores = ()
-    small: Scores = ()
-    ends: tuple[EndRow, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +46,40 @@ class Photo:
     path: Path
     setting: str
     test: str
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoResult:
+    """Results of the networks on real photos.
+
+    Parameters
+    ----------
+    confidence : float
+        Confidence threshold.
+    photos : tuple of Photo
+        The evaluated photos.
+    frames, small : tuple of Frame
+        Labels and detections of each photo, at full and at half size.
+    missing : int
+        Number of audited photos that are missing.
+    """
+
+    confidence: float
+    photos: tuple[Photo, ...]
+    frames: tuple[Frame, ...]
+    small: tuple[Frame, ...] = ()
+    missing: int = 0
+
+    def score(self, *, small: bool = False, setting: str = "", test: str = "") -> Score:
+        """Compute recall and precision, of all photos or those of a setting or a test."""
+        pairs = zip(self.photos, self.small if small else self.frames, strict=True)
+        frames = [
+            frame
+            for photo, frame in pairs
+            if setting in ("", photo.setting) and test in ("", photo.test)
+        ]
+        threshold = self.confidence
+        return overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
 
 
 def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]:
@@ -174,14 +162,8 @@ def evaluate_photos(
         frames.append(detect_picture(photo.truth, color, networks).frame)
         truth, shrunk = half_size(photo.truth, color)
         small.append(detect_picture(truth, shrunk, networks).frame)
-    tests = [photo.test for photo in photos]
-    result = score_photos(frames, [photo.setting for photo in photos], networks.confidence, missing)
-    return replace(
-        result,
-        tests=_by_name(frames, tests, networks.confidence),
-        small=_by_name(small, ["all"] * len(small), networks.confidence)
-        + _by_name(small, tests, networks.confidence),
-    )
+    confidence = networks.confidence
+    return PhotoResult(confidence, tuple(photos), tuple(frames), tuple(small), missing)
 
 
 def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np.uint8]]:
@@ -228,54 +210,3 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
         for fruit in truth.true
     )
     return replace(truth, true=true_fruit), out
-
-
-def score_photos(
-    frames: Sequence[Frame], settings: Sequence[str], confidence: float, missing: int = 0
-) -> PhotoResult:
-    """Compute recall and precision on photos.
-
-    Parameters
-    ----------
-    frames : sequence of Frame
-        Labels and detections.
-    settings : sequence of str
-        Setting of each photo.
-    confidence : float
-        Confidence threshold.
-    missing : int
-        Number of audited photos that are missing.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from cucumbervision_lab.detection.pictures import Frame, DetectedFruit, TrueFruit
-    >>> boxes = np.array([[0.0, 0, 50, 10], [0, 20, 50, 30], [0, 40, 50, 50]])
-    >>> true_fruit = (TrueFruit(boxes[0]), TrueFruit(boxes[1], optional=True))
-    >>> detections = tuple(DetectedFruit(box, 0.9) for box in boxes)
-    >>> frame = Frame("a.jpg", "s1", 60, 60, true_fruit, kept=detections)
-    >>> result = score_photos([frame], ["board"], 0.3)
-    >>> result.scores[0][1].recall.value, result.scores[0][1].precision.value
-    (1.0, 0.5)
-    """
-    return PhotoResult(
-        confidence,
-        len(frames),
-        len({frame.scene for frame in frames}),
-        missing,
-        _by_name(frames, ["all"] * len(frames), confidence)
-        + _by_name(frames, settings, confidence),
-        tuple(fruit_rows(frames, confidence)),
-        tuple(detection_rows(frames, confidence)),
-        ends=tuple(end_rows(frames, confidence)),
-    )
-
-
-def _by_name(frames: Sequence[Frame], names: Sequence[str], confidence: float) -> Scores:
-    parts: dict[str, list[Frame]] = {name: [] for name in sorted(set(names))}
-    for frame, name in zip(frames, names, strict=True):
-        parts[name].append(frame)
-    return tuple(
-        (name, overall(fruit_rows(frames, confidence), detection_rows(frames, confidence)))
-        for name, frames in parts.items()
-    )

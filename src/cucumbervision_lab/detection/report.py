@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from cucumbervision_lab.benchmark.length_tables import (
     factors_of,
     group_table,
 )
-from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.benchmark.report import write_tables, writing_report
 from cucumbervision_lab.detection.average_precision import (
     OKS_SIGMA,
@@ -32,10 +31,7 @@ from cucumbervision_lab.detection.average_precision import (
     average_precision,
 )
 from cucumbervision_lab.detection.outcomes import (
-    DetectionRow,
-    EndRow,
-    FruitRow,
-    GroupScore,
+    Score,
     detection_rows,
     end_rows,
     fruit_rows,
@@ -59,94 +55,44 @@ _LENGTH_COLUMNS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Summary:
-    """Metrics of an evaluation with their underlying rows.
-
-    Parameters
-    ----------
-    precisions : tuple of AveragePrecision
-        Average precision of the available stages.
-    overall : tuple of (Stage, GroupScore)
-        Recall and precision of each stage.
-    groups : tuple of GroupScore
-        Recall and precision of reported detections by group.
-    fruit : tuple of FruitRow
-        All fruit to be detected.
-    detections : tuple of DetectionRow
-        All reported detections.
-    ends : tuple of EndRow
-        Errors of the ends of all fruit with keypoints.
-    readings : DataFrame
-        Lengths on true and on predicted masks from `readings_frame`; may be empty.
-    """
-
-    precisions: tuple[AveragePrecision, ...]
-    overall: tuple[tuple[Stage, GroupScore], ...]
-    groups: tuple[GroupScore, ...]
-    fruit: tuple[FruitRow, ...]
-    detections: tuple[DetectionRow, ...]
-    ends: tuple[EndRow, ...]
-    readings: pd.DataFrame
-
-
-def summarise(result: DetectionResult) -> Summary:
-    """Compute the metrics of an evaluation.
+def detection_tables(result: DetectionResult) -> list[ReportTable]:
+    """Return the tables of an evaluation.
 
     Parameters
     ----------
     result : DetectionResult
         Result of `evaluate_detection`.
     """
-    frames, confidence = result.frames, result.plan.confidence
+    frames, confidence = result.frames, result.confidence
     stages = {str(model.get("task", "")) for model in result.models}
-    segmented, posed = bool(stages & {"segment", "detect"}), "pose" in stages
-    asked = [(Stage.SEGMENTED, IouType.BOXES)] if segmented else []
+    asked = [(Stage.SEGMENTED, IouType.BOXES)] if stages & {"segment", "detect"} else []
     asked += [(Stage.SEGMENTED, IouType.MASKS)] if "segment" in stages else []
-    if posed:
+    if "pose" in stages:
         asked += [(Stage.POSED, IouType.BOXES), (Stage.POSED, IouType.KEYPOINTS)]
         asked += [(Stage.KEPT, IouType.KEYPOINTS)]
-    fruit, detections = fruit_rows(frames, confidence), detection_rows(frames, confidence)
-    return Summary(
-        tuple(average_precision(frames, iou_type, stage) for stage, iou_type in asked),
-        tuple(
-            (s, overall(fruit_rows(frames, confidence, s), detection_rows(frames, confidence, s)))
-            for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
-        ),
-        tuple(group_scores(fruit, detections)),
-        tuple(fruit),
-        tuple(detections),
-        tuple(end_rows(frames, confidence)),
-        readings_frame(result.records) if result.records else pd.DataFrame(),
-    )
-
-
-def detection_tables(summary: Summary, confidence: float) -> list[ReportTable]:
-    """Return the tables of an evaluation.
-
-    Parameters
-    ----------
-    summary : Summary
-        Metrics of the evaluation.
-    confidence : float
-        Confidence threshold.
-    """
     comment = (
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
         f"to be ignored are not counted. '{Stage.KEPT}' has duplicates merged."
     )
-    stages = [(str(stage), score) for stage, score in summary.overall]
-    tables = [_precision_table(summary.precisions)]
-    tables += [_share_table("Recall and precision", "stage", stages, comment)]
-    for factor in dict.fromkeys(score.factor for score in summary.groups):
-        named = [(score.group, score) for score in summary.groups if score.factor == factor]
+    by_stage = [
+        (str(s), overall(fruit_rows(frames, confidence, s), detection_rows(frames, confidence, s)))
+        for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
+    ]
+    tables = [_precision_table([average_precision(frames, kind, stage) for stage, kind in asked])]
+    tables += [_share_table("Recall and precision", "stage", by_stage, comment)]
+    fruit, detections = fruit_rows(frames, confidence), detection_rows(frames, confidence)
+    groups = list(group_scores(fruit, detections))
+    for factor in dict.fromkeys(factor for factor, _, _ in groups):
+        named = [(group, score) for of_factor, group, score in groups if of_factor == factor]
         tables.append(_share_table(f"By {factor}", "group", named))
-    tables += [end_table(summary.ends)] if summary.ends else []
-    masks = _mask_table(summary)
+    ends = end_rows(frames, confidence)
+    tables += [end_table(ends)] if len(ends) else []
+    readings = result.readings
+    masks = _mask_table(fruit, readings)
     tables += [masks] if masks.rows else []
-    if "swapped" in summary.readings:
-        tables.append(pose_table(summary.readings))
-    return tables + (_length_tables(summary.readings) if len(summary.readings) else [])
+    if "swapped" in readings:
+        tables.append(pose_table(readings))
+    return tables + (_length_tables(readings) if len(readings) else [])
 
 
 def _precision_table(precisions: Sequence[AveragePrecision]) -> ReportTable:
@@ -168,18 +114,19 @@ def _precision_table(precisions: Sequence[AveragePrecision]) -> ReportTable:
     return ReportTable.of("Average precision", heads, rows, comment)
 
 
-def _mask_table(summary: Summary) -> ReportTable:
+def _mask_table(fruit: pd.DataFrame, readings: pd.DataFrame) -> ReportTable:
     """Return the overlap of predicted with true visible masks."""
-    outlined = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
-    kinds = {"detector": ([r.mask_iou for r in outlined], [r.scene for r in outlined])}
-    if "mask_iou" in summary.readings:
-        measured = summary.readings.drop_duplicates(["case", "masks"])
-        measured = measured[(measured["masks"] == Masks.PERCEIVED) & measured["mask_iou"].notna()]
-        kinds["measured"] = measured["mask_iou"].tolist(), measured["scene"].tolist()
+    kinds = {"detector": fruit}
+    if "mask_iou" in readings:
+        measured = readings.drop_duplicates(["case", "masks"])
+        kinds["measured"] = measured[measured["masks"] == Masks.PERCEIVED]
     rows: list[tuple[Cell, ...]] = []
-    for name, (values, scenes) in kinds.items():
-        if values:
-            mean, median = estimate(values, scenes), estimate(values, scenes, 0.5)
+    for name, part in kinds.items():
+        part = part.dropna(subset="mask_iou")
+        if len(part):
+            mean, median = (
+                estimate(part["mask_iou"], part["scene"].tolist(), *q) for q in ((), (0.5,))
+            )
             rows.append((name, mean.count, mean.groups, *_spanned(mean), *_spanned(median)))
     heads = ["masks", "fruit", "scenes", "mean IoU:.3", "95 % by scene", "median IoU:.3", "95 %"]
     comment = "Intersection over union with the true visible mask, of fruit that were found."
@@ -205,17 +152,8 @@ def _length_tables(readings: pd.DataFrame) -> list[ReportTable]:
     return tables
 
 
-def end_table(rows: Sequence[EndRow], title: str = "Ends") -> ReportTable:
-    """Return the errors of the ends, and the share of swapped ends.
-
-    Parameters
-    ----------
-    rows : sequence of EndRow
-        One row per fruit.
-    title : str
-        Title of the table.
-    """
-    frame = pd.DataFrame(rows, columns=[column.name for column in fields(EndRow)])
+def end_table(frame: pd.DataFrame, title: str = "Ends") -> ReportTable:
+    """Return the errors of the ends of `end_rows`, and the share of swapped ends."""
     turned = frame[frame["swapped"].notna()]
     swapped = share(turned["swapped"], turned["scene"])
     ends = pd.concat(
@@ -311,29 +249,36 @@ def pose_table(readings: pd.DataFrame) -> ReportTable:
 
 def photo_tables(photos: PhotoResult) -> list[ReportTable]:
     """Return recall, precision, errors of ends and false positives on real photos."""
-    (_, everywhere), *settings = photos.scores
-    named = [("all", everywhere)]
-    named += [(f"test: {name}", score) for name, score in photos.tests]
-    named += [(f"half size: {name}", score) for name, score in photos.small]
-    named += [(f"where: {name}", score) for name, score in settings]
+    tests, settings = (
+        sorted({getattr(photo, name) for photo in photos.photos}) for name in ("test", "setting")
+    )
+    named = [("all", photos.score())]
+    named += [(f"test: {name}", photos.score(test=name)) for name in tests]
+    if photos.small:
+        named += [("half size: all", photos.score(small=True))]
+        named += [(f"half size: {name}", photos.score(small=True, test=name)) for name in tests]
+    named += [(f"where: {name}", photos.score(setting=name)) for name in settings]
     comment = (
         f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
         "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
         "of which half lies in an ignored region are not counted. At half size each photo lies "
         "shrunk in the middle of a grey picture. "
-        + f"{photos.photos} photos of {photos.scenes} scenes"
+        + f"{len(photos.frames)} photos of {len({x.scene for x in photos.frames})} scenes"
         + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
     )
-    ends = [end_table(photos.ends, "Ends on real photos")] if photos.ends else []
-    return [_share_table("Real photos", "photos", named, comment), *ends, _false_table(photos)]
+    ends = end_rows(photos.frames, photos.confidence)
+    tables = [_share_table("Real photos", "photos", named, comment)]
+    tables += [end_table(ends, "Ends on real photos")] if len(ends) else []
+    return [*tables, _false_table(photos)]
 
 
 def _false_table(photos: PhotoResult) -> ReportTable:
     """Return the false positives on real photos, most confident first."""
-    false = sorted((r for r in photos.detections if r.outcome == "false"), key=lambda r: -r.score)
+    found = detection_rows(photos.frames, photos.confidence)
+    false = found[found["outcome"] == "false"].sort_values("score", ascending=False, kind="stable")
     rows = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
-        for r in false[:_MOST_FALSE_SHOWN]
+        for r in false.head(_MOST_FALSE_SHOWN).itertuples()
     ]
     title = f"False detections on real photos ({len(false)})"
     heads = ["photo", "scene", "confidence:.3", "box (px)"]
@@ -351,7 +296,7 @@ def _spanned(span: Estimate, decimals: int = 3) -> tuple[float, str]:
 
 
 def _share_table(
-    title: str, first: str, named: Sequence[tuple[str, GroupScore]], comment: str = ""
+    title: str, first: str, named: Sequence[tuple[str, Score]], comment: str = ""
 ) -> ReportTable:
     """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
@@ -369,51 +314,27 @@ def _share_cells(share: Estimate | None) -> tuple[Cell, ...]:
 
 
 def write_detection_report(
-    result: DetectionResult, summary: Summary, tables: Sequence[ReportTable], out: Path
+    result: DetectionResult, tables: Sequence[ReportTable], out: Path
 ) -> Path:
     """Write `results.json` with all tables, and CSV files of fruit, detections, ends and lengths.
-
-    Parameters
-    ----------
-    result : DetectionResult
-        Result of `evaluate_detection`.
-    summary : Summary
-        Metrics of the evaluation.
-    tables : sequence of ReportTable
-        Tables from `detection_tables`.
-    out : Path
-        Output folder; created if missing.
-
-    Returns
-    -------
-    Path
-        The JSON file.
 
     Raises
     ------
     CucumberVisionError
         If a file cannot be written.
     """
+    frames, confidence = result.frames, result.confidence
     written = write_tables(out / "results.json", _provenance(result), tables)
     with writing_report(out):
-        _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
-        _write_rows(out / "detections.csv", summary.detections, DetectionRow)
-        _write_rows(out / "ends.csv", summary.ends, EndRow)
-        _write_csv(out / "lengths.csv", summary.readings.reindex(columns=_LENGTH_COLUMNS))
+        _write_csv(out / "fruit.csv", fruit_rows(frames, confidence))
+        _write_csv(out / "detections.csv", detection_rows(frames, confidence))
+        _write_csv(out / "ends.csv", end_rows(frames, confidence))
+        _write_csv(out / "lengths.csv", result.readings.reindex(columns=_LENGTH_COLUMNS))
     return written
 
 
 def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: Path) -> Path:
     """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`.
-
-    Parameters
-    ----------
-    photos : PhotoResult
-        Result of `evaluate_photos`.
-    tables : sequence of ReportTable
-        Tables from `photo_tables`.
-    out : Path
-        Output folder; created if missing.
 
     Raises
     ------
@@ -422,8 +343,8 @@ def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: 
     """
     written = write_tables(out / "photos.json", {"confidence": photos.confidence}, tables)
     with writing_report(out):
-        _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
-        _write_rows(out / "photo_detections.csv", photos.detections, DetectionRow)
+        _write_csv(out / "photo_fruit.csv", fruit_rows(photos.frames, photos.confidence))
+        _write_csv(out / "photo_detections.csv", detection_rows(photos.frames, photos.confidence))
     return written
 
 
@@ -432,13 +353,13 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
     return {
         "software": f"cucumbervision {__version__}",
         "licence": LICENCE,
-        "data set": result.plan.data.name,
-        "split": result.plan.split,
+        "data set": result.data.name,
+        "split": result.split,
         "pictures": len(frames),
         "scenes": len({frame.scene for frame in frames}),
         "fruit to be found": sum(fruit.required for frame in frames for fruit in frame.true),
-        "confidence": result.plan.confidence,
-        "input sizes (px)": list(result.plan.input_sizes) or "each network's own",
+        "confidence": result.confidence,
+        "input sizes (px)": list(result.input_sizes) or "each network's own",
         "networks": result.models,
         "median seconds a picture": {
             name: round(float(np.median(values)), 3) for name, values in result.seconds.items()
@@ -446,12 +367,6 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
         "duration (s)": round(result.duration_s),
         "versions": installed_versions(),
     }
-
-
-def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
-    """Write dataclasses as CSV."""
-    names = [column.name for column in fields(kind)]
-    _write_csv(path, pd.DataFrame([asdict(row) for row in rows], columns=names))
 
 
 def _write_csv(path: Path, frame: pd.DataFrame) -> None:

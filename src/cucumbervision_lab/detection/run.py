@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
@@ -20,8 +21,7 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.benchmark.measure_case import READ, fruit_lengths, interval_details
-from cucumbervision_lab.benchmark.records import LengthRecord, Masks
-from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
+from cucumbervision_lab.benchmark.records import LengthRecord, Masks, readings_frame
 from cucumbervision_lab.detection.picture_result import (
     detect_picture,
     found_by_fruit,
@@ -43,46 +43,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.result import Fruit
-    from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
-
-
-@dataclass(frozen=True)
-class DetectionOptions:
-    """Options of an evaluation.
-
-    Parameters
-    ----------
-    data : Path
-        The labelled set.
-    segment, pose : Path, optional
-        ONNX files; by default the networks of the registry.
-    segmenter : str, optional
-        Name of a SAM in the registry; None measures on the detector's masks.
-    runtime : str
-        See `open_network`.
-    confidence : float
-        Confidence threshold for recall and precision.
-    split : str
-        Split of the set.
-    limit : int, optional
-        Maximum number of pictures, evenly spaced.
-    sam_limit : int
-        Maximum number of pictures for SAM and for lengths, evenly spaced.
-    input_sizes : tuple of int
-        Long sides of the detector input, pixels; empty for the network's default.
-    """
-
-    data: Path
-    segment: Path | None = None
-    pose: Path | None = None
-    segmenter: str | None = "mobile-sam"
-    runtime: str = "auto"
-    confidence: float = DEFAULT_CONFIDENCE
-    split: str = "test"
-    limit: int | None = None
-    sam_limit: int = 40
-    input_sizes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +52,18 @@ class DetectionResult:
 
     Parameters
     ----------
-    plan : DetectionOptions
-        Options of the evaluation.
+    data : Path
+        The labelled set.
+    split : str
+        The evaluated split.
+    confidence : float
+        Confidence threshold for recall and precision.
+    input_sizes : tuple of int
+        Long sides of the detector input, pixels; empty for the network's default.
     frames : tuple of Frame
         Labels and detections.
-    records : tuple of LengthRecord
-        Lengths on true and on predicted masks.
+    readings : DataFrame
+        Lengths on true and on predicted masks, see `readings_frame`; may be empty.
     models : list of dict
         File, SHA-256 and runtime of each network.
     seconds : dict of str to list of float
@@ -105,12 +72,15 @@ class DetectionResult:
         Total duration.
     """
 
-    plan: DetectionOptions
+    data: Path
+    split: str
+    confidence: float
+    input_sizes: tuple[int, ...]
     frames: tuple[Frame, ...]
-    records: tuple[LengthRecord, ...] = ()
-    models: list[dict[str, Any]] = field(default_factory=list)
-    seconds: dict[str, list[float]] = field(default_factory=dict)
-    duration_s: float = 0.0
+    readings: pd.DataFrame
+    models: list[dict[str, Any]]
+    seconds: dict[str, list[float]]
+    duration_s: float
 
 
 def chosen_networks(
@@ -136,14 +106,35 @@ def chosen_networks(
 
 
 def evaluate_detection(
-    plan: DetectionOptions, report: Callable[[str, int, int], None] | None = None
+    data: Path,
+    segment: Path | None = None,
+    pose: Path | None = None,
+    *,
+    segmenter: str | None = "mobile-sam",
+    runtime: str = "auto",
+    confidence: float = DEFAULT_CONFIDENCE,
+    split: str = "test",
+    limit: int | None = None,
+    sam_limit: int = 40,
+    input_sizes: tuple[int, ...] = (),
+    report: Callable[[str, int, int], None] | None = None,
 ) -> DetectionResult:
-    """Run the networks on every picture of the split.
+    """Run the networks on every picture of a split.
 
     Parameters
     ----------
-    plan : DetectionOptions
-        Options of the evaluation.
+    data : Path
+        The labelled set.
+    segment, pose : Path, optional
+        ONNX files; by default the networks of the registry.
+    segmenter : str, optional
+        Name of a SAM in the registry; None measures on the detector's masks.
+    runtime, confidence, input_sizes
+        See `open_networks`.
+    split : str
+        Split of the set.
+    limit, sam_limit : int, optional
+        Maximum number of pictures, and of those for SAM and lengths, evenly spaced.
     report : callable, optional
         Called after each picture with the name of the step, the number of finished pictures since
         the last call, and their total.
@@ -159,15 +150,15 @@ def evaluate_detection(
     """
     start = time.perf_counter()
     import_pycocotools()
-    held_out = read_held_out(plan.data, plan.split, plan.limit)
+    held_out = read_held_out(data, split, limit)
     networks = open_networks(
-        *chosen_networks(plan.segment, plan.pose),
-        plan.segmenter,
-        runtime=plan.runtime,
-        confidence=plan.confidence,
-        input_sizes=plan.input_sizes,
+        *chosen_networks(segment, pose),
+        segmenter,
+        runtime=runtime,
+        confidence=confidence,
+        input_sizes=input_sizes,
     )
-    measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
+    measured = {picture.file for picture in spread(held_out.pictures, sam_limit)}
     frames: list[Frame] = []
     records: list[LengthRecord] = []
     seconds: dict[str, list[float]] = {}
@@ -190,64 +181,16 @@ def evaluate_detection(
         if report is not None:
             report("pictures", 1, len(held_out.pictures))
     return DetectionResult(
-        plan,
+        data,
+        split,
+        confidence,
+        input_sizes,
         tuple(frames),
-        tuple(records),
+        readings_frame(records) if records else pd.DataFrame(),
         networks.models,
         seconds,
         time.perf_counter() - start,
     )
-
-
-def evaluate_real_photos(
-    folder: Path,
-    segment: Path | None = None,
-    pose: Path | None = None,
-    *,
-    runtime: str = "auto",
-    confidence: float = DEFAULT_CONFIDENCE,
-    split: str = "test",
-    input_sizes: tuple[int, ...] = (),
-    report: Callable[[str, int, int], None] | None = None,
-) -> PhotoResult:
-    """Evaluate the networks on the audited photos of a folder, at full and at half size.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder, searched recursively.
-    segment, pose : Path, optional
-        ONNX files; by default the networks of the registry.
-    runtime : str
-        See `open_network`.
-    confidence : float
-        Confidence threshold for recall and precision.
-    split : str
-        Split of the audit: 'test', 'val' or 'train'.
-    input_sizes : tuple of int
-        Long sides of the detector input, pixels; empty for the network's default.
-    report : callable, optional
-        Called after each photo with 'photos', the number of finished photos since the last call,
-        and their total.
-
-    Raises
-    ------
-    DataSetError
-        If the folder contains no audited photo.
-    ModelError
-        If a network is missing or cannot be loaded.
-    """
-    photos, missing = audited_photos(folder, split)
-    networks = open_networks(
-        *chosen_networks(segment, pose),
-        "mobile-sam",
-        runtime=runtime,
-        confidence=confidence,
-        ranked=False,
-        input_sizes=input_sizes,
-    )
-    tell = None if report is None else (lambda count: report("photos", count, len(photos)))
-    return evaluate_photos(photos, networks, missing, tell)
 
 
 def length_records(

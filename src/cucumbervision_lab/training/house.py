@@ -18,7 +18,7 @@ from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.own_networks import JUDGEMENT
 from cucumbervision.perception.registry import file_sha256, load_registry
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
-from cucumbervision_lab.detection.outcomes import GroupScore, detection_rows, fruit_rows, overall
+from cucumbervision_lab.detection.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import detect_set, open_networks
 from cucumbervision_lab.detection.pictures import spread
@@ -59,7 +59,7 @@ class DetectorScore:
     finds: int
 
     @classmethod
-    def of(cls, test: str, score: GroupScore) -> DetectorScore:
+    def of(cls, test: str, score: Score) -> DetectorScore:
         """Create the score from a score of the evaluation."""
         # An undefined recall or precision would be NaN, for which every comparison is False.
         (recall, fruit), (precision, finds) = (
@@ -246,8 +246,8 @@ def evaluate_detector(
         scores.append(DetectorScore.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(audited_photos(photos)[0], most), networks)
-        scores.append(DetectorScore.of("photos", result.scores[0][1]))
-        scores.append(DetectorScore.of("photos at half size", result.small[0][1]))
+        scores.append(DetectorScore.of("photos", result.score()))
+        scores.append(DetectorScore.of("photos at half size", result.score(small=True)))
     return tuple(scores)
 
 

@@ -55,7 +55,8 @@ def test_what_becomes_of_a_fruit() -> None:
         BOX, encode_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
     )
     fruit = DetectedFruit(BOX + np.array([20, 0, 20, 0]), 0.8, encode_mask(mask(150, 200)))
-    hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [fruit])], 0.3)
+    rows = fruit_rows([frame([true, replace(true, box=AWAY)], [fruit])], 0.3)
+    hit, miss = rows.itertuples()
     # 80 of 120 pixels of the boxes' length are common, and half of the mask.
     assert (hit.found, hit.score) == (True, 0.8)
     assert hit.box_iou == pytest.approx(80 / 120)
@@ -67,9 +68,9 @@ def test_what_becomes_of_a_fruit() -> None:
 
 def test_below_the_confidence_nothing_is_found() -> None:
     pictures = [frame([TrueFruit(BOX)], [DetectedFruit(BOX, 0.3)])]
-    assert not fruit_rows(pictures, 0.3)[0].found
-    assert detection_rows(pictures, 0.3) == []
-    assert fruit_rows(pictures, 0.29)[0].found
+    assert not fruit_rows(pictures, 0.3)["found"].any()
+    assert detection_rows(pictures, 0.3).empty
+    assert fruit_rows(pictures, 0.29)["found"].all()
 
 
 def test_what_becomes_of_a_detection() -> None:
@@ -80,7 +81,7 @@ def test_what_becomes_of_a_detection() -> None:
         DetectedFruit(AWAY, 0.8),
         DetectedFruit(at_edge, 0.7),
     ]
-    rows = detection_rows([frame(true, found)], 0.3)
+    rows = list(detection_rows([frame(true, found)], 0.3).itertuples())
     assert [row.outcome for row in rows] == ["hit", "neutral", "false"]
     assert [row.cut_off for row in rows] == [False, False, True]
     assert rows[0].distance_m == 0.5
@@ -89,8 +90,8 @@ def test_what_becomes_of_a_detection() -> None:
 
 def test_stages_are_judged_apart() -> None:
     picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (DetectedFruit(BOX, 0.9),), ())
-    assert fruit_rows([picture], 0.3, Stage.POSED)[0].found
-    assert not fruit_rows([picture], 0.3, Stage.KEPT)[0].found
+    assert fruit_rows([picture], 0.3, Stage.POSED)["found"].all()
+    assert not fruit_rows([picture], 0.3, Stage.KEPT)["found"].any()
 
 
 def test_distance_is_read_in_the_middle_of_the_box() -> None:
@@ -112,7 +113,7 @@ def test_ends_are_judged_in_percent_of_the_line() -> None:
     points[4, :2] += (3.0, 4.0)
     true = LINE.copy()
     true[4, 2] = 1
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3).itertuples()
     assert row.length_px == pytest.approx(100.0)
     assert (row.blossom_percent, row.stem_percent) == pytest.approx((3.0, 5.0))
     assert (row.blossom_seen, row.stem_seen, row.swapped) == (True, False, False)
@@ -123,25 +124,27 @@ def test_bent_fruit_are_measured_along_their_line() -> None:
     true[2, 1] += 25.0  # two of four segments become 25 * sqrt(2) long
     points = true.copy()
     points[0, 0] += 10.0
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3).itertuples()
     assert row.length_px == pytest.approx(50 + 2 * math.hypot(25, 25))
     assert row.blossom_percent == pytest.approx(100 * 10 / row.length_px)
 
 
 def test_swapped_ends_are_judged_as_they_are() -> None:
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=LINE)], posed(LINE[::-1]))], 0.3)
+    (row,) = end_rows(
+        [frame([TrueFruit(BOX, keypoints=LINE)], posed(LINE[::-1]))], 0.3
+    ).itertuples()
     assert (row.swapped, row.blossom_percent, row.stem_percent) == (True, 100.0, 100.0)
 
 
 def test_an_end_outside_the_picture_is_not_judged() -> None:
     true = LINE.copy()
     true[4] = (700.0, 110.0, 0.0)  # known to be outside
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3).itertuples()
     assert row.length_px == pytest.approx(600.0)
     assert math.isnan(row.stem_percent)
     assert (row.blossom_percent, row.swapped) == (0.0, None)
     true[4] = 0.0  # nobody knows where
-    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3) == []
+    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3).empty
 
 
 def test_recall_and_precision_by_group() -> None:
@@ -159,7 +162,8 @@ def test_recall_and_precision_by_group() -> None:
     assert (whole.recall.value, whole.recall.count) == (0.75, 20)
     assert whole.precision is not None
     assert (whole.precision.value, whole.precision.count) == (15 / 17, 17)
-    groups = {(g.factor, g.group): g for g in group_scores(fruit, found_too)}
+    scores = group_scores(fruit, found_too)
+    groups = {(factor, group): score for factor, group, score in scores}
     assert groups["distance (m)", "under 0.45"].recall.value == 1.0
     far_off = groups["distance (m)", "0.9 or more"]
     assert far_off.recall.value == 0.5

@@ -13,12 +13,12 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.instances.instance import Instance
+from cucumbervision_lab.detection.outcomes import end_rows
 from cucumbervision_lab.detection.photos import (
     Photo,
     PhotoResult,
     audited_photos,
     evaluate_photos,
-    score_photos,
 )
 from cucumbervision_lab.detection.picture_result import Networks
 from cucumbervision_lab.detection.pictures import DetectedFruit, Frame, TrueFruit
@@ -36,29 +36,29 @@ def photo(name: str, scene: str, true: list[TrueFruit], *found: int) -> Frame:
 def scored() -> PhotoResult:
     cucumber, courgette = TrueFruit(SPOTS[0]), TrueFruit(SPOTS[1], optional=True)
     crate = TrueFruit(np.array([0.0, 60, 300, 115]), ignore=True)
-    return score_photos(
-        [
-            photo("a.jpg", "one", [cucumber, courgette, crate], 0, 1, 2, 3),
-            photo("b.jpg", "one", [cucumber, TrueFruit(SPOTS[5])], 0),
-            photo("c.jpg", "two", [cucumber], 0, 4),
-            photo("d.jpg", "three", [], 6),
-        ],
-        ["crate", "board", "board", "none"],
-        0.25,
-        missing=2,
+    frames = (
+        photo("a.jpg", "one", [cucumber, courgette, crate], 0, 1, 2, 3),
+        photo("b.jpg", "one", [cucumber, TrueFruit(SPOTS[5])], 0),
+        photo("c.jpg", "two", [cucumber], 0, 4),
+        photo("d.jpg", "three", [], 6),
     )
+    settings = ("crate", "board", "board", "none")
+    photos = tuple(
+        Photo(frame, Path(frame.name), setting, "loose fruit")
+        for frame, setting in zip(frames, settings, strict=True)
+    )
+    return PhotoResult(0.25, photos, frames, missing=2)
 
 
 def test_recall_and_precision_of_photos() -> None:
     found = scored()
-    scores = dict(found.scores)
-    whole = scores["all"]
+    whole = found.score()
     # Four cucumbers, one missed; five judged detections, two of them on nothing.
     assert (whole.recall.value, whole.recall.count, whole.recall.groups) == (0.75, 4, 2)
     assert whole.precision is not None
     assert (whole.precision.value, whole.precision.count) == (0.6, 5)
-    assert (found.photos, found.scenes, found.missing) == (4, 3, 2)
-    board, empty = scores["board"].precision, scores["none"].precision
+    assert "4 photos of 3 scenes; 2 of the audit's" in photo_tables(found)[0].comment
+    board, empty = (found.score(setting=name).precision for name in ("board", "none"))
     assert board is not None
     assert empty is not None
     assert (board.value, empty.value) == pytest.approx((2 / 3, 0.0))
@@ -93,13 +93,11 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
         Photo(Frame("a.png", "two", 80, 60), tmp_path / "a.png", "none", "negatives"),
     ]
     found = evaluate_photos(photos, Networks(Reader(), None, None, 0.3))  # type: ignore[arg-type]
-    for scores in (found.tests, found.small):
-        named = dict(scores)
-        assert named["on the plant"].recall.value == 1.0
-        negatives = named["negatives"].precision
+    for small in (False, True):
+        assert found.score(small=small, test="on the plant").recall.value == 1.0
+        negatives = found.score(small=small, test="negatives").precision
         assert negatives is not None
         assert negatives.value == 0.0
-    assert [name for name, _ in found.small] == ["all", "negatives", "on the plant"]
     rows = [row[0] for row in photo_tables(found)[0].rows]
     assert rows == [
         "all",
@@ -115,8 +113,8 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
     fruit = DetectedFruit(SPOTS[0], 0.9, keypoints=points)
     frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(fruit,), kept=(fruit,))
-    found = score_photos([frame], ["trial"], 0.25)
-    (row,) = found.ends
+    found = PhotoResult(0.25, (Photo(frame, Path("a.jpg"), "trial", "first audit"),), (frame,))
+    (row,) = end_rows(found.frames, 0.25).itertuples()
     assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
         100.0,
         3.0,

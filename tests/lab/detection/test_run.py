@@ -29,15 +29,11 @@ from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
-from cucumbervision_lab.detection.average_precision import IouType
+from cucumbervision_lab.detection.outcomes import end_rows
 from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, AuditKind
-from cucumbervision_lab.detection.pictures import Stage, read_held_out
-from cucumbervision_lab.detection.report import detection_tables, summarise
-from cucumbervision_lab.detection.run import (
-    DetectionOptions,
-    DetectionResult,
-    evaluate_detection,
-)
+from cucumbervision_lab.detection.pictures import Stage
+from cucumbervision_lab.detection.report import detection_tables
+from cucumbervision_lab.detection.run import DetectionResult, evaluate_detection
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -162,39 +158,27 @@ def networks(scene: DrawnFruit, tmp_path_factory: pytest.TempPathFactory) -> tup
 def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
     segment, pose = networks
     # SAM on one picture only: it takes most of the time.
-    return evaluate_detection(
-        DetectionOptions(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
-    )
+    return evaluate_detection(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
 
 
-def test_average_precision_and_recall(result: DetectionResult) -> None:
-    summary = summarise(result)
-    found = {(precision.stage, precision.iou_type): precision for precision in summary.precisions}
+def test_average_precision_and_recall(result: DetectionResult, scene: DrawnFruit) -> None:
+    tables = {table.title: table for table in detection_tables(result)}
+    found = {row[:2]: row[2:] for row in tables["Average precision"].rows}
     assert len(found) == 5
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101
-    for key in ((Stage.SEGMENTED, IouType.BOXES), (Stage.POSED, IouType.BOXES)):
-        assert found[key].map50 == pytest.approx(expected)
-        assert found[key].map50_95 == pytest.approx(expected, abs=1e-6)
-    masks = found[Stage.SEGMENTED, IouType.MASKS]
-    assert masks.map50 == pytest.approx(expected)
+    for stage in (Stage.SEGMENTED, Stage.POSED):
+        assert found[str(stage), "boxes"] == pytest.approx((2, expected, expected), abs=1e-6)
+    assert found[str(Stage.SEGMENTED), "masks"][1] == pytest.approx(expected)
     # All five are 3 px off: OKS = exp(-9 / (2 area 0.1²)).
-    area = _area(result)
-    similarity = math.exp(-9 / (2 * area * 0.1**2))
+    similarity = math.exp(-9 / (2 * np.count_nonzero(scene.mask) * 0.1**2))
     passed = sum(similarity >= t for t in np.arange(0.5, 0.96, 0.05).round(2))
-    keypoints = found[Stage.POSED, IouType.KEYPOINTS]
-    assert keypoints.map50_95 == pytest.approx(expected * passed / 10)
+    keypoints = found[str(Stage.POSED), "keypoints"]
+    assert keypoints[2] == pytest.approx(expected * passed / 10)
     assert 5 <= passed <= 9
-    for _, one in summary.overall:
-        assert (one.recall.value, one.recall.count, one.recall.groups) == (1.0, 2, 2)
-        assert one.precision is not None
-        assert one.precision.value == pytest.approx(2 / 3)
-
-
-def _area(result: DetectionResult) -> int:
-    label = read_held_out(result.plan.data).pictures[0].labels[0]
-    assert label.mask_code is not None
-    return label.mask_code.area_px
+    for _, fruit, scenes, recall, _, _, _, precision, _ in tables["Recall and precision"].rows:
+        assert (fruit, scenes, recall) == (2, 2, 1.0)
+        assert precision == pytest.approx(2 / 3)
 
 
 def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]:
@@ -204,7 +188,7 @@ def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]
             row[0]: dict(zip([c.head for c in table.columns], row, strict=True))
             for row in table.rows
         }
-        for table in detection_tables(summarise(result), result.plan.confidence)
+        for table in detection_tables(result)
     }
 
 
@@ -214,7 +198,7 @@ def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
     assert every["n"] == 4
     # The network's points are 3 px off; the outline's axis ends within a pixel of the fruit's.
     assert cast(float, every["median (% of length)"]) < 100 * 1 / length
-    assert [row.swapped for row in summarise(result).ends] == [False, False]
+    assert end_rows(result.frames, result.confidence)["swapped"].tolist() == [False, False]
 
 
 def test_masks_and_lengths(result: DetectionResult) -> None:
@@ -223,7 +207,7 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
     assert (masks["detector"]["fruit"], masks["measured"]["fruit"]) == (2, 1)
     assert cast(float, masks["detector"]["mean IoU"]) > 0.9  # blocks of four pixels
     assert cast(float, masks["measured"]["mean IoU"]) > 0.93  # drawn by SAM
-    assert {r.masks for r in result.records} == {Masks.EXACT, Masks.PERCEIVED}
+    assert set(result.readings["masks"]) == {Masks.EXACT, Masks.PERCEIVED}
     for words in ("true masks", "perceived masks"):
         lengths = tables[f"Accuracy against the centreline, {words}"]
         best = lengths["selector best"]
@@ -234,9 +218,8 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
 
 def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
-    plan = DetectionOptions(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
-    result = evaluate_detection(plan)
-    assert summarise(result).overall[0][1].recall.value == 0.0
+    result = evaluate_detection(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
+    assert tables_of(result)["Recall and precision"]["reported detections"]["recall"] == 0.0
     rows = tables_of(result)["Accuracy against the thread, perceived masks"].values()
     assert {row["captures"] for row in rows} == {2}
     assert {row["measured (%)"] for row in rows} == {0.0}

@@ -189,13 +189,13 @@ def fruit_rows(
         hit = {required[t]: detections[s] for t, s in matches.pairs}
         for k in required:
             fruit, by = frame.true[k], hit.get(k)
-            known = fruit.long_px, fruit.distance_m, fruit.hidden_share, fruit.cut_off
+            place = fruit.long_px, fruit.distance_m, fruit.hidden_share, fruit.cut_off
             overlaps = (math.nan,) * 3
             if by is not None:
                 has_masks = frame.has_masks and fruit.code is not None
                 of_masks = code_iou(fruit.code, by.code) if has_masks else math.nan
                 overlaps = by.score, box_iou(fruit.box, by.box), of_masks
-            rows.append((frame.name, frame.scene, k, *known, by is not None, *overlaps))
+            rows.append((frame.name, frame.scene, k, *place, by is not None, *overlaps))
     return pd.DataFrame(rows, columns=_FRUIT)
 
 
@@ -213,9 +213,10 @@ def detection_rows(
         matches, detections, _ = match_detections(frame, confidence, stage)
         outcome = dict.fromkeys(range(len(detections)), "hit")
         outcome |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
-        for k, found in enumerate(detections):
-            known = found.score, found.long_px, found.distance_m, _at_border(found.box, frame)
-            rows.append((frame.name, frame.scene, k, *known, outcome[k], *found.box.tolist()))
+        for k, detection in enumerate(detections):
+            place = detection.score, detection.long_px, detection.distance_m
+            cut_off, box = _at_border(detection.box, frame), detection.box.tolist()
+            rows.append((frame.name, frame.scene, k, *place, cut_off, outcome[k], *box))
     return pd.DataFrame(rows, columns=_DETECTION)
 
 
@@ -257,9 +258,9 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> pd.DataFrame:
 
 def _end_errors(true: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[Any, ...]:
     length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
-    ends, found = true[_ENDS, :2], points[_ENDS, :2]
-    straight = np.linalg.norm(found - ends, axis=1)
-    crossed = np.linalg.norm(found[::-1] - ends, axis=1)
+    ends, measured = true[_ENDS, :2], points[_ENDS, :2]
+    straight = np.linalg.norm(measured - ends, axis=1)
+    crossed = np.linalg.norm(measured[::-1] - ends, axis=1)
     labelled = true[_ENDS, 2] > 0
     percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
     swapped = bool(crossed.sum() < straight.sum()) if labelled.all() else None
@@ -308,17 +309,17 @@ def group_scores(fruit: pd.DataFrame, detections: pd.DataFrame) -> Iterator[tupl
         has_precision = column in detections
         for start, end in pairwise(edges):
             inside = fruit[fruit[column].between(start, end, inclusive="left")]
-            found = (
+            part = (
                 detections[detections[column].between(start, end, inclusive="left")]
                 if has_precision
                 else None
             )
-            if len(inside) or (found is not None and len(found)):
-                yield factor, _name(start, end, scale), overall(inside, found)
+            if len(inside) or (part is not None and len(part)):
+                yield factor, _name(start, end, scale), overall(inside, part)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
-        inside, found = (rows[rows["cut_off"] == cut] for rows in (fruit, detections))
-        if len(inside) or len(found):
-            yield "edge", name, overall(inside, found)
+        inside, part = (rows[rows["cut_off"] == cut] for rows in (fruit, detections))
+        if len(inside) or len(part):
+            yield "edge", name, overall(inside, part)
 
 
 def _name(start: float, end: float, scale: float) -> str:

@@ -274,15 +274,15 @@ def photo_tables(photos: PhotoResult) -> list[ReportTable]:
 
 def _false_table(photos: PhotoResult) -> ReportTable:
     """Return the false positives on real photos, most confident first."""
-    found = detection_rows(photos.frames, photos.confidence)
-    false = found[found["outcome"] == "false"].sort_values("score", ascending=False, kind="stable")
-    rows = [
+    rows = detection_rows(photos.frames, photos.confidence)
+    false = rows[rows["outcome"] == "false"].sort_values("score", ascending=False, kind="stable")
+    cells = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
         for r in false.head(_MOST_FALSE_SHOWN).itertuples()
     ]
     title = f"False detections on real photos ({len(false)})"
     heads = ["photo", "scene", "confidence:.3", "box (px)"]
-    return ReportTable.of(title, heads, rows, "The photos themselves are not shown.")
+    return ReportTable.of(title, heads, cells, "The photos themselves are not shown.")
 
 
 def _span(span: Estimate, decimals: int = 3, scale: float = 1.0) -> str:

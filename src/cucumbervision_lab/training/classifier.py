@@ -254,8 +254,8 @@ def write_classifier_card(
     Without epochs the checkpoint that it began with was judged, and nothing was learnt.
     """
     network, began = trained.network, Path(init)
-    beside = network.with_suffix(".pt")
-    checkpoint = beside if beside.exists() else network
+    weights = network.with_suffix(".pt")
+    checkpoint = weights if weights.exists() else network
     metrics = dict(trained.metrics)
     if not options.epochs:
         checkpoint = began

@@ -93,7 +93,7 @@ def write_training_data(datasets: Sequence[DataSet], task: str, run: Path) -> Pa
         if task == "pose":
             dataset = _each_label(dataset, _ordered_by_place)
         written = write_yolo(dataset, folder, TASKS[task], splits=("train", "val"))
-        times = {"train": sum(other is unique[number] for other in datasets), "val": 1}
+        times = {"train": sum(entry is unique[number] for entry in datasets), "val": 1}
         for split in times:
             if written.pictures[split]:
                 content[split] += times[split] * [str(folder / "images" / split)]
@@ -167,7 +167,7 @@ def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
     """Write the audited photos below a folder, except those of test scenes, as a labelled set.
 
     Fruit without an outline get a mask by SAM; complete fruit get keypoints along the mask's axis,
-    ordered by place where the stem end is not known.
+    ordered by place where the stem end is not directed.
 
     Parameters
     ----------
@@ -213,10 +213,10 @@ def _with_axis_points(label: Label) -> Label:
     if points is not None:
         return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
     stem = label.extras.get("stem")
-    known = stem in DIRECTIONS
-    for direction in [str(stem)] if known else ["right", "up"]:
+    directed = stem in DIRECTIONS
+    for direction in [str(stem)] if directed else ["right", "up"]:
         points = keypoints_of_mask(mask, direction)
         if points is not None:
-            order = {} if known else {KEYPOINT_ORDER: BY_PLACE}
+            order = {} if directed else {KEYPOINT_ORDER: BY_PLACE}
             return replace(label, keypoints=points, extras={**label.extras, **order})
     return label

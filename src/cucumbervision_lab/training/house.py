@@ -111,7 +111,7 @@ def train_house(
     share : float
         Share of greenhouse pictures in training.
     frames : int
-        Number of simulated frames to train on; at most 60 of as many others are compared by.
+        Number of simulated frames to train on; at most 60 different ones are compared by.
     options : TrainOptions, optional
         Training options; by default 15 epochs with a learning rate of 0.0003.
     workers : int
@@ -133,13 +133,13 @@ def train_house(
     """
     held_out = held_out_set(house)
     log("drawing frames to mix in")
-    others = [_drawn(out / "drawn", frames, _TRAIN_SEED, "train", workers)]
+    companions = [_drawn(out / "drawn", frames, _TRAIN_SEED, "train", workers)]
     if photos is not None:
         folder = out / "photos"
-        others.append(
+        companions.append(
             read_coco(folder) if (folder / ANNOTATIONS).is_file() else photo_set(photos, folder)
         )
-    mixture = mixed(read_coco(house), others, share)
+    mixture = mixed(read_coco(house), companions, share)
     options = options or TrainOptions(15, learning_rate=3e-4)
     train("seg", mixture, out / "seg", str(init), options, log)
     count = len(held_out.pictures)
@@ -147,11 +147,11 @@ def train_house(
     return _compare(house, out, photos, min(frames, 60), workers)
 
 
-def mixed(house: DataSet, others: Sequence[DataSet], share: float) -> list[DataSet]:
+def mixed(house: DataSet, companions: Sequence[DataSet], share: float) -> list[DataSet]:
     """Return data sets of which the first is repeated so often that it has about its share."""
-    among = sum(len(other.in_split("train")) for other in others)
+    among = sum(len(dataset.in_split("train")) for dataset in companions)
     times = round(share / (1 - share) * among / len(house.in_split("train")))
-    return [*[house] * max(times, 1), *others]
+    return [*[house] * max(times, 1), *companions]
 
 
 def held_out_set(house: Path) -> DataSet:
@@ -219,7 +219,7 @@ def _drawn(folder: Path, frames: int, seed: int, split: str, workers: int) -> Da
 
 
 def evaluate_detector(
-    network: Path, house: Path, drawn: Path, photos: Path | None = None, most: int = 256
+    network: Path, house: Path, drawn: Path, photos: Path | None = None, limit: int = 256
 ) -> tuple[DetectorScore, ...]:
     """Evaluate the boxes that a detector would report as the one in use, beside the same networks.
 
@@ -233,7 +233,7 @@ def evaluate_detector(
         Synthetic set, evaluated completely.
     photos : Path, optional
         Folder of the audited photos; those of test scenes are evaluated.
-    most : int
+    limit : int
         Maximum number of photos, evenly spaced.
     """
     chosen = chosen_networks(network, None)
@@ -245,7 +245,7 @@ def evaluate_detector(
         score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
         scores.append(DetectorScore.of(name, score))
     if photos is not None:
-        result = evaluate_photos(spread(audited_photos(photos)[0], most), networks)
+        result = evaluate_photos(spread(audited_photos(photos)[0], limit), networks)
         scores.append(DetectorScore.of("photos", result.score()))
         scores.append(DetectorScore.of("photos at half size", result.score(small=True)))
     return tuple(scores)

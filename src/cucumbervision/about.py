@@ -6,6 +6,7 @@ import os
 from importlib.metadata import PackageNotFoundError, metadata, version
 
 from cucumbervision._version import __version__
+from cucumbervision.errors import Message
 
 LICENCE = "AGPL-3.0-only"
 _VERSIONS_OF = (
@@ -36,7 +37,7 @@ def source_offer() -> str:
         label, _, address = line.partition(", ")
         if label.lower() == "source":
             return str(address)
-    return (
+    return Message(
         "this installation names no address of its source (Source in [project.urls]); "
         "whoever runs it owes you the source (AGPL-3.0, section 13)"
     )

@@ -10,11 +10,91 @@ import errno
 import re
 import traceback
 from contextlib import contextmanager
+from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
+
+
+class Message(str):
+    """A sentence in English that keeps its template and parts, so that a page can translate it.
+
+    Parameters
+    ----------
+    template : str
+        As `str.format` takes it. Without parts it is the sentence itself, braces included.
+    **parts
+        What the names in braces stand for: numbers, text, or messages, which are translated too.
+
+    Examples
+    --------
+    >>> message = Message("holds {count} pages of {size_mb:.1f} MB", count=3, size_mb=0.25)
+    >>> message, message.parts
+    ('holds 3 pages of 0.2 MB', {'count': 3, 'size_mb': 0.25})
+    >>> Message.from_json(message.as_json()).template
+    'holds {count} pages of {size_mb:.1f} MB'
+    """
+
+    template: str
+    parts: dict[str, object]
+
+    def __new__(cls, template: str, /, **parts: object) -> Self:
+        """Fill in the parts; a message is returned as it is."""
+        if isinstance(template, cls):
+            return template
+        text = template.format(**parts) if parts else template
+        message = super().__new__(cls, " ".join(text.split()))
+        message.template, message.parts = template, {k: _plain(v) for k, v in parts.items()}
+        return message
+
+    def as_json(self) -> dict[str, Any]:
+        """Return template and parts, as `from_json` reads them."""
+        parts = {k: v.as_json() if isinstance(v, Message) else v for k, v in self.parts.items()}
+        return {"template": self.template, "parts": parts}
+
+    @classmethod
+    def from_json(cls, value: Any) -> Self:
+        """Return a message that was written by `as_json`, or a text of an older version."""
+        if not isinstance(value, dict):
+            return cls(value)
+        read = {k: cls.from_json(v) for k, v in value["parts"].items() if isinstance(v, dict)}
+        return cls(value["template"], **value["parts"] | read)
+
+
+def _plain(part: object) -> object:
+    """Return a part as what JSON holds: NumPy's numbers become Python's, all else text."""
+    if isinstance(part, Real):
+        return int(part) if isinstance(part, Integral) else float(part)
+    return part if isinstance(part, Message) else str(part)
+
+
+def with_reason(fault: str, reason: str) -> Message:
+    """Return a fault with its reason in brackets.
+
+    Examples
+    --------
+    >>> with_reason("cannot be read", "Permission denied")
+    'cannot be read (Permission denied)'
+    """
+    return Message("{fault} ({reason})", fault=Message(fault), reason=Message(reason))
+
+
+def joined(words: Iterable[str], last: str = "{first}, {second}") -> Message:
+    """Return several words with commas between them, and perhaps 'or' before the last.
+
+    Examples
+    --------
+    >>> joined(["a", "b", "c"], "{first} or {second}")
+    'a, b or c'
+    """
+    messages = [Message(word) for word in words]
+    text = messages[0] if messages else Message("")
+    for number, word in enumerate(messages[1:], 2):
+        template = last if number == len(messages) else "{first}, {second}"
+        text = Message(template, first=text, second=word)
+    return text
 
 
 class CucumberVisionError(Exception):
@@ -22,25 +102,34 @@ class CucumberVisionError(Exception):
 
     Parameters
     ----------
-    message : str
-        The fault, in plain words.
+    template : str
+        The fault, in plain words, as `Message` takes it.
     source : str, optional
         The file, folder or device at fault; put first in the line.
     remedy : str, optional
-        What the user can do about it; put last in the line.
+        What the user can do about it, as `Message` takes it; put last in the line.
+    **parts
+        What the names in braces of both stand for.
 
     Examples
     --------
-    >>> print(CucumberVisionError("the file is empty", source="a.png", remedy="copy it again"))
-    a.png: the file is empty; copy it again
+    >>> error = CucumberVisionError("{n} bytes", source="a.png", remedy="copy it again", n=0)
+    >>> print(error)
+    a.png: 0 bytes; copy it again
+    >>> error.message.template
+    '{n} bytes'
     """
 
-    def __init__(self, message: str, *, source: object = None, remedy: str = "") -> None:
-        self.message = message
-        self.source = "" if source is None else str(source)
-        self.remedy = remedy
-        line = f"{self.source}: {message}" if self.source else message
-        super().__init__(" ".join((f"{line}; {remedy}" if remedy else line).split()))
+    def __init__(
+        self, template: str, /, *, source: object = None, remedy: str = "", **parts: object
+    ) -> None:
+        self.message = Message(template, **parts)
+        self.source = source if isinstance(source, str) else str(source or "")
+        self.remedy = Message(remedy, **parts)
+        lines = {"source": self.source, "fault": self.message, "remedy": self.remedy}
+        form = "{source}: " * bool(self.source) + "{fault}" + "; {remedy}" * bool(self.remedy)
+        self.line = Message(form, **lines)
+        super().__init__(self.line)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how a copy is made in another process."""
@@ -190,7 +279,8 @@ class MissingExtraError(CucumberVisionError):
 
     def __init__(self, package: str, extra: str = "") -> None:
         requirement = f"'cucumbervision[{extra}]'" if extra else package
-        super().__init__(f"{package} is not installed", remedy=f"pip install {requirement}")
+        parts = {"package": package, "requirement": requirement}
+        super().__init__("{package} is not installed", remedy="pip install {requirement}", **parts)
 
     def at(self, source: object) -> Self:  # noqa: ARG002 - no file is at fault
         """Return the error itself."""
@@ -249,15 +339,15 @@ def wrap_os_errors(
         text = error.strerror or " ".join(str(error).split()) or type(error).__name__
         if error.errno in _FULL:
             kind, remedy = DiskFullError, _FILE_REMEDIES[errno.ENOSPC]
-        raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
+        raise kind(with_reason(fault, text), source=source, remedy=remedy) from error
     except ValueError as error:
         # An invalid file name: Python raises this without a system call.
         name = str(source).encode(errors="replace").decode()
         if "\0" not in name and name == str(source):
             raise
-        letter = "a null" if "\0" in name else "half of a letter"  # of a surrogate pair
+        reason = "its name holds a null" if "\0" in name else "its name holds half of a letter"
         name = name.replace("\0", "�")
-        raise kind(f"{fault} (its name holds {letter})", source=name, remedy=remedy) from error
+        raise kind(with_reason(fault, reason), source=name, remedy=remedy) from error
 
 
 @contextmanager
@@ -297,19 +387,19 @@ def wrap_reader_errors(
         raise kind(_fault_of(error), source=source, remedy=remedy) from error
 
 
-def _fault_of(error: Exception) -> str:
+def _fault_of(error: Exception) -> Message:
     text = " ".join(str(error).split())
     if isinstance(error, OSError):
-        return f"cannot be read ({error.strerror or text})"
+        return with_reason("cannot be read", error.strerror or text)
     if isinstance(error, RecursionError):
-        return "is nested too deeply"
+        return Message("is nested too deeply")
     if isinstance(error, UnicodeError):
-        return "is not readable text"
+        return Message("is not readable text")
     if isinstance(error, KeyError):
-        return f"has no {text[:_LONGEST_FAULT]}"
+        return Message("has no {name}", name=text[:_LONGEST_FAULT])
     if len(text) > _LONGEST_FAULT:
         text = f"{text[:_LONGEST_FAULT]}…"
-    return f"is damaged or of another form ({text or type(error).__name__})"
+    return with_reason("is damaged or of another form", text or type(error).__name__)
 
 
 _LONGEST_FAULT = 200  # of a library's message

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from unicodedata import category, normalize
 
-from cucumbervision.errors import NameRefusedError
+from cucumbervision.errors import Message, NameRefusedError
 
 # They change the direction of the text after the name, in every list and file.
 _DIRECTION_MARKS = frozenset(
@@ -53,15 +53,22 @@ def checked_name(text: str, what: str = "name", longest: int | None = LONGEST_NA
     if longest is not None and len(name) > longest:
         name_start = readable(name[:_SHOWN_CHARACTERS])
         raise NameRefusedError(
-            f"the {what} '{name_start}' has {len(name)} characters, and {longest} are taken",
+            "the {what} '{name}' has {count} characters, and {most} are taken",
             remedy="shorten it",
+            what=Message(what),
+            name=name_start,
+            count=len(name),
+            most=longest,
         )
     bad = next((c for c in name if _is_unreadable(c)), None)
     if bad is not None:
         name_start = readable(name[:_SHOWN_CHARACTERS])
         raise NameRefusedError(
-            f"the {what} '{name_start}' contains U+{ord(bad):04X}, which is no letter or sign",
+            "the {what} '{name}' contains U+{sign:04X}, which is no letter or sign",
             remedy="type it again; only letters, digits, signs and spaces",
+            what=Message(what),
+            name=name_start,
+            sign=ord(bad),
         )
     return name
 

@@ -45,9 +45,7 @@ _OWN: Mapping[Kind, Mapping[str, str]] = {
         "viewer": "cucumbervision.capture.readers.viewer:find_snapshots",
         "pair": "cucumbervision.capture.readers.pair:find_pairs",
     },
-    "traits": {
-        "skin_yellow_share": "cucumbervision.measurement.skin:skin_yellow_share",
-    },
+    "traits": {"skin_yellow_share": "cucumbervision.measurement.skin:skin_yellow_share"},
 }
 """The package's own, by name: a new one is a file, and a line here. (Networks: `models.toml`.)"""
 

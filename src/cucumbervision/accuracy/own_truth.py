@@ -13,7 +13,7 @@ from cucumbervision.accuracy.measured import REPORTED, Reading
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.table import ReportTable
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
-from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
+from cucumbervision.errors import CucumberVisionError, Message, TruthError, wrap_os_errors
 from cucumbervision.files import write_csv
 from cucumbervision.measurement.result import LengthDefinition, MethodName, calibration_key
 
@@ -100,7 +100,7 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
     notes = _notes(truth, floor, pairs)
     simulated = {c["name"] for c in measured.report.get("captures", []) if c.get("simulated")}
     if any(length.capture in simulated for length, _ in pairs):
-        notes.append("Some of these captures are simulated.")
+        notes.append(Message("Some of these captures are simulated."))
     return OwnTruth(tuple(pairs), tuple(_score_methods(pairs)), floor, tuple(notes))
 
 
@@ -210,49 +210,60 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
     for usual_ratio, factor, words, remedy in _UNITS:
         if usual_ratio / factor < ratio < usual_ratio * factor:
             raise TruthError(
-                f"the lengths are not in centimetres: their median is {ratio:.3g} times what was "
-                f"measured, about {words}",
+                "the lengths are not in centimetres: their median is {ratio:.3g} times what "
+                "was measured, about {words}",
                 source=path,
-                remedy=f"{remedy}; the columns hold centimetres",
+                remedy="{advice}; the columns hold centimetres",
+                ratio=ratio,
+                words=words,
+                advice=remedy,
             )
     for length, _ in pairs:
         for length_m in length.lengths_m:
             if not _SHORTEST_M <= length_m <= _LONGEST_M:
                 raise TruthError(
-                    f"line {length.line}: {100 * length_m:g} cm is not a plausible length",
+                    "line {number}: {length:g} cm is not a plausible length",
                     source=path,
                     remedy="give centimetres, between 1 and 100",
+                    number=length.line,
+                    length=100 * length_m,
                 )
 
 
 def _notes(
     truth: Truth, floor: Floor | None, pairs: Sequence[tuple[TrueLength, Reading]]
-) -> list[str]:
+) -> list[Message]:
+    notes: list[Message] = []
+
+    def note(template: str, **parts: object) -> None:
+        notes.append(Message(template, **parts))
+
     missed = sum(reading.flags == MISSED for _, reading in pairs)
-    notes = [f"Hand-measured lengths: {truth.path.name}, {len(pairs)} of them."]
+    in_part = sum(not reading.is_whole for _, reading in pairs)
+    note("Hand-measured lengths: {file}, {count} of them.", file=truth.path.name, count=len(pairs))
     if floor is None:
-        notes.append("No fruit was measured twice by hand, so the floor is not known.")
+        note("No fruit was measured twice by hand, so the floor is not known.")
     else:
-        notes.append(
-            f"Floor: one measurement by hand has a standard deviation of {floor.sd_mm:.2f} mm "
-            f"({floor.sd_percent:.2f} %), from {floor.measurements} measurements of "
-            f"{floor.specimens} fruit."
+        note(
+            "Floor: one measurement by hand has a standard deviation of {sd_mm:.2f} mm "
+            "({sd_percent:.2f} %), from {measurements} measurements of {specimens} fruit.",
+            **vars(floor),
         )
     if not truth.specimens_named:
-        notes.append(
+        note(
             "No column 'specimen': each fruit of each capture counts as a fruit of its own. If "
             "some were captured several times, name them, or the intervals are too narrow."
         )
-    in_part = sum(not reading.is_whole for _, reading in pairs)
     if in_part:
-        notes.append(
-            f"{in_part} fruit go on out of sight, or have a flag of wrong depth: they count as "
-            "errors here, and a calibration leaves them out."
+        note(
+            "{count} fruit go on out of sight, or have a flag of wrong depth: they count as "
+            "errors here, and a calibration leaves them out.",
+            count=in_part,
         )
     if missed:
-        notes.append(f"{missed} fruit were not found at all and count as 100 % error.")
+        note("{count} fruit were not found at all and count as 100 % error.", count=missed)
     if truth.unused:
-        notes.append(f"Columns not used: {', '.join(truth.unused)}.")
+        note("Columns not used: {names}.", names=", ".join(truth.unused))
     return notes
 
 

@@ -95,11 +95,7 @@ class ReportTable:
 
     @classmethod
     def of(
-        cls,
-        title: str,
-        heads: Iterable[str],
-        rows: Iterable[Sequence[Any]],
-        comment: str = "",
+        cls, title: str, heads: Iterable[str], rows: Iterable[Sequence[Any]], comment: str = ""
     ) -> ReportTable:
         """Create a table from headings in the format of `ReportColumn.of`.
 

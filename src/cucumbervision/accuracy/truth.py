@@ -244,9 +244,10 @@ def read_truth(path: Path) -> Truth:
         missing.append("length_cm")
     if missing:
         raise TruthError(
-            f"has no column {', '.join(missing)}",
+            "has no column {names}",
             source=path,
             remedy="name the columns capture, fruit, length_cm (in centimetres), kind",
+            names=", ".join(missing),
         )
     if not table.lines:
         raise TruthError("has a head but no lines", source=path, remedy="write a line a length")

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.errors import Message, joined
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -78,7 +80,7 @@ def class_name(name: str) -> str:
     >>> class_name("I"), class_name("too long")
     ('class I', 'too long')
     """
-    return name if name in WITHOUT_CLASS else f"class {name}"
+    return Message(name) if name in WITHOUT_CLASS else Message("class {name}", name=name)
 
 
 def choice_words(names: Iterable[str]) -> str:
@@ -95,5 +97,5 @@ def choice_words(names: Iterable[str]) -> str:
     for name in names:
         # 'class' once before a run of classes.
         follows = bool(words) and words[-1] not in WITHOUT_CLASS
-        words.append(name if name in WITHOUT_CLASS or follows else f"class {name}")
-    return " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
+        words.append(name if follows and name not in WITHOUT_CLASS else class_name(name))
+    return joined(words, "{first} or {second}")

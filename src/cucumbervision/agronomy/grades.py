@@ -19,6 +19,7 @@ from cucumbervision.agronomy.classes import (
     class_of,
     possible_classes,
 )
+from cucumbervision.errors import Message, joined, with_reason
 from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.result import (
     INTERVAL_Z,
@@ -232,10 +233,12 @@ class Grade:
         >>> grade.words
         'undecided: class II or I'
         """
+        name = class_name(self.name)
         if self.reason:
-            return f"{class_name(self.name)} ({self.reason})"
-        choice = f": {choice_words(self.possible)}" if self.verdict is GradeStatus.UNDECIDED else ""
-        return f"{class_name(self.name)}{choice}"
+            return with_reason(name, self.reason)
+        if self.verdict is GradeStatus.UNDECIDED:
+            return Message("{name}: {classes}", name=name, classes=choice_words(self.possible))
+        return name
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,7 @@ class _Check:
     reason: str = ""
 
     def as_remark(self) -> _Check:
-        text = f"remark: {self.rule}" if self.rule else ""
+        text = Message("remark: {rule}", rule=self.rule) if self.rule else ""
         return replace(self, forbidden=frozenset(), rule=text, reason="")
 
 
@@ -333,9 +336,14 @@ def _without_length(fruit: _Gradable, profile: CropProfile, mass_g: float | None
 
 def _refused(length_cm: float, profile: CropProfile, mass_g: float | None) -> Grade:
     limits = profile.acceptance
-    rule = (
-        f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
-        f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
+    rule = Message(
+        "refused: {kind} length {length:.1f} cm cannot be, {crop} is accepted from {low:g} to "
+        "{high:g} cm; measure again",
+        kind=Message(profile.length),
+        length=length_cm,
+        crop=Message(profile.title),
+        low=limits.min_cm,
+        high=limits.max_cm,
     )
     return Grade(
         verdict=GradeStatus.REFUSED,
@@ -402,11 +410,14 @@ def _rules(
     lowering = tuple(check.rule for check in checks if check.rule)
     if class_of(possible) == UNDECIDED:
         low_cm, high_cm = (100 * end for end in range_m)
-        ends = f"{low_cm:.1f} to {high_cm:.1f} cm: {choice_words(possible)}"
+        rule = "undecided: {kind} length {low:.1f} to {high:.1f} cm: {classes}"
         if math.isinf(high_cm):
-            ends = f"at least {low_cm:.1f} cm: {_PART}" if low_cm else _UNCERTAIN
-        why = _why(profile, "classes")
-        return (f"undecided: {profile.length} length {ends}{why}", *lowering)
+            rule = "undecided: {kind} length the length is uncertain"
+            if low_cm:
+                rule = "undecided: {kind} length at least {low:.1f} cm: only part of it is seen"
+        parts = {"kind": Message(profile.length), "low": low_cm, "high": high_cm}
+        rule = Message(rule, **parts, classes=choice_words(possible))
+        return (_sourced(rule, profile, "classes"), *lowering)
     bin_index = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-6, side="right"))
     by_length = _length_rule(profile, length_cm, bin_index)
     lowered = possible != (_classes_of_bins(profile, ())[bin_index],)
@@ -424,7 +435,7 @@ def _reason(
     by_length = possible_classes(*range_m, profile.edges_m, _classes_of_bins(profile, ()))
     if by_length == (name,):
         return "by length"
-    return ", ".join(check.reason for check in checks if check.forbidden and check.reason)
+    return joined(check.reason for check in checks if check.forbidden and check.reason)
 
 
 def best_class(fruit: _Gradable, profile: CropProfile) -> str:
@@ -463,15 +474,17 @@ def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[st
 
 
 def _length_rule(profile: CropProfile, length_cm: float, bin_index: int) -> str:
-    edges = profile.edges_m * 100
-    text = f"{profile.length} length {length_cm:.1f} cm is"
-    why = _why(profile, "classes")
+    edges = [-math.inf, *(profile.edges_m * 100), math.inf]
+    outcome = profile.outcome_of_bin[bin_index]
+    rule = "class {name}: {kind} length {length:.1f} cm is in [{low:g}, {high:g})"
     if bin_index == 0:
-        return f"too short: {text} under {edges[0]:g}{why}"
-    if bin_index == len(edges):
-        return f"too long: {text} {edges[-1]:g} or more{why}"
-    name = profile.classes[profile.outcome_of_bin[bin_index]].name
-    return f"class {name}: {text} in [{edges[bin_index - 1]:g}, {edges[bin_index]:g}){why}"
+        rule = "too short: {kind} length {length:.1f} cm is under {high:g}"
+    elif bin_index == len(edges) - 2:
+        rule = "too long: {kind} length {length:.1f} cm is {low:g} or more"
+    parts = {"name": profile.outcomes[outcome], "kind": Message(profile.length)}
+    low_cm, high_cm = edges[bin_index : bin_index + 2]
+    rule = Message(rule, length=length_cm, low=low_cm, high=high_cm, **parts)
+    return _sourced(rule, profile, "classes")
 
 
 def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
@@ -485,9 +498,15 @@ def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
         profile.shape[-1],
     )
     better = frozenset(names[: names.index(band.best_class)])
-    text = f"{band.name}: inner arc {arc_mm:.1f} mm for each 10 cm of chord"
-    rule = f"at best class {band.best_class}, {text}{_why(profile, 'shape')}" if better else ""
-    return _Check(band.name, better, rule, reason=band.name if better else "")
+    if not better:
+        return _Check(band.name)
+    rule = Message(
+        "at best class {name}, {shape}: inner arc {arc:.1f} mm for each 10 cm of chord",
+        name=band.best_class,
+        shape=Message(band.name),
+        arc=arc_mm,
+    )
+    return _Check(band.name, better, _sourced(rule, profile, "shape"), reason=band.name)
 
 
 def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -> _Check:
@@ -497,9 +516,9 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check(missing="volume: no weight class")
     everything = frozenset(c.name for c in profile.classes)
     if profile.minimum_g is not None and mass_g < profile.minimum_g:
-        text = f"too light: about {mass_g:.0f} g, at least {profile.minimum_g:g} g required"
-        rule = f"{text}{_why(profile, 'minimum_g')}"
-        return _Check("", everything, rule, reason="too light")
+        rule = "too light: about {mass:.0f} g, at least {limit:g} g required"
+        rule = Message(rule, mass=mass_g, limit=profile.minimum_g)
+        return _Check("", everything, _sourced(rule, profile, "minimum_g"), reason="too light")
     band = next(
         (b for b in profile.weights if b.min_g <= mass_g and (b.max_g or np.inf) > mass_g), None
     )
@@ -509,8 +528,14 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check(band.name, missing="chord: not compared with the weight")
     if round(100 * chord_m, 6) >= band.shortest_cm:
         return _Check(band.name)
-    text = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"
-    rule = f"not class {' or '.join(band.shortest_for)}: {text}{_why(profile, 'weights')}"
+    rule = Message(
+        "not class {classes}: chord {length:.1f} cm, {weight} must be {limit:g} cm long",
+        classes=joined(band.shortest_for, "{first} or {second}"),
+        length=100 * chord_m,
+        weight=Message(band.name),
+        limit=band.shortest_cm,
+    )
+    rule = _sourced(rule, profile, "weights")
     return _Check(band.name, frozenset(band.shortest_for), rule, reason="short for its weight")
 
 
@@ -522,16 +547,18 @@ def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
         return _Check(missing="largest diameter: no width class")
     width_mm = round(1000 * diameter_m, 6)
     if least_mm is not None and width_mm < least_mm:
-        text = f"too thin: {width_mm:.1f} mm, at least {least_mm:g} mm required"
+        rule = "too thin: {width:.1f} mm, at least {limit:g} mm required"
+        rule = Message(rule, width=width_mm, limit=least_mm)
         everything = frozenset(c.name for c in profile.classes)
-        rule = f"{text}{_why(profile, 'minimum_diameter_mm')}"
+        rule = _sourced(rule, profile, "minimum_diameter_mm")
         return _Check("", everything, rule, reason="too thin")
     bands = (b.name for b in profile.diameters if b.max_mm is None or width_mm <= b.max_mm)
     return _Check(next(bands, ""))
 
 
-def _why(profile: CropProfile, key: str) -> str:
-    return f" ({profile.rules[key]})" if key in profile.rules else ""
+def _sourced(rule: Message, profile: CropProfile, key: str) -> Message:
+    """Return a rule with the source that the profile names for it."""
+    return with_reason(rule, profile.rules[key]) if key in profile.rules else rule
 
 
 def _number(row: Mapping[str, object], key: str, per_unit: float = 1.0) -> float | None:

@@ -336,8 +336,12 @@ def profile_path(name_or_path: str | Path) -> Path:
             return paths[text]
     names = ", ".join(entry.name for entry in profiles())
     raise ProfileError(
-        f"no crop profile is called {text!r}",
-        remedy=f"take one of {names}, or put your own {text}.toml into {profiles_folder()}",
+        "no crop profile is called {name!r}",
+        remedy="take one of {names}, or put your own {text}.toml into {folder}",
+        name=text,
+        names=names,
+        text=text,
+        folder=profiles_folder(),
     )
 
 
@@ -356,6 +360,6 @@ def _read(path: Path) -> CropProfile:
         data = tomllib.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise ProfileError(
-            f"not valid TOML ({error})", source=path, remedy="correct that line"
+            "not valid TOML ({reason})", source=path, remedy="correct that line", reason=error
         ) from None
     return parse_model(CropProfile, data, source=path, error=ProfileError)

@@ -50,9 +50,11 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
     different = site.camera.difference(capture.intrinsics, str(serial) if serial else None)
     if different:
         raise CalibrationError(
-            f"calibration '{site.name}' was made for another camera: {different}",
+            "calibration '{name}' was made for another camera: {different}",
             source=capture.source or capture.name,
             remedy="calibrate this camera, or measure it without --calibration",
+            name=site.name,
+            different=different,
         )
     if site.depth_scale is None:
         return capture
@@ -86,9 +88,7 @@ def _corrected_length(raw: Length, entry: CorrectionEntry, *, keep: bool) -> Len
 
 
 def calibrated_fruit(
-    fruit: Fruit,
-    site: SiteCalibration,
-    definition: LengthDefinition = LengthDefinition.CENTRELINE,
+    fruit: Fruit, site: SiteCalibration, definition: LengthDefinition = LengthDefinition.CENTRELINE
 ) -> Fruit:
     """Return a fruit with a corrected length; the measurements of the methods are unchanged.
 

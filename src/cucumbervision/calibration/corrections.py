@@ -203,10 +203,7 @@ def _weights(member: NDArray[np.intp]) -> NDArray[np.float64]:
 
 
 def _fit(
-    form: Form,
-    raw: NDArray[np.float64],
-    truth: NDArray[np.float64],
-    weights: NDArray[np.float64],
+    form: Form, raw: NDArray[np.float64], truth: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[float, float]:
     if form is Form.NONE:
         return 1.0, 0.0
@@ -228,10 +225,7 @@ def _fit(
 
 
 def _leave_one_out(
-    form: Form,
-    raw: NDArray[np.float64],
-    truth: NDArray[np.float64],
-    member: NDArray[np.intp],
+    form: Form, raw: NDArray[np.float64], truth: NDArray[np.float64], member: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     weights, predicted = _weights(member), np.empty_like(raw)
     for k in range(int(member.max()) + 1):

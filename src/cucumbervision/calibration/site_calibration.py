@@ -22,11 +22,7 @@ from cucumbervision.calibration.calibration_file import (
     SiteCalibration,
     TruthUsed,
 )
-from cucumbervision.calibration.corrections import (
-    LEVEL,
-    Fit,
-    fit_correction,
-)
+from cucumbervision.calibration.corrections import LEVEL, Fit, fit_correction
 from cucumbervision.calibration.grid import LEAST_CROSSINGS, fit_grid
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.errors import CalibrationError, wrap_reader_errors
@@ -135,16 +131,19 @@ def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -
     fit = fit_grid(taken, spacing_m)
     if fit is None:
         raise CalibrationError(
-            f"no grid of {LEAST_CROSSINGS} crossings in {len(taken)} captures",
+            "no grid of {crossings} crossings in {captures} captures",
             source="calibrate --grid",
             remedy="show a flat square grid whose lines are 12 to 60 pixels apart",
+            crossings=LEAST_CROSSINGS,
+            captures=len(taken),
         )
     scale, count = float(np.mean(fit.ratios)), len(fit.ratios)
     if abs(scale - 1) > _WORST_SCALE:
         raise CalibrationError(
-            f"depth reads {scale:.3f} times the distance of the grid, which no depth scale is",
+            "depth reads {scale:.3f} times the distance of the grid, which no depth scale is",
             source="calibrate --grid",
             remedy="check the spacing of the lines (in millimetres) and the intrinsics",
+            scale=scale,
         )
     spread = float(fit.ratios.std(ddof=1)) if count > 1 else 0.0
     entry = DepthScaleEntry(
@@ -212,9 +211,11 @@ def _run_of(measured: Measured) -> _Run:
 
 def _other_camera(capture: str, different: str, source: str) -> CalibrationError:
     return CalibrationError(
-        f"capture '{capture}' is of another camera than the first: {different}",
+        "capture '{name}' is of another camera than the first: {different}",
         source=source,
         remedy="calibrate each camera on its own",
+        name=capture,
+        different=different,
     )
 
 

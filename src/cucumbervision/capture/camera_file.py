@@ -216,10 +216,11 @@ def _only(folder: Path, names: list[str], picture: str) -> Path | None:
                 cameras[name] = camera
     if len(set(cameras.values())) > 1:
         raise IntrinsicsError(
-            f"{', '.join(cameras)} hold different cameras, and no name tells which is "
-            f"{picture or 'the pictures'}'s",
+            "{names} hold different cameras, and no name tells which is {picture}'s",
             source=folder,
             remedy="begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
+            names=", ".join(cameras),
+            picture=picture or "the pictures",
         )
     return folder / next(iter(cameras), names[0])
 

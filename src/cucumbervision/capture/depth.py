@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import DEPTH_MAX_M, DEPTH_MIN_M, valid_depth
-from cucumbervision.errors import DepthError
+from cucumbervision.errors import DepthError, Message, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,7 +88,10 @@ def depth_to_metres(
         unit_m = 1.0 if raw.dtype.kind == "f" else 0.001
     if not _FINEST_M <= unit_m <= _COARSEST_M:
         raise DepthError(
-            f"no camera's depth has steps of {unit_m:g} m", source=source, remedy="correct the unit"
+            "no camera's depth has steps of {unit:g} m",
+            source=source,
+            remedy="correct the unit",
+            unit=unit_m,
         )
     _check_unit(raw, unit_m, source)
     return scale_depth(raw, unit_m)
@@ -120,30 +123,32 @@ def require_readings(depth_m: NDArray[np.float32], *, source: object = None) -> 
     if valid_depth(depth_m).any():
         return
     readings = depth_m[depth_m > 0]
-    what = (
-        f"readings run from {readings.min():.4g} to {readings.max():.4g} m"
-        if readings.size
-        else "every pixel is 0"
-    )
+    what = Message("every pixel is 0")
+    if readings.size:
+        ends = {"low": readings.min(), "high": readings.max()}
+        what = Message("readings run from {low:.4g} to {high:.4g} m", **ends)
     raise DepthError(
-        f"depth has no reading between {DEPTH_MIN_M} and {DEPTH_MAX_M:.0f} m: {what}",
+        "depth has no reading between {low} and {high:.0f} m: {what}",
         source=source,
         remedy="check the depth stream and its unit, and capture again",
+        low=DEPTH_MIN_M,
+        high=DEPTH_MAX_M,
+        what=what,
     )
 
 
 def _check_kind(raw: NDArray[Any], source: object) -> None:
     if raw.ndim != 2 or not raw.size:
         fault = (
-            f"depth is {raw.dtype} {raw.shape}, not one value a pixel; "
+            "depth is {kind} {shape}, not one value a pixel; "
             "a colourised picture of depth has no distances"
         )
     elif raw.dtype.itemsize < 2 or raw.dtype.kind not in "uif":
-        bits = 8 * raw.dtype.itemsize
-        fault = f"depth has {bits} bits ({raw.dtype}), a picture to look at and no distances"
+        fault = "depth has {bits} bits ({kind}), a picture to look at and no distances"
     else:
         return
-    raise DepthError(fault, source=source, remedy="give the 16-bit depth itself")
+    parts = {"kind": raw.dtype, "shape": raw.shape, "bits": 8 * raw.dtype.itemsize}
+    raise DepthError(fault, source=source, remedy="give the 16-bit depth itself", **parts)
 
 
 def _refuse_shares(raw: NDArray[Any], source: object) -> None:
@@ -169,14 +174,19 @@ def _check_unit(raw: NDArray[Any], unit_m: float, source: object) -> None:
     shares = {candidate_m: _share_inside(raw, candidate_m) for candidate_m in _UNIT_NAMES}
     fitting = [candidate_m for candidate_m, share in shares.items() if share > _MOST]
     if fitting:
-        declared = _UNIT_NAMES.get(unit_m, f"steps of {unit_m:g} m")
+        declared = _UNIT_NAMES.get(unit_m) or Message("steps of {unit:g} m", unit=unit_m)
         raise DepthError(
-            f"depth is declared in {declared}, but {100 * (1 - inside):.0f} % of its readings "
-            f"then lie outside {DEPTH_MIN_M} to {DEPTH_MAX_M:.0f} m; in {_UNIT_NAMES[fitting[0]]} "
-            f"{100 * shares[fitting[0]]:.0f} % lie inside",
+            "depth is declared in {declared}, but {outside:.0f} % of its readings then lie "
+            "outside {low} to {high:.0f} m; in {unit} {inside:.0f} % lie inside",
             source=source,
-            remedy="declare the depth unit "
-            + " or ".join(f"{candidate_m:g} m" for candidate_m in fitting),
+            remedy="declare the depth unit {units}",
+            units=joined((Message("{unit:g} m", unit=x) for x in fitting), "{first} or {second}"),
+            declared=declared,
+            outside=100 * (1 - inside),
+            low=DEPTH_MIN_M,
+            high=DEPTH_MAX_M,
+            unit=_UNIT_NAMES[fitting[0]],
+            inside=100 * shares[fitting[0]],
         )
 
 

@@ -103,11 +103,7 @@ class Intrinsics:
 
     @classmethod
     def from_matrix(
-        cls,
-        matrix: ArrayLike,
-        width: int,
-        height: int,
-        stream: Stream = Stream.COLOR,
+        cls, matrix: ArrayLike, width: int, height: int, stream: Stream = Stream.COLOR
     ) -> Intrinsics:
         """Create intrinsics from a 3x3 camera matrix in pixels, without distortion.
 
@@ -260,11 +256,14 @@ def check_intrinsics(
     right_px = color.fx_px if color is not None and color.size == (width, height) else None
     if camera.stream is not Stream.COLOR:
         raise IntrinsicsError(
-            f"these are the {camera.stream} stream's intrinsics (fx {camera.fx_px:.1f} px), but "
-            f"the depth is aligned to colour{_wrong_by(camera, right_px)}",
+            "these are the {stream} stream's intrinsics (fx {fx:.1f} px), but the depth is "
+            "aligned to colour{wrong}",
             source=source,
-            remedy="give the colour stream's intrinsics; or, if the colour picture was aligned to "
-            "depth, say so with --aligned-to depth",
+            remedy="give the colour stream's intrinsics; or, if the colour picture was "
+            "aligned to depth, say so with --aligned-to depth",
+            stream=camera.stream,
+            fx=camera.fx_px,
+            wrong=_wrong_by(camera, right_px),
         )
     if camera.size != (width, height):
         # RealSense colour modes keep the full height and crop the sides, so if the aspect ratio
@@ -272,10 +271,12 @@ def check_intrinsics(
         estimate_px = right_px or camera.fx_px * height / camera.height
         qualifier = "" if right_px else "about "
         raise IntrinsicsError(
-            f"the intrinsics are for {camera.width}x{camera.height}, the picture is "
-            f"{width}x{height}{_wrong_by(camera, estimate_px, qualifier)}",
+            "the intrinsics are for {camera}, the picture is {picture}{wrong}",
             source=source,
-            remedy=f"give the colour stream's intrinsics at {width}x{height}",
+            remedy="give the colour stream's intrinsics at {picture}",
+            camera=f"{camera.width}x{camera.height}",
+            picture=f"{width}x{height}",
+            wrong=_wrong_by(camera, estimate_px, qualifier),
         )
     _check_principal_point(camera, source)
     with np.errstate(all="ignore"):
@@ -284,9 +285,10 @@ def check_intrinsics(
         )
     if not (np.abs(corners) <= _WIDEST_TANGENT).all():
         raise IntrinsicsError(
-            f"the lens distortion {camera.coefficients} cannot be undone in the picture's corners",
+            "the lens distortion {coefficients} cannot be undone in the picture's corners",
             source=source,
             remedy="give k1, k2, p1, p2, k3 of this camera",
+            coefficients=camera.coefficients,
         )
     return camera
 
@@ -294,24 +296,30 @@ def check_intrinsics(
 def _check_principal_point(camera: Intrinsics, source: object) -> None:
     """Refuse a principal point that no camera's picture has, or that fits another picture size."""
     width, height = camera.size
+    centre = {"cx": camera.cx_px, "cy": camera.cy_px}
     across, down = 2 * camera.cx_px / width, 2 * camera.cy_px / height
     factor = math.sqrt(max(across * down, 0.0))
     is_scaled = min(across, down) > 0 and abs(across - down) <= _SAME_FACTOR * factor
     if is_scaled and abs(factor - 1) > _CENTRED:
-        size = f"{width * factor:.0f}x{height * factor:.0f}"
         raise IntrinsicsError(
-            f"the principal point {camera.cx_px:g}, {camera.cy_px:g} px is the middle of a picture "
-            f"of about {size}, {factor:.2g} times as large as {width}x{height}: lengths would come "
-            f"out about {100 * (1 / factor - 1):+.0f} % wrong",
+            "the principal point {cx:g}, {cy:g} px is the middle of a picture of "
+            "about {size}, {factor:.2g} times as large as {picture}: lengths would come "
+            "out about {percent:+.0f} % wrong",
             source=source,
-            remedy=f"divide fx, fy, cx, cy by {factor:.2g}, or give the calibration of this size",
+            remedy="divide fx, fy, cx, cy by {factor:.2g}, or give the calibration of this size",
+            **centre,
+            size=f"{width * factor:.0f}x{height * factor:.0f}",
+            factor=factor,
+            picture=f"{width}x{height}",
+            percent=100 * (1 / factor - 1),
         )
     if not (0 <= camera.cx_px <= width and 0 <= camera.cy_px <= height):
         raise IntrinsicsError(
-            f"the principal point {camera.cx_px:g}, {camera.cy_px:g} px is outside the picture of "
-            f"{width}x{height}",
+            "the principal point {cx:g}, {cy:g} px is outside the picture of {size}",
             source=source,
             remedy="give cx and cy in pixels of this picture",
+            **centre,
+            size=f"{width}x{height}",
         )
 
 

@@ -95,9 +95,10 @@ def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype == np.uint16:
         return cast("NDArray[np.uint8]", cv2.convertScaleAbs(image, alpha=1 / 257))
     raise CaptureError(
-        f"its levels are {image.dtype}, whose range is unknown",
+        "its levels are {kind}, whose range is unknown",
         source=path,
         remedy="save it with 8 or 16 bits a colour",
+        kind=image.dtype,
     )
 
 
@@ -132,9 +133,11 @@ def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     image = _decode(path, cv2.IMREAD_GRAYSCALE)
     if image.shape != shape[:2]:
         raise CaptureError(
-            f"the mask is {image.shape[1]}x{image.shape[0]}, the picture {shape[1]}x{shape[0]}",
+            "the mask is {mask}, the picture {picture}",
             source=path,
             remedy="give a mask of the picture's size",
+            mask=f"{image.shape[1]}x{image.shape[0]}",
+            picture=f"{shape[1]}x{shape[0]}",
         )
     return image > 0
 
@@ -252,11 +255,11 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error as error:
             if "CV_IO_MAX_IMAGE" in str(error):  # from the header, before memory is allocated
-                fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
+                fault = "has more than {limit:g} million pixels"
                 remedy = "give a smaller picture"
         cv2.utils.logging.setLogLevel(level)
     if image is None:
-        raise CaptureError(fault, source=path, remedy=remedy)
+        raise CaptureError(fault, source=path, remedy=remedy, limit=MOST_PIXELS / 1e6)
     return image
 
 

@@ -177,9 +177,7 @@ class AlignedStream:
     def _require_open(self) -> None:
         if self._pipeline is None:
             raise CameraError(
-                "the camera is not open",
-                source=self._source,
-                remedy="use it in a 'with' block",
+                "the camera is not open", source=self._source, remedy="use it in a 'with' block"
             )
 
     def read(self) -> AlignedFrame | None:
@@ -211,9 +209,10 @@ class AlignedStream:
         if self._recorded:
             raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
         raise CameraError(
-            f"no frame with colour and depth for {self._timeout_s:g} s",
+            "no frame with colour and depth for {seconds:g} s",
             source=self._source,
             remedy="plug the camera in again, at a USB 3 port",
+            seconds=self._timeout_s,
         )
 
     def _note_position(self) -> None:
@@ -320,9 +319,10 @@ class AlignedStream:
         if not self._recorded:
             return camera_fault(error, self._source)
         return CaptureError(
-            f"is not a recording that can be played ({str(error).rpartition('Reason: ')[2]})",
+            "is not a recording that can be played ({reason})",
             source=self._source,
             remedy="copy it again, or record it with RealSense Viewer",
+            reason=str(error).rpartition("Reason: ")[2],
         )
 
 

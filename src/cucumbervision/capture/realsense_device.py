@@ -24,8 +24,9 @@ def import_realsense() -> Any:
         raise MissingExtraError("pyrealsense2", "camera") from None
     except ImportError as error:
         raise CameraError(
-            f"pyrealsense2 cannot be loaded ({error})",
+            "pyrealsense2 cannot be loaded ({reason})",
             remedy="install the system package libusb-1.0-0 (libusb1 on Fedora)",
+            reason=error,
         ) from None
     return pyrealsense2
 
@@ -49,7 +50,9 @@ def camera_fault(error: RuntimeError, source: object) -> CameraError:
         return CameraError(
             "the camera is in use", source=source, remedy="close the other program that uses it"
         )
-    return CameraError(f"the camera failed ({text})", source=source, remedy="plug it in again")
+    return CameraError(
+        "the camera failed ({reason})", source=source, remedy="plug it in again", reason=text
+    )
 
 
 @dataclass(frozen=True)
@@ -157,9 +160,11 @@ def _preset(rs: Any, name: str | None, source: object) -> float | None:
     key = name.strip().lower().replace("-", "_").replace(" ", "_")
     if key not in presets:
         raise CameraError(
-            f"no preset is called {name!r}",
+            "no preset is called {name!r}",
             source=source,
-            remedy=f"choose one of {', '.join(sorted(presets))}",
+            remedy="choose one of {presets}",
+            name=name,
+            presets=", ".join(sorted(presets)),
         )
     return float(int(presets[key]))
 
@@ -168,7 +173,10 @@ def _set(sensor: Any, name: str, option: Any, value: float, source: object) -> N
     text = f"{name.lower()}'s {option.name.replace('_', ' ')}"
     if sensor is None or not sensor.supports(option):
         raise CameraError(
-            f"the {text} cannot be set", source=source, remedy="leave that setting out"
+            "the {setting} cannot be set",
+            source=source,
+            remedy="leave that setting out",
+            setting=text,
         )
     limits = sensor.get_option_range(option)
     if not limits.min <= value <= limits.max:

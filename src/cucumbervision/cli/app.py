@@ -38,11 +38,7 @@ app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(servers.serve)
 app.command("schema")(servers.schema)
 app.command("calibrate")(own_truth.calibrate)
-_GROUPS = {
-    "crop": crop.app,
-    "evaluate": own_truth.app,
-    "models": models.app,
-}
+_GROUPS = {"crop": crop.app, "evaluate": own_truth.app, "models": models.app}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)
 for _further in installed(_COMMANDS):

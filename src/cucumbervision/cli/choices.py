@@ -45,14 +45,7 @@ InputSize = Annotated[
 Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
 RuntimeOrFast = Annotated[
     Literal[
-        "auto",
-        "fast",
-        "onnxruntime",
-        "openvino",
-        "cuda",
-        "cuda-fast",
-        "tensorrt",
-        "tensorrt-fast",
+        "auto", "fast", "onnxruntime", "openvino", "cuda", "cuda-fast", "tensorrt", "tensorrt-fast"
     ],
     typer.Option(
         help="Runtime of the networks. fast: auto in half precision, if the processor supports it, "
@@ -206,8 +199,7 @@ def measure_options(
 
 def loop_options(
     workers: Annotated[
-        int,
-        typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU."),
+        int, typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU.")
     ] = 0,
     ray: Annotated[
         str,

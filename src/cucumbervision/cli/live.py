@@ -152,8 +152,7 @@ FastWay = Annotated[
 ]
 Follow = Annotated[bool, typer.Option("--follow", help="Wait for new captures in a folder.")]
 EveryFrame = Annotated[
-    bool,
-    typer.Option("--every", help="Drop no frame of a recording or followed folder."),
+    bool, typer.Option("--every", help="Drop no frame of a recording or followed folder.")
 ]
 Frames = Annotated[
     int | None, typer.Option(min=1, help="Stop after this number of frames.", show_default=False)
@@ -229,8 +228,7 @@ DepthPreset = Annotated[
     typer.Option(help="Preset of the depth camera; default: the camera's current one."),
 ]
 Exposure = Annotated[
-    float | None,
-    typer.Option(min=1, help="Colour exposure in microseconds; default: automatic."),
+    float | None, typer.Option(min=1, help="Colour exposure in microseconds; default: automatic.")
 ]
 
 

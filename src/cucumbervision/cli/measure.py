@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cucumbervision.cli.choices import (
-    OF_CAMERA_FILE,
-    Quiet,
-    loop_options,
-    measure_options,
-    takes,
-)
+from cucumbervision.cli.choices import OF_CAMERA_FILE, Quiet, loop_options, measure_options, takes
 from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
@@ -71,13 +65,7 @@ def measure(
 
     batch = BatchOptions(**vars(loop), parquet=parquet, overlays=overlays)
     code = measure_and_show(
-        inputs,
-        out,
-        options,
-        batch,
-        quiet=quiet,
-        profile=profile,
-        by_method=bool(methods),
+        inputs, out, options, batch, quiet=quiet, profile=profile, by_method=bool(methods)
     )
     raise typer.Exit(code)
 
@@ -110,8 +98,7 @@ def detect(
     inputs: Annotated[
         list[str],
         typer.Argument(
-            metavar="IMAGE...",
-            help="Pictures (JPEG, PNG, WebP, TIFF, BMP), or folders of them.",
+            metavar="IMAGE...", help="Pictures (JPEG, PNG, WebP, TIFF, BMP), or folders of them."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and pictures.")],

@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(
-    name="models",
-    help="List, select and export the networks.",
-    no_args_is_help=True,
-)
+app = typer.Typer(name="models", help="List, select and export the networks.", no_args_is_help=True)
 
 Name = Annotated[str, typer.Argument(help="A name that `models list` shows.")]
 

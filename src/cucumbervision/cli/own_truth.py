@@ -22,8 +22,7 @@ def calibrate(
         ),
     ],
     truth: Annotated[
-        Path | None,
-        typer.Argument(help="CSV of hand-measured lengths, as for `evaluate lengths`."),
+        Path | None, typer.Argument(help="CSV of hand-measured lengths, as for `evaluate lengths`.")
     ] = None,
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
@@ -147,8 +146,7 @@ def _evaluate() -> None:
 @app.command()
 def lengths(
     measurements: Annotated[
-        Path,
-        typer.Argument(help="Folder of a `measure` run, or its measurements.json or .csv."),
+        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json or .csv.")
     ],
     truth: Annotated[
         Path,

@@ -86,9 +86,7 @@ def median_of(values: NDArray[np.float64]) -> float:
     return float(quick_median(values))
 
 
-def outline_cracks(
-    mask: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def outline_cracks(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the points between a pixel of the mask and a neighbour outside it.
 
     A body's true outline runs somewhere between the two pixels' centres, so their middle is

@@ -172,9 +172,7 @@ def guess_from_picture(
 
 
 def guess_from_midline(
-    picture: NDArray[np.float64],
-    mask: NDArray[np.bool_],
-    depth_m: NDArray[np.float64],
+    picture: NDArray[np.float64], mask: NDArray[np.bool_], depth_m: NDArray[np.float64]
 ) -> TubeShape | None:
     """Guess a tube along the middle line of its mask, however much the fruit bends.
 

@@ -15,12 +15,7 @@ import numpy as np
 
 from cucumbervision.errors import InstancesError
 from cucumbervision.instances.boxes import box_areas, box_iou, box_ious
-from cucumbervision.instances.masks import (
-    as_mask,
-    box_of_mask,
-    disjoint_masks,
-    mask_window,
-)
+from cucumbervision.instances.masks import as_mask, box_of_mask, disjoint_masks, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -158,8 +153,10 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
     for mask in (instance.mask, instance.detector_mask):
         if mask is not None and mask.shape != (height, width):
             raise InstancesError(
-                f"the mask is {mask.shape[1]}x{mask.shape[0]}, the picture {width}x{height}",
+                "the mask is {mask}, the picture {picture}",
                 remedy="give masks of the picture's own size",
+                mask=f"{mask.shape[1]}x{mask.shape[0]}",
+                picture=f"{width}x{height}",
             )
         if mask is not None and not mask.any():
             raise InstancesError("a mask has no pixel", remedy="leave it out")
@@ -286,10 +283,7 @@ def with_disjoint_masks(
 
 
 def with_keypoints(
-    instances: Sequence[Instance],
-    poses: Sequence[Instance],
-    *,
-    sure: float = 0.0,
+    instances: Sequence[Instance], poses: Sequence[Instance], *, sure: float = 0.0
 ) -> tuple[Instance, ...]:
     """Return instances with the keypoints of the matching poses.
 

@@ -352,9 +352,7 @@ _FLOWER_SHARE = 0.002, 0.15  # of the mask's area: a smaller part is noise, a la
 
 
 def without_flower(
-    mask: NDArray[np.bool_],
-    color_rgb: NDArray[np.uint8],
-    outline: NDArray[np.bool_] | None = None,
+    mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8], outline: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
     """Return a fruit's mask without the withered flower at its end.
 

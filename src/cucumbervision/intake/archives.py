@@ -74,15 +74,17 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
     drive = len(parts[0]) > 1 and parts[0][1] == ":"
     if plain.startswith("/") or drive or ".." in parts or "\0" in plain or not plain.strip("/ ."):
         raise UploadError(
-            f"a member's name leads out of the zip ({clean_name(name)!r})",
+            "a member's name leads out of the zip ({name!r})",
             source=archive,
             remedy="pack the captures' folder again",
+            name=clean_name(name),
         )
     if len(parts) > _DEEPEST_FOLDER:
         raise UploadError(
-            f"nests more than {_DEEPEST_FOLDER} folders",
+            "nests more than {depth} folders",
             source=archive,
             remedy="pack the captures' folder alone",
+            depth=_DEEPEST_FOLDER,
         )
     return PurePosixPath(*(clean_name(part) for part in parts if part not in ("", ".")))
 
@@ -256,15 +258,17 @@ def _check_member(
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in {0, stat.S_IFREG}:
         raise UploadError(
-            f"its member {title!r} is a link or a device",
+            "its member {name!r} is a link or a device",
             source=source,
             remedy="pack the files themselves",
+            name=title,
         )
     if member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
         raise UploadError(
-            f"its member {title!r} is locked or packed in an unusual way",
+            "its member {name!r} is locked or packed in an unusual way",
             source=source,
             remedy="pack it without a password, as a plain zip",
+            name=title,
         )
     _check_sizes(member.file_size, member.compress_size, title, source, limits)
 
@@ -272,15 +276,19 @@ def _check_member(
 def _check_sizes(size: int, packed: int, title: str, source: str, limits: Limits) -> None:
     if size > limits.file_bytes:
         raise UploadError(
-            f"its member {title!r} has more than {limits.file_bytes / 1e6:g} MB",
+            "its member {name!r} has more than {size:g} MB",
             source=source,
             remedy="send it in smaller parts",
+            name=title,
+            size=limits.file_bytes / 1e6,
         )
     if size > limits.ratio_from_bytes and size > limits.ratio * max(packed, 1):
         raise UploadError(
-            f"its member {title!r} unpacks to more than {limits.ratio:g} times its size",
+            "its member {name!r} unpacks to more than {ratio:g} times its size",
             source=source,
             remedy="pack the files again; pictures never shrink that much",
+            name=title,
+            ratio=limits.ratio,
         )
 
 
@@ -318,7 +326,10 @@ def _damaged(source: str) -> UploadError:
 
 def _too_many(most_files: int, source: str) -> UploadError:
     return UploadError(
-        f"holds more than {most_files} files", source=source, remedy="send it in smaller parts"
+        "holds more than {files} files",
+        source=source,
+        remedy="send it in smaller parts",
+        files=most_files,
     )
 
 

@@ -25,14 +25,7 @@ from cucumbervision.errors import (
     UploadError,
     wrap_os_errors,
 )
-from cucumbervision.intake.archives import (
-    Budget,
-    Limits,
-    clean_name,
-    is_zip,
-    unpack,
-    write_chunk,
-)
+from cucumbervision.intake.archives import Budget, Limits, clean_name, is_zip, unpack, write_chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -132,9 +125,7 @@ class AcceptedUploads:
 
 
 def accept_uploads(
-    files: Sequence[tuple[str, BinaryIO | Path]],
-    folder: Path,
-    limits: Limits | None = None,
+    files: Sequence[tuple[str, BinaryIO | Path]], folder: Path, limits: Limits | None = None
 ) -> AcceptedUploads:
     """Store uploaded files within limits, unpack zips, and find the captures.
 
@@ -171,8 +162,10 @@ def accept_uploads(
     limits = limits or Limits()
     if len(files) > limits.files:
         raise UploadError(
-            f"{len(files)} files were sent, at most {limits.files} are taken at once",
+            "{files} files were sent, at most {limit} are taken at once",
             remedy="send them in smaller parts, or as a zip",
+            files=len(files),
+            limit=limits.files,
         )
     batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
     intake = _Intake(AcceptedUploads(batch), limits)
@@ -242,16 +235,17 @@ class _Intake:
             else:
                 self.out.ignored.append(shown_name)
         if title != LOOSE and before == len(self.out.sources) + len(self.out.refused):
-            fault = f"holds no captures that can be recognised, but {kinds}"
-            raise UploadError(fault, source=title, remedy=_REMEDY)
+            fault = "holds no captures that can be recognised, but {kinds}"
+            raise UploadError(fault, source=title, remedy=_REMEDY, kinds=kinds)
 
     def _check(self, path: Path, title: str) -> None:
         size, suffix = path.stat().st_size, PurePosixPath(title).suffix.lower()
         if suffix in _TEXTS and size > self.limits.text_bytes:
             raise UploadError(
-                f"has more than {self.limits.text_bytes / 1e6:g} MB of text",
+                "has more than {size:g} MB of text",
                 source=title,
                 remedy="send a smaller file",
+                size=self.limits.text_bytes / 1e6,
             )
 
     def _loose_path(self, name: str) -> Path:
@@ -278,9 +272,10 @@ class _Intake:
                 if size > self.limits.file_bytes or self._bytes_left < 0:
                     most_bytes = min(self.limits.file_bytes, self.limits.total_bytes)
                     raise UploadError(
-                        f"is more than the {most_bytes / 1e6:g} MB that are taken",
+                        "is more than the {size:g} MB that are taken",
                         source=title,
                         remedy="send it in smaller parts",
+                        size=most_bytes / 1e6,
                     )
                 write_chunk(stream_out, chunk, title)
 

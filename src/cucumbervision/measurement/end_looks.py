@@ -99,10 +99,7 @@ def _crops(capture: Capture, fruit: Fruit, tube: Measurement) -> list[EndCrop]:
 
 
 def _looked_at(
-    capture: Capture,
-    fruit: Fruit,
-    tube: Measurement,
-    looks: tuple[EndLook, EndLook],
+    capture: Capture, fruit: Fruit, tube: Measurement, looks: tuple[EndLook, EndLook]
 ) -> Fruit:
     if tube.fit is None:
         return fruit

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from cucumbervision.errors import Message
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
@@ -120,7 +122,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
     ),
     Flag.ENDS_UNSURE: FlagMeaning(
         "which end is the stem's is less than 90 % certain; lengths are the same either way, so "
-        "tables and files only hold the code, and remarks do not mention it",
+        "tables and files only hold the code, and remarks do not mention it"
     ),
     **{
         flag: FlagMeaning(
@@ -253,7 +255,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="record depth aligned to colour at its size",
     ),
     Flag.PLUGIN_FAILED: FlagMeaning(
-        "a method or trait of another package failed: `failures.csv` says which, and why",
+        "a method or trait of another package failed: `failures.csv` says which, and why"
     ),
     Flag.DOUBTFUL: FlagMeaning(
         "added by hand, but does not look like a fruit: not on the pick list until accepted",
@@ -325,7 +327,13 @@ def data_doubts(flags: Mapping[str, int], fruit: int) -> list[str]:
     "3 of 4 fruit: the intrinsics' principal point lies off the middle of the picture; check ..."
     """
     return [
-        f"{flags[flag]} of {fruit} fruit: {line.data_fault}; {line.remedy}"
+        Message(
+            "{count} of {fruit} fruit: {fault}; {remedy}",
+            count=flags[flag],
+            fruit=fruit,
+            fault=Message(line.data_fault),
+            remedy=Message(line.remedy),
+        )
         for flag, line in FLAGS.items()
         if line.data_fault and flags.get(flag)
     ]

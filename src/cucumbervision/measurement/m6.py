@@ -455,10 +455,7 @@ def judged_fit(
 
 
 def _fit(
-    view: TubeView,
-    fitting: TubeFitting,
-    traits: TubeTraits,
-    ends: tuple[BeyondEnd, BeyondEnd],
+    view: TubeView, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
 ) -> TubeFit:
     explained, hidden, overlap = _coverage(view, fitting.shape)
     rays = fitting.rays

@@ -88,9 +88,7 @@ def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Trait
     return TraitValue(share)
 
 
-def _judge(
-    colors_rgb: NDArray[np.uint8],
-) -> tuple[dict[str, NDArray[np.bool_]], NDArray[np.bool_]]:
+def _judge(colors_rgb: NDArray[np.uint8]) -> tuple[dict[str, NDArray[np.bool_]], NDArray[np.bool_]]:
     """Return why colours, shape (N, 3), cannot be judged, by reason, and which have yellow hue."""
     lightness, chroma, hue_deg = _lightness_chroma_hue(colors_rgb)
     faults = {

@@ -174,9 +174,7 @@ def measure_views(
     return JointFruit(fruit, first.number, dict(zip(numbers, joint[1], strict=True)))
 
 
-def _joint(
-    chosen: Sequence[_FittedView],
-) -> tuple[Fruit, tuple[NDArray[np.float64], ...]] | None:
+def _joint(chosen: Sequence[_FittedView]) -> tuple[Fruit, tuple[NDArray[np.float64], ...]] | None:
     """Return the fruit with one tube for all views, and the camera poses; None if it fails."""
     first = chosen[0]
     cameras = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]

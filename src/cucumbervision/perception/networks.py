@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.confidence import (
-    DEFAULT_CONFIDENCE,
-    detector_floor,
-    pose_floor,
-)
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.detectors import Detectors
 from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.fruit_look import FruitLooker
@@ -90,10 +86,7 @@ def open_segmenter(
     registry = registry or load_registry()
     model = registry.segmenter(name)
     opened = resolve_name(model.segmenter)(
-        registry.resolve(model.name),
-        runtime=runtime,
-        prompt=prompt,
-        full_precision=full_precision,
+        registry.resolve(model.name), runtime=runtime, prompt=prompt, full_precision=full_precision
     )
     return cast("NetworkSegmenter", opened)
 
@@ -186,11 +179,7 @@ class NetworkLoader:
             self._files[name] = self.registry.resolve(name)
         return self._files[name]
 
-    def yolo(
-        self,
-        chosen: Path | str,
-        confidence: float | None = None,
-    ) -> YoloDetector:
+    def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
         Parameters

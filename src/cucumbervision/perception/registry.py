@@ -194,8 +194,7 @@ class Registry:
         model = self.get(name)
         if self.state(name) == "not pulled":
             raise ModelError(
-                f"the model {name} is not on this machine",
-                remedy=_remedy(model),
+                "the model {name} is not on this machine", remedy=_remedy(model), name=name
             )
         if model.embedded:
             return {f.file: f.sha256 for f in model.files}

@@ -201,12 +201,7 @@ class Letterbox:
 
 
 def fit(
-    height: int,
-    width: int,
-    size: tuple[int, int],
-    *,
-    minimal: bool = False,
-    stride: int = 32,
+    height: int, width: int, size: tuple[int, int], *, minimal: bool = False, stride: int = 32
 ) -> Letterbox:
     """Compute the position of a picture in a network's input.
 

@@ -158,11 +158,7 @@ class Network:
 
 
 def open_network(
-    path: Path | str | bytes,
-    runtime: str = "auto",
-    *,
-    full_precision: bool = False,
-    name: str = "",
+    path: Path | str | bytes, runtime: str = "auto", *, full_precision: bool = False, name: str = ""
 ) -> Network:
     """Load an ONNX file, which must be one that you trust.
 

@@ -105,9 +105,7 @@ class Sam:
         # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
         # twenty changes. In float32 ONNX Runtime is the faster one.
         self._decoder = open_network(
-            files["decoder"],
-            runtime_for_batches(runtime),
-            full_precision=True,
+            files["decoder"], runtime_for_batches(runtime), full_precision=True
         )
         self._encoded: OrderedDict[object, NDArray[np.float32]] = OrderedDict()
 

@@ -11,19 +11,11 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
-from cucumbervision.perception.input_sizes import (
-    LARGEST_INPUT_PX,
-    merge_sizes,
-)
+from cucumbervision.perception.input_sizes import LARGEST_INPUT_PX, merge_sizes
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import Network, open_network
 from cucumbervision.perception.yolo_layout import read_layout
-from cucumbervision.perception.yolo_rows import (
-    RowKind,
-    choose_raw,
-    choose_rows,
-    raw_of,
-)
+from cucumbervision.perception.yolo_rows import RowKind, choose_raw, choose_rows, raw_of
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
@@ -200,10 +192,7 @@ class YoloDetector:
         return tuple(replace(detection, input_size_px=max(size_px)) for detection in detections)
 
     def _instances(
-        self,
-        rows: NDArray[np.float32],
-        prototypes: NDArray[np.float32] | None,
-        box: Letterbox,
+        self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
     ) -> tuple[Instance, ...]:
         instances = []
         for row, edges in zip(rows, box.boxes_back(rows[:, :4]), strict=True):

@@ -32,12 +32,7 @@ class RowKind(StrEnum):
 
 
 def row_kind(
-    shape: tuple[int, ...],
-    *,
-    classes: int,
-    extra: int,
-    input_px: tuple[int, int],
-    end_to_end: bool,
+    shape: tuple[int, ...], *, classes: int, extra: int, input_px: tuple[int, int], end_to_end: bool
 ) -> tuple[RowKind, int] | None:
     """Return the layout of an output and its number of classes; None for an unknown layout.
 

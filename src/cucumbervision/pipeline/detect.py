@@ -23,13 +23,7 @@ from cucumbervision.instances.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision.pipeline.batch import Item, Outcome, SearchedCapture, Worker, measure_all
 from cucumbervision.pipeline.inputs import Listed
-from cucumbervision.pipeline.measurer import (
-    Boundary,
-    CaptureResult,
-    Failure,
-    Measurer,
-    exit_code,
-)
+from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.overlay import draw_detections
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS

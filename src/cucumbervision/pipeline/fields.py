@@ -373,10 +373,7 @@ def row_model(name: str, fields: Iterable[Field], **extra_fields: Any) -> type[B
     (['capture', 'frame', 'fruit'], 'number of the fruit in the capture, from 1')
     """
     cells: dict[str, Any] = {
-        row_field.name: (
-            row_field.python_type | None,
-            Described(None, description=row_field.says),
-        )
+        row_field.name: (row_field.python_type | None, Described(None, description=row_field.says))
         for row_field in fields
     }
     # Columns of other packages come with the rows.

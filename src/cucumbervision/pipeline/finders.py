@@ -446,9 +446,7 @@ def _network_finder(
     return find
 
 
-def _seen(
-    capture: Capture,
-) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:
+def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:
     """Return colour, depth and focal length in pixels, both None for a picture without depth."""
     if not capture.depth_m.any():
         return capture.color, None, None

@@ -12,19 +12,11 @@ import numpy as np
 from cucumbervision.calibration.calibrated import calibrated_capture, calibrated_fruit
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import (
-    CaptureError,
-    DiskFullError,
-    InternalError,
-    named_error,
-)
+from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error
 from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FIRST_LINE
-from cucumbervision.measurement.result import (
-    Choice,
-    Fruit,
-)
+from cucumbervision.measurement.result import Choice, Fruit
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.traits import with_traits
 from cucumbervision.perception.registry import load_registry
@@ -78,7 +70,7 @@ class Failure:
     def of(cls, error: Exception, input: str, capture: str = "") -> Failure:
         """Return the failure for an exception."""
         named = named_error(error, capture or input)
-        return cls(input, capture, named.code, str(named))
+        return cls(input, capture, named.code, named.line)
 
     @property
     def is_defect(self) -> bool:
@@ -405,12 +397,7 @@ class Measurer:
         """Measure one fruit of a capture with scaled depth; `tube` as in `Detections.tubes`."""
         return self._judged(capture, [self._measured(capture, instance, tube)])[0]
 
-    def _measured(
-        self,
-        capture: Capture,
-        instance: Instance,
-        tube: Measurement | None,
-    ) -> Fruit:
+    def _measured(self, capture: Capture, instance: Instance, tube: Measurement | None) -> Fruit:
         options = self.options
         return measure_fruit(
             capture,

@@ -88,10 +88,7 @@ def draw_region(
 
 
 def _tint_mask(
-    picture: NDArray[np.uint8],
-    inside: NDArray[np.bool_],
-    color: tuple[int, int, int],
-    size: float,
+    picture: NDArray[np.uint8], inside: NDArray[np.bool_], color: tuple[int, int, int], size: float
 ) -> None:
     """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
     window = mask_window(inside)

@@ -217,9 +217,7 @@ def _measured(
     return Results(tuple(results), tuple(failures))
 
 
-def _sorted_methods(
-    methods: str | Iterable[str | Method],
-) -> tuple[list[str], tuple[Method, ...]]:
+def _sorted_methods(methods: str | Iterable[str | Method]) -> tuple[list[str], tuple[Method, ...]]:
     """Return the names among methods, 'all' if there are none, and the methods themselves."""
     listed = methods.split(",") if isinstance(methods, str) else list(methods)
     names = [method for method in listed if isinstance(method, str)]

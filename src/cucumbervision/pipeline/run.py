@@ -36,12 +36,7 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.provenance import provenance_of
 from cucumbervision.pipeline.summary import Summary
-from cucumbervision.pipeline.tables import (
-    capture_json,
-    import_arrow,
-    rows_of,
-    write_reports,
-)
+from cucumbervision.pipeline.tables import capture_json, import_arrow, rows_of, write_reports
 from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.errors import Message, joined
 from cucumbervision.measurement.flags import Flag, data_doubts, is_length_unknown, is_lower_bound
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Choice
@@ -23,9 +24,9 @@ _STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
 _USUAL_CM = (5.0, 50.0)
 
 
-def _by_class(counts: Mapping[str, int]) -> str:
+def _by_class(counts: Mapping[str, int]) -> Message:
     named = ((name or "without a name", count) for name, count in counts.items())
-    return ", ".join(f"{count} of class {name}" for name, count in named)
+    return joined(Message("{count} of class {name}", count=n, name=name) for name, n in named)
 
 
 @dataclass
@@ -130,12 +131,12 @@ class Summary:
         >>> Summary(labels=Counter(cucumber=2, leaf=1))._class_notes()
         ['measured as fruit: 2 of class cucumber, 1 of class leaf; --classes chooses among them']
         """
-        notes = []
+        notes: list[str] = []
         if len(self.labels) > 1:
-            remedy = "--classes chooses among them"
-            notes.append(f"measured as fruit: {_by_class(self.labels)}; {remedy}")
+            note = "measured as fruit: {classes}; --classes chooses among them"
+            notes.append(Message(note, classes=_by_class(self.labels)))
         if self.left_out:
-            notes.append(f"left out: {_by_class(self.left_out)}")
+            notes.append(Message("left out: {classes}", classes=_by_class(self.left_out)))
         return notes
 
     def unit_hints(self) -> list[str]:
@@ -150,13 +151,16 @@ class Summary:
         if not self.refused_cm or (self.measured and 2 * self.too_large < sized):
             return []
         middle = median(self.refused_cm)
-        share = f"{self.too_large} of {sized} fruit are too large" if self.measured else ""
-        fault = f"{share or 'no fruit has a possible size'} (median {middle:.3g} cm)"
-        steps = [s for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
+        fault = "no fruit has a possible size (median {size:.3g} cm)"
+        if self.measured:
+            fault = "{count} of {fruit} fruit are too large (median {size:.3g} cm)"
+        fault = Message(fault, count=self.too_large, fruit=sized, size=middle)
+        steps = [s / 1000 for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
+        doubt = "is one step of depth really 1 mm? --depth-unit {steps} would explain it"
         if not steps:
-            return [f"{fault}: do the intrinsics belong to this camera's colour at this size?"]
-        asked = "--depth-unit " + " or ".join(f"{s / 1000:g}" for s in steps)
-        return [f"{fault}: is one step of depth really 1 mm? {asked} would explain it"]
+            doubt = "do the intrinsics belong to this camera's colour at this size?"
+        asked = joined((Message("{step:g}", step=s) for s in steps), "{first} or {second}")
+        return [Message("{fault}: {doubt}", fault=fault, doubt=Message(doubt, steps=asked))]
 
     def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
         """Return pairs of label and value for the first sheet of the workbook.

@@ -226,8 +226,10 @@ class Work:
         limits = self.settings.limits
         if len(files) > limits.files:
             raise UploadError(
-                f"{len(files)} files were sent, at most {limits.files} are taken at once",
+                "{files} files were sent, at most {limit} are taken at once",
                 remedy="send them in smaller parts",
+                files=len(files),
+                limit=limits.files,
             )
         with self.turn(has_left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()

@@ -328,11 +328,7 @@ class FruitStream:
         return self._measured(self.measurer.detect(capture), received_s, dropped, at_s)
 
     def _measured(
-        self,
-        detected: DetectedCapture,
-        received_s: float,
-        dropped: int,
-        at_s: float | None = None,
+        self, detected: DetectedCapture, received_s: float, dropped: int, at_s: float | None = None
     ) -> StreamedFrame:
         """Track and measure the fruit of a frame; frames come in order."""
         capture = detected.capture

@@ -19,8 +19,9 @@ from starlette.websockets import WebSocketDisconnect
 from cucumbervision.errors import CucumberVisionError, DiskFullError, named_error
 from cucumbervision_greenhouse.backend import resources, round_caches
 from cucumbervision_greenhouse.backend.access import device_of
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import ask_for
+from cucumbervision_greenhouse.backend.language import gettext as _
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -64,17 +65,15 @@ def answer(
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
-            return JSONResponse({"error": said(error), "fault": error.message}, 409)
+            return JSONResponse({"error": words_of(error), "fault": error.message}, 409)
         except OSError as error:  # from 500 on, a part of an upload is sent again
             named = named_error(error)
             if not isinstance(named, DiskFullError):
-                return JSONResponse({"error": said(named)}, 500)
-            words = (
-                f"The computer cannot store more ({error.strerror}): free some space on its disk"
-            )
-            return JSONResponse({"error": said(words)}, 507)
+                return JSONResponse({"error": words_of(named)}, 500)
+            words = _("The computer cannot store more ({reason}): free some space on its disk")
+            return JSONResponse({"error": words.format(reason=_(error.strerror or ""))}, 507)
         except ValidationError:
-            return JSONResponse({"error": said("the request is damaged; reload the page")}, 400)
+            return JSONResponse({"error": _("the request is damaged; reload the page")}, 400)
         if isinstance(reply, Response):
             return reply
         return JSONResponse(reply, headers={"cache-control": "no-store"})

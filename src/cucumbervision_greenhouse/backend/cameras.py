@@ -33,7 +33,14 @@ from cucumbervision.capture.readers import (
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError, DepthError
+from cucumbervision.errors import (
+    CameraError,
+    CaptureError,
+    CucumberVisionError,
+    DepthError,
+    Message,
+    with_reason,
+)
 from cucumbervision_greenhouse.backend.resources import settings, where
 from cucumbervision_greenhouse.backend.settings import REPLAY_VARIABLE
 from cucumbervision_greenhouse.store.waiting import waiting_folder
@@ -160,13 +167,13 @@ class FolderCamera:
 
     def read(self) -> Capture | None:
         """Return the next capture that can be read."""
-        fault = "holds no captures"
+        fault = Message("holds no captures")
         for _ in range(2):  # at the end start over once
             for ref in self._refs:
                 try:
                     return ref.load()
                 except CucumberVisionError as error:
-                    fault = str(error)
+                    fault = error.line
             self._refs = iter(self._source)
         raise CaptureError(fault, source=self._source.path, remedy="choose another replay")
 
@@ -238,7 +245,7 @@ class FrameRing:
                     file.truncate(count * size)
                 self._slots = np.memmap(file, np.uint8, "r+", shape=(count, size))
         except OSError as error:
-            fault = f"cannot keep its frames ({error})"
+            fault = with_reason("cannot keep its frames", str(error))
             raise CameraError(fault, source=self._folder, remedy="free some space") from None
         self._free = list(range(count))
 
@@ -438,7 +445,7 @@ class Feed:
             is_named = isinstance(error, CucumberVisionError)
             state, message = (
                 "absent",
-                str(error) if is_named else f"{type(error).__name__}: {error}",
+                error.line if is_named else f"{type(error).__name__}: {error}",
             )
         with self._changed:
             self._thread = None

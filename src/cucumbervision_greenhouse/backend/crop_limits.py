@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.agronomy.grades import grade
 from cucumbervision.agronomy.profiles import CropProfile, profiles, profiles_folder
 from cucumbervision.capture.source import safe_name
-from cucumbervision.errors import ProfileError
+from cucumbervision.errors import Message, ProfileError
 from cucumbervision.files import parse_model
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.backend.settings import replace_text
@@ -109,7 +109,7 @@ class CropLimits:
             "rules": {**profile.rules, "classes": _OWN_RULE},
             **optional,
         }
-        return parse_model(CropProfile, content, source="the limits", error=ProfileError)
+        return parse_model(CropProfile, content, source=Message("the limits"), error=ProfileError)
 
 
 def class_counts(views: Iterable[DetectionSummary], profile: CropProfile) -> Counter[str]:
@@ -152,8 +152,9 @@ def save_own_profile(profile: CropProfile, before: CropProfile | None = None) ->
         if taken.shipped or saved is None or _compared(saved.title) != title:
             named = taken.name if saved is None else saved.title
             raise ProfileError(
-                f"the crop '{named}' is saved by that name",
+                "the crop '{name}' is saved by that name",
                 remedy="give it a name with other letters or digits",
+                name=named,
             )
         if before is not None and before.title == saved.title and before != saved:
             raise ProfileError(

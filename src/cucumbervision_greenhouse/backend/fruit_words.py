@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.classes import UNDECIDED, WITHOUT_CLASS
-from cucumbervision.agronomy.grades import GradeStatus
+from cucumbervision.agronomy import classes
+from cucumbervision.agronomy.classes import UNDECIDED, class_name
 from cucumbervision.measurement.flags import FLAGS
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import (
     marked,
@@ -62,6 +63,9 @@ _CROPS = (
     marked("Regulation (EEC) No 1677/88, III: grown under glass"),
     marked("Regulation (EEC) No 1677/88, III: shortest length for the weight, Extra and I"),
     marked("assumption: lengths that are usual in trade"),
+    *(marked("50 to 100 g"), marked("100 to 225 g"), marked("100 to 300 g")),
+    *(marked("225 to 450 g"), marked("250 to 500 g"), marked("300 to 500 g")),
+    marked("500 g and more"),
 )
 
 
@@ -73,7 +77,7 @@ def class_words(name: str) -> str:
     >>> class_words("I"), class_words("too long")
     ('class I', 'too long')
     """
-    return _(name) if name in WITHOUT_CLASS else _("class {name}").format(name=name)
+    return words_of(class_name(name))
 
 
 def label_words(label: str) -> str:
@@ -96,14 +100,7 @@ def choice_words(names: Iterable[str]) -> str:
     >>> choice_words(("too short", "II", "I", "too long"))
     'too short, class II, I or too long'
     """
-    words: list[str] = []
-    is_class = False
-    for name in names:
-        follows = is_class  # 'class' once before a run of classes
-        is_class = name not in WITHOUT_CLASS
-        words.append(name if follows and is_class else class_words(name))
-    ends = filter(None, (", ".join(words[:-1]), *words[-1:]))
-    return _(" or ").join(ends)
+    return words_of(classes.choice_words(names))
 
 
 # Reasons that the core gives for a class; those of a crop profile of one's own stay as they are.
@@ -133,11 +130,7 @@ def grade_words(graded: Grade) -> str:
     >>> grade_words(Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I")))
     'undecided: class II or I'
     """
-    name = class_words(graded.name)
-    if graded.reason:
-        return f"{name} ({', '.join(map(_, graded.reason.split(', ')))})"
-    is_choice = graded.verdict is GradeStatus.UNDECIDED
-    return f"{name}: {choice_words(graded.possible)}" if is_choice else name
+    return words_of(graded.words)
 
 
 def length_words(record: DetectionRecord, units: Units) -> str:

@@ -243,7 +243,9 @@ def hand_lengths(
         return {}
     table = read_table(path, TruthError)
     if missing := [name for name in _READ if name not in table.columns]:
-        raise TruthError(f"has no column {', '.join(missing)}", source=path, remedy=_RESTORE)
+        raise TruthError(
+            "has no column {names}", source=path, remedy=_RESTORE, names=", ".join(missing)
+        )
     keys = {(capture_name(view), str(view.record.number)): view.key for view in fruit}
     lengths: dict[str, tuple[float | None, float | None]] = {}
     for line in table.lines:
@@ -259,7 +261,13 @@ def _cell_m(line: Line, name: str, path: Path) -> float | None:
         return None
     value_cm = parse_number(cell)
     if value_cm is None or value_cm <= 0:
-        raise TruthError(f"line {line.number}: '{cell}' is no length", source=path, remedy=_RESTORE)
+        raise TruthError(
+            "line {number}: '{cell}' is no length",
+            source=path,
+            remedy=_RESTORE,
+            number=line.number,
+            cell=cell,
+        )
     return value_cm / 100
 
 

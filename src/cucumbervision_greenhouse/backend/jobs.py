@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 
 KEPT = 20  # finished jobs whose results are still held
 
@@ -23,7 +23,7 @@ def fault_of(future: Future[Any]) -> str:
     """Return why work failed, for people; empty while it runs or if it succeeded."""
     error = future.exception() if future.done() else None
     if error is None or isinstance(error, CucumberVisionError):
-        return said(error or "")
+        return words_of(error or "")
     return f"{type(error).__name__}: {error}"
 
 

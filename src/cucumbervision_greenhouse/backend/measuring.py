@@ -465,8 +465,9 @@ def _refuse_copy(
         shared, smaller = int((mask & existing).sum()), min(int(mask.sum()), int(existing.sum()))
         if shared > _COPY_SHARE * max(smaller, 1):
             raise InstancesError(
-                f"that is fruit {number}, which is there already",
+                "that is fruit {number}, which is there already",
                 remedy="tap the fruit itself, or delete one of the two",
+                number=number,
             )
 
 

@@ -15,7 +15,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision_greenhouse.backend.access import VIEWER, device_of
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.jobs import JobQueue
 from cucumbervision_greenhouse.backend.language import asked_language, best_of, decide_by, gettext
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer
@@ -126,7 +126,7 @@ def change_settings(**changes: object) -> None:
         try:
             write_settings(chosen, settings_file(where()))
         except CucumberVisionError as error:
-            st.toast(sentence(said(error)), icon=":material/error:", duration="long")
+            st.toast(sentence(words_of(error)), icon=":material/error:", duration="long")
 
 
 def _language() -> str:

@@ -17,7 +17,7 @@ from cucumbervision.calibration.calibration_file import (
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.calibration.site_calibration import calibrate_camera
 from cucumbervision.capture.source import safe_name
-from cucumbervision.errors import CalibrationError, CucumberVisionError
+from cucumbervision.errors import CalibrationError, CucumberVisionError, Message
 from cucumbervision.measurement.result import MethodName, calibration_key
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.backend.language import counted, decimal_words, number_words
@@ -219,7 +219,7 @@ def _grid_captures(store: Store, round_key: str) -> Iterator[Capture]:
         if any(artifact.kind == "calibration" for artifact in stop.artifacts):
             raise CalibrationError(
                 "these pictures were measured with a calibration, which changed their depth",
-                source="this round",
+                source=Message("this round"),
                 remedy="choose no calibration, begin a round and take pictures of the grid again",
             )
         for record in stop.captures:

@@ -16,13 +16,13 @@ from cucumbervision.errors import (
     CucumberVisionError,
     DiskFullError,
     IntrinsicsError,
+    Message,
     StoreAwayError,
     UploadError,
 )
 from cucumbervision.intake.archives import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import in_turn
-from cucumbervision_greenhouse.backend.core_sentences import said
 from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
 from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, require_store
 from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
@@ -96,12 +96,12 @@ def measure_upload(
     try:
         measures.load()
     except CucumberVisionError as error:
-        note(*(_failed(name, str(error)) for name, _ in files))
+        note(*(_failed(name, error.line) for name, _ in files))
         return
     upload = uploads.try_once(key)
     sending = upload.sending
     if upload.tries >= MOST_TRIES:
-        words = "ended the program each time it was measured"
+        words = Message("ended the program each time it was measured")
         note(*(_failed(name, words) for name, _ in files), done=True)
         return
     limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
@@ -153,7 +153,7 @@ def _round_captures(
 
 
 def _failed(name: str, words: str) -> UploadOutcome:
-    return UploadOutcome(name=name, saved=False, words=said(words))
+    return UploadOutcome(name=name, saved=False, words=Message(words))
 
 
 def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened | UploadOutcome:
@@ -161,7 +161,7 @@ def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> _Opened 
     try:
         return source, _open_with(source, reading, camera)
     except CucumberVisionError as error:
-        return _failed(str(error.source or source.title), f"{error.message}; {error.remedy}")
+        return _failed(str(error.source or source.title), error.at(None).line)
 
 
 def _captures(opened: _Opened) -> Iterator[Capture | UploadOutcome]:
@@ -224,13 +224,21 @@ def _outcome(item: RoundCapture, added: Added, round_key: str) -> UploadOutcome:
     if added.failure is not None:
         return _failed(item.input, added.failure.message)
     if added.deleted:
-        return _failed(item.input, "was deleted: undo that to have it back")
+        return _failed(item.input, Message("was deleted: undo that to have it back"))
     if item.place is None or not added.new:
-        return _failed(item.input, "is in the round already")
+        return _failed(item.input, Message("is in the round already"))
     stop = item.place.capture.stop
-    place = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
-    moved = (
-        "; computer-made, so in the round 'Demonstration'" if item.round_key != round_key else ""
+    template = "{words} (row {row}, {side}, {position:.2f} m)"
+    if item.round_key != round_key:
+        template = (
+            "{words} (row {row}, {side}, {position:.2f} m; computer-made, so in the round "
+            "'Demonstration')"
+        )
+    words = Message(
+        template,
+        words=Message(added.note) if added.note else Message("{n} fruit", n=added.fruit),
+        row=stop.row or "?",
+        side=Message(stop.side or ""),
+        position=stop.position_m or 0.0,
     )
-    words = added.note or f"{added.fruit} fruit"
-    return UploadOutcome(name=item.input, saved=True, words=f"{words} ({place}{moved})")
+    return UploadOutcome(name=item.input, saved=True, words=words)

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import NameRefusedError, UploadError
 from cucumbervision.names import LONGEST_NAME, checked_name
+from cucumbervision_greenhouse.backend.core_words import StoredMessage
 from cucumbervision_greenhouse.backend.settings import replace_text
 from cucumbervision_greenhouse.rounds.walking import NextPlace
 from cucumbervision_greenhouse.store.records import key_of
@@ -79,13 +80,13 @@ class UploadOutcome(_Frozen):
         By its sender's name.
     saved : bool
         Whether it is a stop now.
-    words : str
+    words : Message
         How many fruit, and where; or why not.
     """
 
     name: str
     saved: bool
-    words: str
+    words: StoredMessage
 
 
 class Sending(_Frozen):
@@ -162,9 +163,10 @@ class Uploads:
         """
         if sending.size > limit_bytes:
             raise UploadError(
-                f"{sending.size / 1e6:.0f} MB are more than the {limit_bytes / 1e6:.0f} MB that "
-                "are taken",
+                "{size:.0f} MB are more than the {limit:.0f} MB that are taken",
                 remedy="send it in smaller parts, or change the limit in 'Settings'",
+                size=sending.size / 1e6,
+                limit=limit_bytes / 1e6,
             )
         with self._lock:
             upload = self.read(sending.key)
@@ -173,8 +175,9 @@ class Uploads:
                 free = shutil.disk_usage(self.folder).free
                 if sending.size + _RESERVE_BYTES > free:
                     raise UploadError(
-                        f"the disk has room for {max(free - _RESERVE_BYTES, 0) / 1e6:.0f} MB",
+                        "the disk has room for {size:.0f} MB",
                         remedy="free some space on the disk",
+                        size=max(free - _RESERVE_BYTES, 0) / 1e6,
                     )
                 shutil.rmtree(self.folder / sending.key, ignore_errors=True)
                 try:

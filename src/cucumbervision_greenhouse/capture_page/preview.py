@@ -14,7 +14,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources
 from cucumbervision_greenhouse.backend.answers import send_changes
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_pictures import depth_picture, scale_bar
 from cucumbervision_greenhouse.backend.language import ask_for, language, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
@@ -50,7 +50,9 @@ async def preview(socket: WebSocket) -> None:
         try:
             preview_now = cameras.feed(kind).preview()
         except CucumberVisionError as error:
-            return _framed({"state": "absent", "message": said(error)}) if sent.fails() else None
+            return (
+                _framed({"state": "absent", "message": words_of(error)}) if sent.fails() else None
+            )
         return encoded(preview_now, language()) if sent.changes(preview_now) else None
 
     await send_changes(socket, look, _LOOK_S)
@@ -95,7 +97,7 @@ def encoded(preview: Preview, _language: str = "en") -> bytes:
 
     Two JPEGs follow the header where there is a picture; it gives the first one's length.
     """
-    header: dict[str, Any] = {"state": preview.state, "message": said(preview.message)}
+    header: dict[str, Any] = {"state": preview.state, "message": words_of(preview.message)}
     capture, quality = preview.capture, preview.quality
     if capture is None:
         return _framed(header)

@@ -23,7 +23,7 @@ from cucumbervision.names import LONGEST_NAME
 from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse.backend import cameras, resources, tasks
 from cucumbervision_greenhouse.backend.answers import Key, Sent, answer, news, store_of
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.backend.language import ask_for, page_text
 from cucumbervision_greenhouse.backend.language import gettext as _
@@ -136,7 +136,7 @@ def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
                 sent_press.row.strip() or None, sent_press.side or None, sent_press.position_m
             )
         except NameRefusedError as error:
-            taken.append(said(error))
+            taken.append(words_of(error))
             continue
         if sent_press.position_m > _LONGEST_ROW_M:
             taken.append(_("no row is as long as this position: correct it and press again"))

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from cucumbervision.agronomy.grades import grade
-from cucumbervision.errors import CucumberVisionError, StoreError
+from cucumbervision.errors import CucumberVisionError, Message, StoreError
 from cucumbervision_greenhouse.backend import cameras, resources, round_caches, tasks
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_pictures import mask_outline, stop_layers
 from cucumbervision_greenhouse.backend.fruit_words import added_words, grade_words, length_words
 from cucumbervision_greenhouse.backend.language import counted, marked
@@ -83,7 +83,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "work": progress.told,
         "first": progress.first_words or _no_photo(home, round_summary),
         "doubts": [
-            said(line) for x in rounds if x.key == home for line in round_caches.doubts_of(x)
+            words_of(line) for x in rounds if x.key == home for line in round_caches.doubts_of(x)
         ],
         "aside": counted(
             len(aside),
@@ -157,7 +157,8 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
                 ],
             }
         )
-    fault = said(record.failures[0]["message"]) if record.failures else ""
+    failure = next(iter(record.failures), {"message": ""})
+    fault = words_of(Message.from_json(failure.get("sentence", failure["message"])))
     return {
         "key": last.key,
         "round": last.round_key,

@@ -12,7 +12,7 @@ import streamlit as st
 
 from cucumbervision.errors import AccessError, CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, tasks
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.language import marked
 from cucumbervision_greenhouse.backend.plain_text import plain
@@ -59,7 +59,7 @@ def main() -> None:
         if chosen != pages[-1]:
             footer(pages[-1])
     except CucumberVisionError as error:
-        st.error(plain(said(error)), icon=":material/error:")
+        st.error(plain(words_of(error)), icon=":material/error:")
 
 
 def _pages() -> list[st.Page]:

@@ -16,7 +16,7 @@ from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import round_caches, tasks
 from cucumbervision_greenhouse.backend.access import AccessGuard, Login
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.plain_text import sentence
 from cucumbervision_greenhouse.capture_page.routes import routes as capture_routes
 from cucumbervision_greenhouse.dashboard.routes import routes
@@ -52,5 +52,5 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
 def _say(error: Exception) -> bool:
     """Show a named error of a callback, such as a full disk, beside the page."""
     if isinstance(error, CucumberVisionError):
-        st.toast(sentence(said(error)), icon=":material/error:", duration="long")
+        st.toast(sentence(words_of(error)), icon=":material/error:", duration="long")
     return isinstance(error, CucumberVisionError)

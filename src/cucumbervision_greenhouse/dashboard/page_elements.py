@@ -13,7 +13,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import readable
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.forecast_words import hours_words
 from cucumbervision_greenhouse.backend.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.backend.language import counted, language, page_text
@@ -68,7 +68,7 @@ def do(act: Callable[[], object]) -> bool:
     try:
         act()
     except CucumberVisionError as error:
-        st.session_state["fault"] = said(error)
+        st.session_state["fault"] = words_of(error)
         return False
     return True
 
@@ -80,7 +80,7 @@ def draw_undo(round_key: str) -> None:
         try:
             action = tasks.undo(resources.store(), round_key)
         except CucumberVisionError as error:
-            st.session_state["fault"] = said(error)
+            st.session_state["fault"] = words_of(error)
         else:
             st.toast(plain(taken_back(action)), icon=":material/undo:")
 

@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
 from cucumbervision_greenhouse.backend import resources, tasks
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain, sentence
@@ -108,7 +108,7 @@ def _begin(rounds: Collection[RoundSummary]) -> None:
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:
-            st.session_state["begin_fault"] = said(error)
+            st.session_state["begin_fault"] = words_of(error)
             return
         if (same := same_house(house, houses)) != " ".join(house.split()):
             words = _("The round is in the house '{house}', which is known by that name.")
@@ -199,7 +199,7 @@ def _do(act: Callable[[str], None], key: str) -> None:
     try:
         act(key)
     except CucumberVisionError as error:
-        st.session_state["round_fault"] = said(error)
+        st.session_state["round_fault"] = words_of(error)
     else:
         _close(_CHANGING)
 

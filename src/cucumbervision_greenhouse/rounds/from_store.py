@@ -245,8 +245,11 @@ def _row(
     sides = tuple(sorted({stop.side or "" for stop in stops}))
     if len(sides) > 2:
         raise RoundError(
-            f"row '{name}' has {len(sides)} sides: {', '.join(sides)}",
+            "row '{row}' has {count} sides: {sides}",
             remedy="call the two sides of a row by two names",
+            row=name,
+            count=len(sides),
+            sides=", ".join(sides),
         )
     placed = [stop for stop in stops if stop.position_m is not None]
     index = {stop.key: k for k, stop in enumerate(placed)}

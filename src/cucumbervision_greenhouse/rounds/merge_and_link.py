@@ -194,7 +194,7 @@ def link_rounds(
     """
     walked = {round_summary.key: round_summary.walked_s for round_summary in store.rounds()}
     if gone := {earlier, later} - walked.keys():
-        raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
+        raise RoundError("there is no round {key}", remedy="see the list of rounds", key=min(gone))
     days = (walked[later] - walked[earlier]) / DAY_S
     if not days > 0:
         raise RoundError(
@@ -318,8 +318,9 @@ def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list
     """
     waits = sum(capture.round_key == round_key for capture in waiting.captures())
     if waits:
-        words = "1 capture waits" if waits == 1 else f"{waits} captures wait"
-        raise RoundError(f"{words} to be measured into it", remedy="delete it afterwards")
+        fault = "{count} captures wait to be measured into it"
+        fault = "1 capture waits to be measured into it" if waits == 1 else fault
+        raise RoundError(fault, remedy="delete it afterwards", count=waits)
     after = later_rounds(store, round_key)[:1]
     store.delete_round(round_key)
     return [later.key for later in after]  # its fruit are those of the round before now
@@ -420,7 +421,7 @@ def _neighbours(
     rounds = sorted(rounds, key=lambda x: -x.walked_s)
     current = next((x for x in rounds if x.key == round_key), None)
     if current is None:
-        raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
+        raise RoundError("there is no round {key}", remedy="see the list of rounds", key=round_key)
     house = house_key(current.record.house)
     example = is_demonstration(round_key)
     different = (

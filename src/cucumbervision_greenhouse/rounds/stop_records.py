@@ -14,7 +14,7 @@ from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
-from cucumbervision.errors import InstancesError
+from cucumbervision.errors import InstancesError, Message
 from cucumbervision.files import json_value
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.instances.instance import Instance, MaskSource
@@ -88,7 +88,11 @@ def stop_record(
         taken_s=taken_s or time.time(),
         captures=tuple(_capture_record(result, images) for result in results),
         artifacts=() if measurer is None else _artifact_records(measurer, results),
-        failures=tuple(vars(failure) for result in results for failure in result.failures),
+        failures=tuple(
+            {**vars(failure), "sentence": Message(failure.message).as_json()}
+            for result in results
+            for failure in result.failures
+        ),
     )
 
 

@@ -182,11 +182,11 @@ def refuse_taken(
     cameras = store.cameras(round_key) if same_place else {}
     for view in same_place:
         if camera.is_one_with(cameras[view.key]):
-            name = "a stop" if view.step is None else f"stop {view.step}"
-            raise RoundError(
-                f"{name} is at {view.position_m:.2f} m of that row and side",
-                remedy="choose another position, or move or delete that stop first",
-            )
+            fault = "stop {number} is at {position:.2f} m of that row and side"
+            if view.step is None:
+                fault = "a stop is at {position:.2f} m of that row and side"
+            remedy = "choose another position, or move or delete that stop first"
+            raise RoundError(fault, remedy=remedy, number=view.step, position=view.position_m)
 
 
 def last_step(*walks: Sequence[_Placed]) -> int:

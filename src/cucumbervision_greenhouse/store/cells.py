@@ -233,5 +233,5 @@ def round_id_of(connection: Connection, key: str, *, remedy: str = "see `round l
     query = select(RoundLine.id).where(RoundLine.key == checked_key(key, "round"))
     line_id = connection.execute(query).scalar()
     if line_id is None:
-        raise StoreError(f"round {key} is not in the store", remedy=remedy)
+        raise StoreError("round {key} is not in the store", remedy=remedy, key=key)
     return line_id

@@ -344,7 +344,7 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     missing = next((key for key in fruit_keys if key not in detections), None)
     if missing is not None:
         raise StoreError(
-            f"fruit {missing} is not in the store", remedy="look it up in detections()"
+            "fruit {key} is not in the store", remedy="look it up in detections()", key=missing
         )
     lock_rounds(connection, {row.round_id for row in detections.values()})
     return [detections[key] for key in fruit_keys]
@@ -384,8 +384,10 @@ def _link(
         places = {LinkKind.SAME: within, LinkKind.GROWTH: not within, LinkKind.APART: True}
         if first.id == second.id or not places[kind]:
             raise StoreError(
-                f"{first.key} and {second.key} are not two fruit that can be linked so",
+                "{first} and {second} are not two fruit that can be linked so",
                 remedy="merge two of one round, link growth between two rounds",
+                first=first.key,
+                second=second.key,
             )
         ends = (first.id, second.id)
         _end(
@@ -453,7 +455,9 @@ def _action_to_undo(connection: Connection, number: int | None, round_key: str |
 
 def _blocked_by_later(number: int) -> StoreConflictError:
     return StoreConflictError(
-        f"a later action depends on action {number}", remedy="undo the later one first"
+        "a later action depends on action {number}",
+        remedy="undo the later one first",
+        number=number,
     )
 
 

@@ -165,7 +165,7 @@ class Queries(Database):
             round_key = connection.execute(round_query).scalar()
             if round_key is None:
                 raise StoreError(
-                    f"fruit {key} is not in the store", remedy="look it up in detections()"
+                    "fruit {key} is not in the store", remedy="look it up in detections()", key=key
                 )
             links = links_of(connection, round_key)
             ends = {key, *(end for link in links for end in (link.first, link.second))}

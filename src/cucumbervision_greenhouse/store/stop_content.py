@@ -256,7 +256,7 @@ def read_stop(connection: Connection, key: str) -> StopRecord:
     )
     rows = cells_of(connection, query)
     if not rows:
-        raise StoreError(f"stop {key} is not in the store", remedy="look it up in stops()")
+        raise StoreError("stop {key} is not in the store", remedy="look it up in stops()", key=key)
     stop_id, round_key, row, *cells = rows[0]
     values = dict(zip(names, cells, strict=True))
     return StopRecord(

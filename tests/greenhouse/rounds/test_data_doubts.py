@@ -49,5 +49,5 @@ def test_fruit_of_impossible_sizes_name_the_unit_that_would_explain_them(
     lines = walked(store, replace(refused, methods=methods), refused)
     assert lines == [
         "no fruit has a possible size (median 160 cm): is one step of depth really 1 mm? "
-        "--depth-unit 0.0001 or 0.0002 or 0.00025 would explain it"
+        "--depth-unit 0.0001, 0.0002 or 0.00025 would explain it"
     ]

@@ -13,14 +13,8 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file, tum_lists
 from cucumbervision.capture.readers.recording import open_recording
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    Folder,
-    ReadOptions,
-    fail,
-)
-from cucumbervision.errors import CaptureError, PluginError
+from cucumbervision.capture.source import CaptureRef, CaptureSource, Folder, ReadOptions, fail
+from cucumbervision.errors import CaptureError, PluginError, with_reason
 from cucumbervision.plugins import Plugin, plugins
 from cucumbervision.urls import as_path, is_remote, with_retries
 
@@ -130,7 +124,10 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
         folder.faults.append(_no_longer_read(f"{len(arrays)} .npz files", path))
     if not openers and not folder.faults:
         raise CaptureError(
-            f"holds no captures that can be recognised, but {kinds}", source=path, remedy=_REMEDY
+            "holds no captures that can be recognised, but {kinds}",
+            source=path,
+            remedy=_REMEDY,
+            kinds=kinds,
         )
     camera = read_camera_file(options.intrinsics) if options.intrinsics else None
     parts: list[CaptureEntry] = []
@@ -198,7 +195,7 @@ def list_folder(path: Path) -> Folder:
         return folder
 
     def note(error: OSError) -> None:
-        fault = f"cannot be read ({error.strerror})"
+        fault = with_reason("cannot be read", str(error.strerror))
         folder.faults.append(
             CaptureError(fault, source=error.filename, remedy="check who may read it")
         )

@@ -7,11 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.conventions import DepthAlong
-from cucumbervision.capture.depth import (
-    depth_to_metres,
-    enlarge_depth,
-    require_readings,
-)
+from cucumbervision.capture.depth import depth_to_metres, enlarge_depth, require_readings
 from cucumbervision.capture.depth_direction import depth_along_axis
 from cucumbervision.capture.frames import Capture, Doubt
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
@@ -68,10 +64,13 @@ def choose_intrinsics(
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
                 raise IntrinsicsError(
-                    f"does not say its size, and {camera.cx_px:g}, {camera.cy_px:g} px is not near "
-                    f"the middle of a picture of {width}x{height}",
+                    "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
+                    "picture of {size}",
                     source=camera_file.path,
                     remedy="give the intrinsics of this size of picture",
+                    cx=camera.cx_px,
+                    cy=camera.cy_px,
+                    size=f"{width}x{height}",
                 )
             camera = replace(camera, width=width, height=height)
         return check_intrinsics(
@@ -119,10 +118,13 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
     """
     if color.shape[:2] != depth.shape[:2]:
         raise CaptureError(
-            f"depth is {depth.shape[1]}x{depth.shape[0]}, colour {color.shape[1]}x{color.shape[0]}",
+            "depth is {depth}, colour {color}",
             source=source,
-            remedy="align depth to colour, so that both have one size; or, if depth has the colour "
-            "camera's field of view in fewer pixels, say so with --aligned-to color",
+            remedy="align depth to colour, so that both have one size; or, if depth has "
+            "the colour camera's field of view in fewer pixels, say so with "
+            "--aligned-to color",
+            depth=f"{depth.shape[1]}x{depth.shape[0]}",
+            color=f"{color.shape[1]}x{color.shape[0]}",
         )
 
 

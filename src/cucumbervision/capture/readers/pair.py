@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING
 from unicodedata import normalize
 
 from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
-from cucumbervision.capture.pictures import (
-    COLOR_SUFFIXES,
-    DEPTH_SUFFIXES,
-    read_color,
-    read_depth,
-)
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES, read_color, read_depth
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
 from cucumbervision.capture.source import CaptureSource
 from cucumbervision.errors import CaptureError, IntrinsicsError
@@ -239,7 +234,9 @@ def _load(
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
-            f"has no {'colour' if pair.color is None else 'depth'} picture of a matching name",
+            "has no colour picture of a matching name"
+            if pair.color is None
+            else "has no depth picture of a matching name",
             source=pair.color or pair.depth,
             remedy="put it beside this one",
         )
@@ -256,9 +253,5 @@ def _load(
         depth_source=pair.depth,
         name=name,
         frame=frame,
-        provenance={
-            "reader": "pair",
-            "depth": str(pair.depth),
-            "intrinsics": str(camera.path),
-        },
+        provenance={"reader": "pair", "depth": str(pair.depth), "intrinsics": str(camera.path)},
     )

@@ -6,7 +6,7 @@ import streamlit as st
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
 from cucumbervision_greenhouse.dashboard import page_elements
@@ -24,7 +24,7 @@ def page() -> None:
     if offer.startswith("http"):
         st.link_button(_("Source code"), offer, icon=":material/code:")
     else:
-        st.write(_("Source code: {offer}").format(offer=plain(said(offer))))
+        st.write(_("Source code: {offer}").format(offer=plain(words_of(offer))))
     with st.expander(_("Details"), icon=":material/list:"):
         lines = [
             {_("Package"): name, _("Version"): version}

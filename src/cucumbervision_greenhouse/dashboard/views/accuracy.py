@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_words import length_words
 from cucumbervision_greenhouse.backend.hand_lengths import (
     LENGTHS,
@@ -202,4 +202,4 @@ def _methods(own_truth: OwnTruth) -> None:
     if any(score.metrics.measured < 1 for score in own_truth.scores):
         st.caption(_("A fruit that a method did not measure counts as an error of 100 %."))
     for note in own_truth.notes:
-        st.caption(plain(said(note)))
+        st.caption(plain(words_of(note)))

@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.hand_lengths import truth_folder
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain, sentence
@@ -69,7 +69,7 @@ def _make(label: str, calibrate: Callable[[], SiteCalibration]) -> None:
                 save_calibration(truth_folder(resources.where()), calibrate())
             )
         except (CucumberVisionError, ValueError) as error:
-            st.error(sentence(said(error)), icon=":material/error:")
+            st.error(sentence(words_of(error)), icon=":material/error:")
     path = st.session_state.get(made)
     for calibration in saved_calibrations(truth_folder(resources.where())):
         if str(calibration.path) == path:
@@ -108,7 +108,7 @@ def _draw(calibration: SavedCalibration, key: str) -> None:
         says, use = st.columns([3, 1], vertical_alignment="center")
         says.markdown(f"**{plain(calibration.title)}**")
         if calibration.site is None:
-            says.warning(sentence(said(calibration.fault)), icon=":material/error:")
+            says.warning(sentence(words_of(calibration.fault)), icon=":material/error:")
             return
         says.caption(plain(effect_words(calibration.site, settings.length, settings.units)))
         path = str(calibration.path)

@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.crop_limits import (
     CropLimits,
     class_counts,
@@ -55,7 +55,7 @@ def draw() -> None:
         _form(name, profile, own=not entries[name].shipped)
     for entry in entries.values():
         if entry.fault:
-            st.warning(plain(said(entry.fault)), icon=":material/error:")
+            st.warning(plain(words_of(entry.fault)), icon=":material/error:")
 
 
 def _limits(profile: CropProfile) -> None:
@@ -91,7 +91,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     try:
         changed = limits.applied_to(profile, title.strip())
     except CucumberVisionError as error:
-        st.error(sentence(said(error)), icon=":material/error:")
+        st.error(sentence(words_of(error)), icon=":material/error:")
         return
     _preview(profile, changed)
 
@@ -99,7 +99,7 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
         try:
             path = save_own_profile(changed, profile)
         except CucumberVisionError as error:
-            st.session_state["limits_fault"] = said(error)
+            st.session_state["limits_fault"] = words_of(error)
             return
         st.session_state.pop(_DRAWN, None)
         resources.forget_profiles()

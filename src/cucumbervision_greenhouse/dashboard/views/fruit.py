@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_pictures import (
     as_data_url,
     depth_picture,
@@ -140,7 +140,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         st.caption(sentence(f"{words}."))
     with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
-            st.caption(plain(said(rule)))
+            st.caption(plain(words_of(rule)))
         site = stored_calibration(detail.stop)
         name = _("none") if site is None else plain(site.name)
         st.caption(_("Measured with the calibration: {name}").format(name=name))
@@ -184,7 +184,7 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
     try:
         capture = round_caches.capture_of(detail.stop, detail.capture)
     except CucumberVisionError as error:
-        st.warning(plain(said(error)), icon=":material/broken_image:")
+        st.warning(plain(words_of(error)), icon=":material/broken_image:")
         return
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
     picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")

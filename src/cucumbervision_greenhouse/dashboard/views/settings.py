@@ -11,7 +11,7 @@ from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision_greenhouse.backend import cameras, resources
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import DRAFTS, LANGUAGES, marked
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain
@@ -129,7 +129,7 @@ def _other_calibration() -> None:
         if calibration:
             read_site_calibration(Path(calibration))
     except CucumberVisionError as error:
-        st.error(plain(said(error)), icon=":material/error:")
+        st.error(plain(words_of(error)), icon=":material/error:")
     else:
         resources.change_settings(calibration=calibration)
         st.rerun()

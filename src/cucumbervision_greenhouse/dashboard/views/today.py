@@ -11,7 +11,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
 from cucumbervision_greenhouse.backend import resources, round_caches, tasks
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.fruit_words import (
     class_words,
     height_words,
@@ -288,7 +288,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
             try:
                 st.session_state["picked_all"] = resources.store().pick(unpicked)
             except CucumberVisionError as error:
-                st.error(sentence(said(error)), icon=":material/error:")
+                st.error(sentence(words_of(error)), icon=":material/error:")
             else:
                 st.rerun()
         if no.button(_("No"), width="stretch"):
@@ -312,7 +312,7 @@ def _undo(number: int) -> None:
     try:
         resources.store().undo(number=number)
     except CucumberVisionError as error:
-        st.toast(plain(said(error)))
+        st.toast(plain(words_of(error)))
     st.session_state.pop("picked_all", None)
 
 

@@ -10,7 +10,7 @@ from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME, checked_name
 from cucumbervision_greenhouse.backend import resources, round_caches
-from cucumbervision_greenhouse.backend.core_sentences import said
+from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain, sentence
@@ -68,7 +68,7 @@ def page(round_summary: RoundSummary) -> None:
         },
     )
     if doubts := round_caches.doubts_of(round_summary):
-        words = f"{_('Check the data of this round.')} {'. '.join(map(said, doubts))}."
+        words = f"{_('Check the data of this round.')} {'. '.join(map(words_of, doubts))}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
         _show(upload)
@@ -132,7 +132,7 @@ def _draw_place(
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
-        st.warning(sentence(said(error)), icon=":material/error:")
+        st.warning(sentence(words_of(error)), icon=":material/error:")
         named = ""
     return SentPlace(
         row=named,
@@ -217,7 +217,7 @@ def _show(upload: Upload) -> None:
         {
             _("File"): outcome.name,
             "": _("saved") if outcome.saved else _("not saved"),
-            _("Result"): said(outcome.words),
+            _("Result"): words_of(outcome.words),
         }
         for outcome in sorted(upload.outcomes, key=lambda outcome: outcome.saved)
     ]

@@ -10,6 +10,7 @@ import pytest
 from cucumbervision.errors import InstancesError
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.instance_files import FileInstances, read_instances
+from cucumbervision.instances.label_files import LabelledInstance, parse_yolo_line, read_labels
 
 WIDTH, HEIGHT = 20, 10
 
@@ -156,8 +157,8 @@ def test_another_size_is_refused(tmp_path: Path) -> None:
 def test_more_masks_than_memory_holds_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    square = {"segmentation": [[1, 1, 5, 1, 5, 5, 1, 5]]}
-    path = coco(tmp_path / "c.json", square, square, square, {"bbox": [2, 1, 5, 4]})
+    outlines = [{"segmentation": [[k, 1, k + 3, 1, k + 4, 3, k, 4]]} for k in (1, 6, 11)]
+    path = coco(tmp_path / "c.json", *outlines, {"bbox": [2, 1, 5, 4]})
     monkeypatch.setattr("cucumbervision.instances.instance_files._MOST_MASK_BYTES", 600)
     assert len(get(path).instances) == 4
     monkeypatch.setattr("cucumbervision.instances.instance_files._MOST_MASK_BYTES", 599)
@@ -198,7 +199,6 @@ def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
         "too large",
         "fewer than three",
         "covers no pixel",
-        "crowd",
         "confidence 7",
         "neither box nor mask",
     ]
@@ -324,3 +324,58 @@ def test_names_of_a_mac_are_those_of_others(tmp_path: Path) -> None:
     for label, name in ((mac, other), (other, mac)):
         path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, file_name=f"{label}.png")
         assert len(get(path, name).instances) == 1
+
+
+@pytest.mark.parametrize("confidence", ["", " 0.9"])
+@pytest.mark.parametrize("count", [2, 3, 5, 8])
+@pytest.mark.parametrize("visibility", ["", " 2"])
+def test_yolo_keypoints_of_any_form_are_no_outline(
+    tmp_path: Path, visibility: str, count: int, confidence: str
+) -> None:
+    # A box of 4 by 4 pixels about the middle, and points from its upper left to its lower right.
+    shares = np.linspace([0.42, 0.35], [0.58, 0.65], count)
+    points = " ".join(f"{x:.4f} {y:.4f}{visibility}" for x, y in shares)
+    folder = yolo(tmp_path / "l", "a.txt", f"0 0.5 0.5 0.2 0.4 {points}{confidence}")
+    (fruit,) = get(folder).instances
+    assert fruit.mask is None
+    assert fruit.box.tolist() == pytest.approx([7.5, 2.5, 11.5, 6.5])
+    assert (fruit.keypoints is not None) == (count == 5)
+    assert fruit.confidence == (0.9 if confidence else 1.0)
+
+
+def test_outlines_are_not_taken_for_keypoints(tmp_path: Path) -> None:
+    rng, lines = np.random.default_rng(1), []
+    for _ in range(2000):  # ellipses of any size, place, turn and beginning
+        turn, start = rng.uniform(0, 2 * np.pi, 2)
+        angle = start + np.linspace(0, 2 * np.pi, int(rng.integers(4, 40)), endpoint=False)
+        along, across = rng.uniform(0.01, 0.25, 2)
+        x, y = along * np.cos(angle), across * np.sin(angle)
+        turned = np.stack(
+            [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)], axis=1
+        )
+        shares = turned + rng.uniform(0.26, 0.74, 2)
+        lines.append("0 " + " ".join(f"{share:.6f}" for share in shares.ravel()))
+    alone = [parse_yolo_line(line, "line 1", []) for line in lines]
+    assert sum(record.box is not None for record in alone) < 0.003 * len(lines)
+    (picture,) = read_labels(yolo(tmp_path / "l", "a.txt", *lines))
+    assert all(isinstance(r, LabelledInstance) and r.polygons for r in picture.records)
+
+
+def test_a_crowd_region_is_passed_over(tmp_path: Path) -> None:
+    path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, {"bbox": [1, 1, 9, 9], "iscrowd": 1})
+    found = get(path)
+    assert (len(found.instances), found.refused) == (1, ())
+    assert read_instances(path).crowds == 1
+
+
+def test_two_labels_of_a_fruit_are_one_and_a_word(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    boxes = [{"bbox": [2, 1, 12, 4]}, {"bbox": [2, 1, 12, 3.9]}, {"bbox": [2, 5, 12, 4]}]
+    path = coco(tmp_path / "c.json", *boxes)
+    assert [fruit.box[1] for fruit in get(path).instances] == [0.5, 4.5]
+    assert "annotation 1 labels the fruit of annotation 0 again" in caplog.text
+    # Crossing fruit have like boxes, and other outlines.
+    down, up = [1, 1, 3, 1, 11, 7, 11, 9, 9, 9, 1, 3], [9, 1, 11, 1, 11, 3, 3, 9, 1, 9, 1, 7]
+    path = coco(tmp_path / "c.json", {"segmentation": [down]}, {"segmentation": [up]})
+    assert len(get(path).instances) == 2

@@ -1,11 +1,8 @@
-"""Instances of one picture from files of annotation tools or another detector.
-
-COCO and YOLO measure from the picture's corner, `Instance` from the first pixel's centre; half a
-pixel is subtracted.
-"""
+"""Instances of one picture from files of annotation tools or another detector."""
 
 from __future__ import annotations
 
+import logging
 import re
 from collections import defaultdict
 from dataclasses import dataclass
@@ -18,23 +15,21 @@ from urllib.parse import unquote
 import numpy as np
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.label_files import (
     LabelledImage,
     LabelledInstance,
     entry_or_error,
     read_labels,
 )
-from cucumbervision.instances.mask_codes import mask_of_segmentation
-from cucumbervision.instances.masks import box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
+    from cucumbervision.instances.instance import Instance
 
+_log = logging.getLogger(__name__)
 
-_CLIP_SLACK_PX = 0.01  # tolerance for rounded boxes
 _MOST_MASK_BYTES = 4_000_000_000  # one byte a pixel
 
 
@@ -109,9 +104,14 @@ class InstanceFile:
                 source=self.source,
                 remedy="give the annotations of this very picture",
             )
+        records = [
+            record
+            for record in picture.records
+            if isinstance(record, InstancesError) or not record.is_crowd
+        ]
         masks = sum(
             isinstance(record, LabelledInstance) and bool(record.rle or record.polygons)
-            for record in picture.records
+            for record in records
         )
         if masks * width * height > _MOST_MASK_BYTES:
             raise InstancesError(
@@ -120,18 +120,34 @@ class InstanceFile:
                 remedy=f"at most {_MOST_MASK_BYTES // (width * height)} are read: they would need "
                 f"{masks * width * height / 1e9:.0f} GB; give the picture in parts",
             )
-        read = [
-            record
-            if isinstance(record, InstancesError)
-            else entry_or_error(record.where, self.source, _instance, record, width, height)
-            for record in picture.records
-        ]
-        entries = [entry for entry in read if not isinstance(entry, InstancesError)]
+        named, entries, refused = [], [], []
+        for record in records:
+            entry = (
+                record
+                if isinstance(record, InstancesError)
+                else entry_or_error(record.where, self.source, record.in_picture, width, height)
+            )
+            if isinstance(entry, InstancesError) or isinstance(record, InstancesError):
+                refused.append(entry)
+            else:
+                named.append(record)
+                entries.append(entry)
+        again = _again(named, [instance for instance, _ in entries])
+        for later, earlier in again.values():
+            words = "%s: %s: %s labels the fruit of %s again, and is left out"
+            _log.warning(words, self.source, picture.name, later, earlier)
+        entries = [entry for k, entry in enumerate(entries) if k not in again]
         return FileInstances(
             instances=tuple(instance for instance, _ in entries),
             clipped=tuple(cut for _, cut in entries),
-            refused=tuple(entry for entry in read if isinstance(entry, InstancesError)),
+            refused=tuple(refused),
         )
+
+    @property
+    def crowds(self) -> int:
+        """Number of regions of several fruit, which are left out."""
+        records = (record for picture in self.pictures for record in picture.records)
+        return sum(isinstance(record, LabelledInstance) and record.is_crowd for record in records)
 
     def coverage(
         self, captures: Iterable[tuple[Sequence[str], int | None]]
@@ -229,96 +245,26 @@ def read_instances(path: Path | str) -> InstanceFile:
     return InstanceFile(str(path), tuple(read_labels(path)))
 
 
-def _instance(record: LabelledInstance, width: int, height: int) -> tuple[Instance, bool]:
-    scale = np.array([width, height] if record.normalised else [1, 1], np.float64)
-    polygons = [points * scale for points in record.polygons]
-    if len(polygons) == 1 and is_rectangle(polygons[0]):  # an oriented box is no outline
-        box, clipped = _clip(_around(polygons[0]), width, height)
-        mask = None
-    else:
-        mask = _mask(record, scale, width, height)
-        box, clipped = _box(record, polygons, mask, scale, width, height)
-    keypoints = None
-    if record.keypoints is not None:
-        keypoints = record.keypoints.copy()
-        keypoints[:, :2] = keypoints[:, :2] * scale - 0.5
-    if not 0 <= record.confidence <= 1:
-        raise ValueError(f"has the confidence {record.confidence:g}, outside 0 to 1")
-    return Instance(
-        box=box,
-        confidence=record.confidence,
-        class_name=record.class_name,
-        mask=mask,
-        mask_source=None if mask is None else MaskSource.DATASET,
-        keypoints=keypoints,
-    ), clipped
+_SAME_FRUIT = 0.85  # intersection over union
 
 
-def _box(
-    record: LabelledInstance,
-    polygons: Sequence[NDArray[np.float64]],
-    mask: NDArray[np.bool_] | None,
-    scale: NDArray[np.float64],
-    width: int,
-    height: int,
-) -> tuple[NDArray[np.float64], bool]:
-    """Return an instance's box from the first pixel's centre, and whether it was clipped."""
-    if record.box is not None:
-        return _clip(record.box * np.tile(scale, 2), width, height)
-    if mask is None:
-        raise ValueError("has neither box nor mask")
-    corners = np.concatenate(polygons) if polygons else np.zeros((1, 2))
-    return box_of_mask(mask), bool(_outside(corners, width, height).any())
-
-
-def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([points.min(axis=0), points.max(axis=0)])
-
-
-_RIGHT_ANGLE = 0.05  # largest cosine of a rectangle's corner
-
-
-def is_rectangle(points: NDArray[np.float64]) -> bool:
-    """Return whether a polygon is the four corners of a rectangle, which box tools write.
-
-    Examples
-    --------
-    >>> is_rectangle(np.array([[0.0, 0], [6, 2], [5, 5], [-1, 3], [0, 0]]))
-    True
-    >>> is_rectangle(np.array([[0.0, 0], [6, 0], [7, 2], [6, 4], [0, 4]]))
-    False
-    """
-    corners = points[:-1] if len(points) == 5 and np.allclose(points[0], points[-1]) else points
-    if len(corners) != 4:
-        return False
-    sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    if not (lengths > 0).all():
-        return False
-    cosines = (sides * np.roll(sides, -1, axis=0)).sum(axis=1) / (lengths * np.roll(lengths, -1))
-    return bool((np.abs(cosines) < _RIGHT_ANGLE).all())
-
-
-def _mask(
-    record: LabelledInstance, scale: NDArray[np.float64], width: int, height: int
-) -> NDArray[np.bool_] | None:
-    shape = record.rle or [(points * scale).ravel() for points in record.polygons]
-    return mask_of_segmentation(shape, height, width) if shape else None
-
-
-def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np.float64], bool]:
-    """Clip a corner-based box to the picture; return it from the first pixel's centre."""
-    if box[2] <= box[0] or box[3] <= box[1]:
-        raise ValueError("its box has no area")
-    corner, opposite = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
-    if (opposite <= corner).any():
-        raise ValueError(f"its box lies outside the picture of {width}x{height}")
-    clipped = bool(_outside(box.reshape(2, 2), width, height).any())
-    return np.concatenate([corner, opposite]) - 0.5, clipped
-
-
-def _outside(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
-    return (points < -_CLIP_SLACK_PX) | (points > np.array([width, height]) + _CLIP_SLACK_PX)
+def _again(
+    records: Sequence[LabelledInstance], instances: Sequence[Instance]
+) -> dict[int, tuple[str, str]]:
+    """Return the labels of a fruit that an earlier label of its class has, with both places."""
+    again: dict[int, tuple[str, str]] = {}
+    for k, instance in enumerate(instances):
+        for j, earlier in enumerate(instances[:k]):
+            if j in again or instance.class_name != earlier.class_name:
+                continue
+            iou = box_iou(instance.box, earlier.box)
+            if iou >= _SAME_FRUIT and instance.mask is not None and earlier.mask is not None:
+                shared = np.count_nonzero(instance.mask & earlier.mask)
+                iou = shared / np.count_nonzero(instance.mask | earlier.mask)
+            if iou >= _SAME_FRUIT:
+                again[k] = records[k].where, records[j].where
+                break
+    return again
 
 
 def _file_name(name: str) -> str:

@@ -508,7 +508,8 @@ def instance_notes(
     named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
     if named or path.suffix.lower() == ".onnx":
         return []
-    missing, unused = read_instances(path).coverage(captures)
+    file = read_instances(path)
+    missing, unused = file.coverage(captures)
     if missing and len(missing) == len(captures):
         raise InstancesError(
             f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
@@ -518,6 +519,8 @@ def instance_notes(
     notes = [f"{path}: no fruit given for {', '.join(missing)}"] if missing else []
     if unused and captures:
         notes.append(f"{path}: no capture is called {', '.join(unused)}")
+    if file.crowds:
+        notes.append(f"{path}: {file.crowds} crowd regions, of several fruit each, are left out")
     return notes
 
 

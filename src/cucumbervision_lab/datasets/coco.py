@@ -16,41 +16,31 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.pictures import MOST_PIXELS
-from cucumbervision.errors import (
-    CaptureError,
-    CucumberVisionError,
-    DataSetError,
-    wrap_reader_errors,
-)
+from cucumbervision.errors import CucumberVisionError, DataSetError, InstancesError
 from cucumbervision.files import parse_model, read_json
 from cucumbervision.instances.instance import KEYPOINT_NAMES, SKELETON
-from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
-from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.instances.label_files import LabelledImage, entry_or_error, parse_coco
+from cucumbervision.instances.mask_codes import Rle
 from cucumbervision_lab.datasets.labels import (
     SPLIT_FOLDERS,
     DataSet,
     Label,
     LabelledPicture,
     flat_names,
+    labels_of,
     place_file,
     ticked,
     write_text,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable, Sequence
 
 ANNOTATIONS = "annotations.json"
 
 FRAGMENTS = "fragments"
 """Subfolder of the labels of single pictures."""
 ROBOFLOW = "_annotations.coco.json"
-
-_KEYPOINTS = 5
-# Raised by values of the wrong type.
-_FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)
 
 
 def read_coco(path: Path) -> DataSet:
@@ -69,24 +59,28 @@ def read_coco(path: Path) -> DataSet:
 
     Raises
     ------
-    DataSetError
+    CucumberVisionError
         If the file does not exist or is not in COCO format.
     """
-    sources = _find(path)
-    files = [read_json(file) for file, _ in sources]
-    for (file, _), data in zip(sources, files, strict=True):
-        if not isinstance(data, dict) or not isinstance(data.get("images"), list):
-            raise DataSetError("has no list of images", source=file, remedy="give COCO JSON")
     root = path if path.is_dir() else path.parent
     names: list[str] = []
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
-    for (file, split), data in zip(sources, files, strict=True):
-        with wrap_reader_errors(file, DataSetError, "give COCO JSON"):
-            ids = _category_indices(data, names)
-            loaded, bad = _read_pictures(data, ids, file, split, root)
-        pictures.extend(loaded)
-        refused.extend(bad)
+    for file, split in _find(path):
+        data = read_json(file)
+        if not isinstance(data, dict):
+            raise DataSetError("has no list of images", source=file, remedy="give COCO JSON")
+        content = parse_coco(data, file)
+        names += [name for name in content.class_names if name not in names]
+        refused += content.refused
+        for image in content.pictures:
+            place = f"image {image.number or image.name}"
+            read = entry_or_error(place, file, _picture, image, names, file, split, root)
+            if isinstance(read, InstancesError):
+                refused.append(read)
+            else:
+                pictures.append(read[0])
+                refused += read[1]
     return DataSet(root, tuple(pictures), tuple(names), tuple(refused))
 
 
@@ -95,13 +89,9 @@ def _find(path: Path) -> list[tuple[Path, str]]:
         return [(path, "")]
     if (path / ANNOTATIONS).is_file():
         return [(path / ANNOTATIONS, "")]
-    annotations = [
-        (path / folder / ROBOFLOW, split)
-        for folder, split in SPLIT_FOLDERS.items()
-        if (path / folder / ROBOFLOW).is_file()
-    ]
-    if (path / ROBOFLOW).is_file():
-        annotations.append((path / ROBOFLOW, ""))
+    places = {path / folder / ROBOFLOW: split for folder, split in SPLIT_FOLDERS.items()}
+    places[path / ROBOFLOW] = ""
+    annotations = [(file, split) for file, split in places.items() if file.is_file()]
     if not annotations:
         raise DataSetError(
             f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
@@ -111,119 +101,41 @@ def _find(path: Path) -> list[tuple[Path, str]]:
     return annotations
 
 
-def _category_indices(data: Mapping[str, Any], names: list[str]) -> dict[int, int]:
-    """Return the index of each category id, and append new names to `names`."""
-    categories = [c for c in data.get("categories", []) if isinstance(c, dict) and "id" in c]
-    used = {a.get("category_id") for a in data.get("annotations", []) if isinstance(a, dict)}
-    parents = {c.get("supercategory") for c in categories}
-    ids: dict[int, int] = {}
-    for category in sorted(categories, key=lambda c: int(c["id"])):
-        name = str(category.get("name", category["id"]))
-        # Roboflow's category 0 is only the name of the group.
-        if name in parents and category["id"] not in used and len(categories) > 1:
-            continue
-        if name not in names:
-            names.append(name)
-        ids[int(category["id"])] = names.index(name)
-    return ids
-
-
-def _read_pictures(
-    data: Mapping[str, Any], ids: Mapping[int, int], file: Path, split: str, root: Path
-) -> tuple[list[LabelledPicture], list[CucumberVisionError]]:
-    items: dict[Any, list[Any]] = {}
-    refused: list[CucumberVisionError] = []
-    for i, item in enumerate(data.get("annotations", [])):
-        if isinstance(item, dict) and "image_id" in item:
-            items.setdefault(item["image_id"], []).append(item)
-        else:
-            refused.append(_fault(file, f"annotation {i}", "names no picture"))
-    pictures = []
-    for i, image in enumerate(data["images"]):
-        key = image.get("id") if isinstance(image, dict) else None
-        entries = items.pop(key, [])
-        try:
-            picture, bad = picture_of(image, entries, ids, file, split, root)
-        except (CucumberVisionError, *_FAULTS) as error:
-            refused.append(_fault(file, f"image {key if key is not None else i}", error))
-        else:
-            pictures.append(picture)
-            refused.extend(bad)
-    for key, lost in items.items():
-        number = f"image {key}"
-        refused.append(_fault(file, number, f"has {len(lost)} annotations but is not listed"))
-    return pictures, refused
-
-
-def picture_of(
-    image: Mapping[str, Any],
-    annotations: Iterable[Any],
-    ids: Mapping[int, int],
+def _picture(
+    image: LabelledImage,
+    names: Sequence[str],
     file: Path,
     split: str = "",
     root: Path | None = None,
-) -> tuple[LabelledPicture, list[CucumberVisionError]]:
-    """Create a labelled picture from COCO entries.
+) -> tuple[LabelledPicture, list[InstancesError]]:
+    """Return a labelled picture with the errors of its invalid annotations.
 
-    Parameters
-    ----------
-    image : mapping
-        An entry of COCO's images.
-    annotations : iterable of mapping
-        The annotations of this image.
-    ids : mapping of int to int
-        Index of each category id.
-    file : Path
-        The JSON file, for error messages and to locate the picture.
-    split : str
-        Split of a picture without the key 'split'.
-    root : Path, optional
-        Folder of the data set; if omitted, the file name is not resolved.
-
-    Returns
-    -------
-    picture : LabelledPicture
-        The picture with its valid annotations.
-    refused : list of DataSetError
-        Errors of the invalid annotations.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError, OverflowError
-        If keys of the image are missing or invalid.
+    Without the data set's folder `root`, the file name is not resolved.
     """
-    width, height = int(image["width"]), int(image["height"])
-    name = str(image["file_name"]).replace("\\", "/")
+    entry = image.entry
+    if not entry:
+        raise ValueError(f"has {len(image.records)} annotations but is not listed")
+    width, height = image.size_px or (int(entry["width"]), int(entry["height"]))
+    name = str(entry["file_name"]).replace("\\", "/")
     if min(width, height) < 1 or width * height > MOST_PIXELS:
         raise ValueError(f"its size {width}x{height} is out of range")
-    labels: list[Label] = []
-    refused: list[CucumberVisionError] = []
-    for i, item in enumerate(annotations):
-        try:
-            if not isinstance(item, dict):
-                raise TypeError("is not an object")
-            labels.append(_label(item, ids, width, height))
-        except _FAULTS as error:
-            number = item.get("id", i) if isinstance(item, dict) else i
-            refused.append(_fault(file, f"annotation {number} ({name})", error))
+    labels, refused = labels_of(image, width, height, names, file)
     camera = None
-    if image.get("camera"):
-        camera = parse_model(
-            CameraModel, image["camera"], source=file, error=DataSetError
-        ).intrinsics
+    if entry.get("camera"):
+        camera = parse_model(CameraModel, entry["camera"], source=file).intrinsics
     return LabelledPicture(
         file=name if root is None else _place(name, file.parent, root),
         width=width,
         height=height,
-        labels=tuple(labels),
-        scene=str(image.get("scene", "")),
-        split=str(image.get("split", split)),
-        source=str(image.get("source", "")),
-        licence=str(image.get("licence", "")),
-        depth_file=image.get("depth_file"),
-        depth_unit_m=float(image.get("depth_unit_m", 0.001)),
+        labels=labels,
+        scene=str(entry.get("scene", "")),
+        split=str(entry.get("split", split)),
+        source=str(entry.get("source", "")),
+        licence=str(entry.get("licence", "")),
+        depth_file=entry.get("depth_file"),
+        depth_unit_m=float(entry.get("depth_unit_m", 0.001)),
         camera=camera,
-        extras=dict(image.get("extras", {})),
+        extras=dict(entry.get("extras", {})),
     ), refused
 
 
@@ -232,72 +144,6 @@ def _place(name: str, folder: Path, root: Path) -> str:
         if place.is_file() and place.is_relative_to(root):
             return place.relative_to(root).as_posix()
     return (folder / name).relative_to(root).as_posix()
-
-
-def _fault(file: Path, where: str, what: object) -> DataSetError:
-    if isinstance(what, KeyError):
-        what = f"key {what} is missing"
-    return DataSetError(f"{where}: {what}", source=file, remedy="correct or export it again")
-
-
-def _label(item: Mapping[str, Any], ids: Mapping[int, int], width: int, height: int) -> Label:
-    category = item.get("category_id", 1)
-    if category not in ids:
-        raise ValueError(f"its category {category} is not listed")
-    code = _mask(item.get("segmentation"), width, height)
-    box = _box(item.get("bbox"), code, width, height)
-    hidden = item.get("hidden_share")
-    return Label(
-        box=box,
-        category=ids[category],
-        mask_code=code,
-        amodal_code=_mask(item.get("amodal_segmentation"), width, height),
-        keypoints=_points(item),
-        hidden_share=None if hidden is None else float(hidden),
-        cut_off=bool(item.get("cut_off", False)),
-        ignore=bool(item.get("ignore") or item.get("iscrowd")),
-        pseudo=bool(item.get("pseudo", False)),
-        extras=dict(item.get("extras", {})),
-    )
-
-
-def _box(values: Any, code: Rle | None, width: int, height: int) -> NDArray[np.float64]:
-    if not values:
-        if code is None:
-            raise ValueError("has neither box nor mask")
-        return box_of_mask(code.decode())
-    x, y, w, h = numbers = [float(v) for v in values]
-    if not np.isfinite(numbers).all() or w <= 0 or h <= 0:
-        raise ValueError(f"its box {numbers} has no area")
-    box = np.array([x, y, x + w, y + h])
-    slack = 1.0  # tools round boxes to whole pixels
-    if (box[:2] < -slack).any() or box[2] > width + slack or box[3] > height + slack:
-        raise ValueError(f"its box {numbers} extends beyond the picture of {width}x{height}")
-    cut: NDArray[np.float64] = np.clip(box, 0, [width, height, width, height]) - 0.5
-    return cut
-
-
-def _mask(shape: Any, width: int, height: int) -> Rle | None:
-    """Return COCO's 'segmentation' as run lengths, or None if it is empty."""
-    return Rle.of(mask_of_segmentation(shape, height, width)) if shape else None
-
-
-def _points(item: Mapping[str, Any]) -> NDArray[np.float64] | None:
-    if item.get("keypoints_px"):
-        points = np.array(item["keypoints_px"], np.float64)
-    elif item.get("keypoints"):
-        flat = np.array(item["keypoints"], np.float64)
-        if flat.shape != (3 * _KEYPOINTS,):
-            raise ValueError(f"has {flat.size} keypoint values, expected {3 * _KEYPOINTS}")
-        points = flat.reshape(_KEYPOINTS, 3)
-        points[:, :2] -= 0.5 * (points[:, 2:] > 0)
-    else:
-        return None
-    if points.shape != (_KEYPOINTS, 3) or not np.isfinite(points).all():
-        raise ValueError("its keypoints are not 5 x 3 finite numbers")
-    if not np.isin(points[:, 2], (0, 1, 2)).all():
-        raise ValueError("a keypoint's visibility is not 0, 1 or 2")
-    return points
 
 
 def collect_fragments(folder: Path) -> DataSet:
@@ -317,21 +163,31 @@ def collect_fragments(folder: Path) -> DataSet:
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
     for file in sorted((folder / FRAGMENTS).glob("*.json")):
-        try:
-            data = read_json(file)
-            if not isinstance(data, dict) or not {"image", "annotations"} <= set(data):
-                raise CaptureError(
-                    "is not a fragment", source=file, remedy="generate the frame again"
-                )
-            picture, bad = picture_of(data["image"], data["annotations"], {1: 0}, file)
-        except (CucumberVisionError, *_FAULTS) as error:
-            if not isinstance(error, CucumberVisionError):
-                error = DataSetError(f"is not a fragment ({error})", source=file)
-            refused.append(error)
+        read = entry_or_error("fragment", file, read_fragment, file)
+        if isinstance(read, InstancesError):
+            refused.append(read)
         else:
-            pictures.append(picture)
-            refused.extend(bad)
+            pictures.append(read[0])
+            refused += read[1]
     return DataSet(folder, tuple(pictures), refused=tuple(refused))
+
+
+def read_fragment(file: Path) -> tuple[LabelledPicture, list[InstancesError]]:
+    """Read the labels of one picture that `write_fragment` wrote, with the errors of some.
+
+    Raises
+    ------
+    CucumberVisionError, KeyError, TypeError, ValueError
+        If it is not a fragment.
+    """
+    data = read_json(file)
+    content = {
+        "images": [{**data["image"], "id": 1}],
+        "annotations": [{**item, "image_id": 1} for item in data["annotations"]],
+        "categories": [{"id": 1, "name": "cucumber"}],
+    }
+    (image,) = parse_coco(content, file).pictures
+    return _picture(image, ["cucumber"], file)
 
 
 _DIGITS = 3  # decimal places of pixels, far below the accuracy of labels

@@ -12,18 +12,20 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
-from cucumbervision.errors import CaptureError, DataSetError
+from cucumbervision.errors import CaptureError, DataSetError, InstancesError
 from cucumbervision.files import read_bytes
-from cucumbervision.instances.mask_codes import Rle
+from cucumbervision.instances.label_files import entry_or_error
+from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.instances.masks import box_of_mask
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.instances.label_files import LabelledImage, LabelledInstance
 
 KEYPOINT_ORDER = "keypoint_order"
 """Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""
@@ -208,6 +210,68 @@ class DataSet:
         (1, 0)
         """
         return tuple(p for p in self.pictures if p.split == split)
+
+
+def labels_of(
+    image: LabelledImage, width: int, height: int, names: Sequence[str], source: Path
+) -> tuple[tuple[Label, ...], list[InstancesError]]:
+    """Return the labels of a picture of a label file, and the errors of those that are invalid.
+
+    Parameters
+    ----------
+    image : LabelledImage
+        As `instances.label_files` reads it.
+    width, height : int
+        The picture's size in pixels.
+    names : sequence of str
+        The categories.
+    source : Path
+        The label file, for error messages.
+    """
+    labels: list[Label] = []
+    refused: list[InstancesError] = []
+    for record in image.records:
+        label = (
+            record
+            if isinstance(record, InstancesError)
+            else entry_or_error(record.where, source, _label, record, width, height, names)
+        )
+        if isinstance(label, InstancesError):
+            refused.append(label)
+        else:
+            labels.append(label)
+    return tuple(labels), refused
+
+
+def _label(record: LabelledInstance, width: int, height: int, names: Sequence[str]) -> Label:
+    if record.class_name not in names:
+        raise ValueError(f"its category {record.class_name} is not listed")
+    size, slack = np.array([width, height]), 1.0  # tools round boxes to whole pixels
+    box = np.zeros(4) if record.box is None or record.normalised else record.box
+    if (box[:2] < -slack).any() or (box[2:] > size + slack).any():
+        raise ValueError(f"its box extends beyond the picture of {width}x{height}")
+    instance, _ = record.in_picture(width, height)
+    entry, points = record.entry, instance.keypoints
+    if points is not None:
+        points = points * [1, 1, 2]
+        points[points[:, 2] == 0] = 0
+    if entry.get("keypoints_px"):
+        points = np.array(entry["keypoints_px"], np.float64).reshape(5, 3)
+    if points is not None and not np.isin(points[:, 2], (0, 1, 2)).all():
+        raise ValueError("a keypoint's visibility is not 0, 1 or 2")
+    amodal, hidden = entry.get("amodal_segmentation"), entry.get("hidden_share")
+    return Label(
+        box=instance.box,
+        category=names.index(record.class_name),
+        mask_code=None if instance.mask is None else Rle.of(instance.mask),
+        amodal_code=Rle.of(mask_of_segmentation(amodal, height, width)) if amodal else None,
+        keypoints=points,
+        hidden_share=None if hidden is None else float(hidden),
+        cut_off=bool(entry.get("cut_off", False)),
+        ignore=bool(entry.get("ignore") or record.is_crowd),
+        pseudo=bool(entry.get("pseudo", False)),
+        extras=dict(entry.get("extras", {})),
+    )
 
 
 def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:

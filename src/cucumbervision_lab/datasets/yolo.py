@@ -14,13 +14,12 @@ from cucumbervision.capture.pictures import read_color, write_jpeg, write_png
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
+    InstancesError,
     wrap_reader_errors,
 )
 from cucumbervision.files import read_bytes, read_json, read_text
 from cucumbervision.instances.instance import KEYPOINT_NAMES
-from cucumbervision.instances.label_files import parse_yolo_line
-from cucumbervision.instances.mask_codes import Rle, mask_of_segmentation
-from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.instances.label_files import read_yolo_file
 from cucumbervision_lab.datasets.labels import (
     SPLIT_FOLDERS,
     SPLITS,
@@ -28,6 +27,7 @@ from cucumbervision_lab.datasets.labels import (
     Label,
     LabelledPicture,
     flat_names,
+    labels_of,
     list_pictures,
     picture_size,
     place_file,
@@ -61,14 +61,14 @@ class _YoloFolder:
         Class names.
     pictures : tuple of (Path, str)
         Pictures and their splits.
-    keypoints : tuple of int, optional
+    keypoints : tuple of int
         `kpt_shape`: number of keypoints, and of values per keypoint.
     """
 
     folder: Path
     names: tuple[str, ...]
     pictures: tuple[tuple[Path, str], ...]
-    keypoints: tuple[int, int] | None = None
+    keypoints: tuple[int, int] = (0, 0)
 
 
 def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
@@ -118,7 +118,7 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
         labels, bad = _read_labels(label_file(file), layout, width, height)
         refused.extend(bad)
         origin = origins.get(name, {})
-        pictures.append(LabelledPicture(name, width, height, tuple(labels), split=split, **origin))
+        pictures.append(LabelledPicture(name, width, height, labels, split=split, **origin))
     return DataSet(layout.folder, tuple(pictures), layout.names, refused=tuple(refused))
 
 
@@ -156,7 +156,7 @@ def _found(
             source=yaml,
             remedy="label five keypoints from blossom end to stem end",
         )
-    return _YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape) if shape else None)
+    return _YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape or (0, 0)))
 
 
 def load_data_yaml(path: Path) -> dict[str, Any]:
@@ -281,63 +281,18 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
 
 def _read_labels(
     file: Path, layout: _YoloFolder, width: int, height: int
-) -> tuple[list[Label], list[CucumberVisionError]]:
-    if not file.exists():
-        fault = DataSetError(
-            "the label file is missing",
-            source=file,
-            remedy="create an empty file if the picture shows no fruit",
-        )
-        return [], [fault]
+) -> tuple[tuple[Label, ...], list[InstancesError]]:
     try:
-        lines = read_text(file, DataSetError).split("\n")
-    except DataSetError as error:
-        return [], [error]
-    labels: list[Label] = []
-    refused: list[CucumberVisionError] = []
-    for i, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        try:
-            labels.append(_label(line, layout, width, height))
-        except ValueError as error:
-            refused.append(DataSetError(f"line {i}: {error}", source=file, remedy="correct it"))
-    return labels, refused
-
-
-def _label(line: str, layout: _YoloFolder, width: int, height: int) -> Label:
-    """Parse a line of a label file: box, polygon, or box with keypoints."""
-    numbers = line.split()
-    if layout.keypoints is not None:
-        points, dimensions = layout.keypoints
-        if len(numbers) != 5 + points * dimensions:
-            raise ValueError(
-                f"has {len(numbers)} values, expected {5 + points * dimensions} "
-                f"(box, {points} keypoints)"
+        if not file.exists():
+            raise InstancesError(
+                "the label file is missing",
+                source=file,
+                remedy="create an empty file if the picture shows no fruit",
             )
-        if dimensions == 2:
-            pairs = [numbers[k : k + 2] for k in range(5, len(numbers), 2)]
-            numbers = numbers[:5] + [v for pair in pairs for v in (*pair, "2")]
-    record = parse_yolo_line(" ".join(numbers), "", list(layout.names))
-    category = int(float(numbers[0]))
-    if category >= len(layout.names):
-        raise ValueError(f"its class {category} has no name")
-    size = np.array([width, height], np.float64)
-    if record.polygons:
-        polygon = record.polygons[0] * size
-        mask = mask_of_segmentation([polygon.ravel()], height, width)
-        return Label(box_of_mask(mask), category, Rle.of(mask))
-    edges = record.box
-    if edges is None or (edges[2:] <= edges[:2]).any():
-        raise ValueError("its box has no area")
-    keypoints = record.keypoints
-    if keypoints is not None:
-        keypoints = keypoints.copy()
-        keypoints[:, 2] *= 2
-        visible = keypoints[:, 2:] > 0
-        keypoints[:, :2] = np.where(visible, keypoints[:, :2] * size - 0.5, 0.0)
-    box = np.clip(edges, 0, 1) * np.tile(size, 2) - 0.5
-    return Label(box, category, keypoints=keypoints)
+        image = read_yolo_file(file, layout.names, layout.keypoints)
+    except InstancesError as error:
+        return (), [error]
+    return labels_of(image, width, height, layout.names, file)
 
 
 TASKS = ("segment", "pose", "detect")

@@ -333,7 +333,7 @@ def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
     size = np.array([picture.width, picture.height], np.float64)
     shapes = []
     for line in file.read_text(encoding="utf-8").splitlines():
-        polygons = parse_yolo_line(line, str(file), []).polygons if line.strip() else ()
+        polygons = parse_yolo_line(line, "", [], (0, 0)).polygons if line.strip() else ()
         masks = [fill_polygon(points * size, picture.height, picture.width) for points in polygons]
         shapes += [Label.of_mask(mask) for mask in masks if mask.any()]
     labels = []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.pictures import write_png
-from cucumbervision.errors import CaptureError, DataSetError
+from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import (
     collect_fragments,
     read_coco,
@@ -119,7 +119,7 @@ def test_a_damaged_fragment_loses_only_itself(make_set: MakeSet) -> None:
     (dataset.folder / "fragments/2.json").write_text('{"image": {}}')
     back = collect_fragments(dataset.folder)
     assert [p.file for p in back.pictures] == ["images/000000.png", "images/000003.png"]
-    assert [Path(str(e.source)).name for e in back.refused if isinstance(e, CaptureError)] == [
+    assert [Path(str(e.source)).name for e in back.refused] == [
         "1.json",
         "2.json",
     ]
@@ -139,7 +139,7 @@ def test_numbers_of_numpy_are_written_and_nan_is_refused(make_set: MakeSet, tmp_
 def roboflow(folder: Path) -> None:
     """As Roboflow exports COCO: a group as category 0, polygons and RLE, one folder a split."""
     for split, segmentation in {
-        "train": [[10, 20, 40, 20, 40, 30, 10, 30]],
+        "train": [[10, 20, 40, 20, 40, 25, 40, 30, 10, 30]],
         "valid": {"size": [60, 80], "counts": [20, 2, 60 * 80 - 22]},
     }.items():
         (folder / split).mkdir(parents=True)
@@ -195,7 +195,7 @@ def test_roboflow_export(tmp_path: Path) -> None:
     [
         ({"bbox": [10, 20, 0, 10]}, "has no area"),
         ({"bbox": [70, 20, 30, 10]}, "extends beyond the picture of 80x60"),
-        ({"bbox": [float("inf"), 20, 30, 10]}, "has no area"),
+        ({"bbox": [float("inf"), 20, 30, 10]}, "not finite"),
         ({"category_id": 7}, "its category 7 is not listed"),
         ({"segmentation": [[1, 2, 3, 4]]}, "fewer than three points"),
         ({"segmentation": {"size": [60, 81], "counts": "1"}}, "a mask of 81x60"),
@@ -204,8 +204,7 @@ def test_roboflow_export(tmp_path: Path) -> None:
         ({"segmentation": {"size": [60, 80], "counts": "ooooooooooooooo0"}}, "more digits"),
         ({"segmentation": {"size": [60, 80]}}, "key 'counts' is missing"),
         ({"bbox": [10**400, 20, 30, 10]}, "too large"),
-        ({"keypoints": [1, 2, 2]}, "has 3 keypoint values, expected 15"),
-        ({"keypoints": [1, 2, 3] * 5}, "visibility is not 0, 1 or 2"),
+        ({"keypoints": [1, 2, 2]}, "has 3 keypoint numbers, not 15"),
     ],
 )
 def test_a_broken_annotation_is_refused_alone(
@@ -221,7 +220,7 @@ def test_a_broken_annotation_is_refused_alone(
     assert [len(p.labels) for p in dataset.pictures] == [1, 1]
     (error,) = dataset.refused
     assert fault in str(error)
-    assert "annotation 3 (a_jpg.rf.1.png)" in str(error)
+    assert str(error).startswith(f"{file}: annotation 3: ")
 
 
 def test_what_names_no_picture_is_refused(tmp_path: Path) -> None:
@@ -232,7 +231,7 @@ def test_what_names_no_picture_is_refused(tmp_path: Path) -> None:
     dataset = read_coco(file)
     assert dataset.pictures == ()
     assert sorted(e.message for e in dataset.refused) == [
-        "annotation 1: names no picture",
+        "annotation 1 names no picture",
         "image 1: key 'width' is missing",
         "image 5: has 1 annotations but is not listed",
     ]

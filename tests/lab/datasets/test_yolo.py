@@ -135,7 +135,7 @@ def export(folder: Path, yaml: str, splits: tuple[str, ...]) -> None:
             (folder / split / kind).mkdir(parents=True)
         write_png(folder / split / f"images/{k}_jpg.rf.png", np.zeros((60, 80, 3), np.uint8))
         (folder / split / f"labels/{k}_jpg.rf.txt").write_text(
-            "0 0.5 0.5 0.5 0.5\n1 0.1 0.1 0.4 0.1 0.4 0.4 0.1 0.4\n2 0.5 0.5 0.1 0.1\n"
+            "0 0.5 0.5 0.5 0.5\n1 0.1 0.1 0.4 0.1 0.4 0.2 0.4 0.4 0.1 0.4\n2 0.5 0.5 0.1 0.1\n"
         )
     (folder / "data.yaml").write_text(yaml)
 
@@ -216,7 +216,7 @@ def test_a_folder_without_yaml_needs_names(tmp_path: Path) -> None:
         ("0 0.5 0.5 0.5 1.5", "outside 0 to 1"),
         ("0 0.5 0.5 0 0.5", "has no area"),
         ("0 0.5 0.5", "neither box nor polygon"),
-        ("3 0.5 0.5 0.5 0.5", "its class 3 has no name"),
+        ("3 0.5 0.5 0.5 0.5", "its category 3 is not listed"),
         ("0 0.5 0.5 0.5 nan", "not finite"),
         ("0 0.1 0.1 0.101 0.1 0.101 0.101", "covers no pixel"),
         ("x 0.5 0.5 0.5 0.5", "could not convert"),

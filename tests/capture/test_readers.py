@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,3 +66,26 @@ def test_pipes_and_devices_are_refused(name: str, tmp_path: Path, capture: Captu
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(CaptureError, match="pipe: is neither a file nor a folder"):
         open_source(tmp_path / "pipe")
+
+
+def test_a_closed_folder_fails_by_its_name_and_the_others_load(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        write_native(capture, tmp_path / name)
+    walk = os.walk
+
+    def refused(path: Path, onerror: Any = None, **how: Any) -> Iterator[Any]:
+        for place, folders, files in walk(path, **how):
+            if Path(place) == tmp_path / "b":  # root may list every folder
+                onerror(PermissionError(errno.EACCES, "Permission denied", place))
+            else:
+                yield place, folders, files
+
+    monkeypatch.setattr(os, "walk", refused)
+    first, second = open_source(tmp_path)
+    assert first.load().frame == capture.frame
+    with pytest.raises(CaptureError, match=r"/b: cannot be read \(Permission denied\); check who"):
+        second.load()
+    with pytest.raises(CaptureError, match="cannot be read"):
+        open_source(tmp_path / "b")

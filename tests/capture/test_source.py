@@ -10,8 +10,6 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import (
     CaptureSource,
     Folder,
-    ReadOptions,
-    example_captures,
     fail,
     safe_name,
     unique_name,
@@ -24,12 +22,6 @@ def named(*names: str) -> Folder:
     for name in names:
         folder.add(name)
     return folder
-
-
-@pytest.mark.parametrize("unit_m", [0.0, -0.001, float("nan")])
-def test_a_depth_unit_that_is_none_is_refused(unit_m: float) -> None:
-    with pytest.raises(ValueError, match="both must be positive"):
-        ReadOptions(depth_unit_m=unit_m)
 
 
 def test_files_that_systems_add_are_no_files() -> None:
@@ -108,8 +100,3 @@ def test_a_number_is_given_that_nothing_has() -> None:
     taken = {"row", "row-2"}
     assert unique_name("Row", taken) == "Row-3"
     assert unique_name("row-3", taken) == "row-3-2"
-
-
-def test_the_bundled_captures_lie_in_the_package() -> None:
-    folders = sorted(example_captures().iterdir())
-    assert [(folder / "capture.json").is_file() for folder in folders] == [True] * len(folders)

@@ -15,8 +15,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.intake.archives import Limits
-from cucumbervision.intake.uploads import AcceptedUploads, accept_uploads
+from cucumbervision.intake.uploads import AcceptedUploads, Limits, accept_uploads
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
@@ -151,8 +152,8 @@ class _FileModel(CameraModel):
     aligned_to: Stream | None = None
 
 
-def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Path | None:
-    """Return the intrinsics file of a picture, in its folder or the nearest parent folder.
+class CameraFinder:
+    """Finds the intrinsics file of a picture, in its folder or the nearest parent folder.
 
     A file whose name refers to certain pictures (`cam1_intrinsics.json` beside `cam1_color_1.png`
     and `cam2_color_1.png`) belongs only to these. Of several other files, the native name has
@@ -162,50 +163,61 @@ def camera_file_near(folder: Folder, folder_path: str, picture: str = "") -> Pat
     ----------
     folder : Folder
         The available files.
-    folder_path : str
-        Name of the subfolder.
-    picture : str
-        Name of the picture's file in it.
-
-    Raises
-    ------
-    IntrinsicsError
-        If several files could belong to the picture and differ.
 
     Examples
     --------
     >>> from pathlib import Path
     >>> from cucumbervision.capture.source import Folder
     >>> walk = Folder(Path("walk"), {"": ["camera.json"], "rgb": ["1.png"]})
-    >>> camera_file_near(walk, "rgb")
+    >>> CameraFinder(walk).find("rgb")
     PosixPath('walk/camera.json')
     """
-    pictures = [
-        _stem_words(name) for name in folder.files.get(folder_path, ()) if _is_picture(name)
-    ]
-    words = _stem_words(picture)
-    while True:
-        names = [name for name in folder.files.get(folder_path, ()) if _CAMERA_NAME.fullmatch(name)]
-        owners = {name: _owner_words(name) for name in names}
-        of_others = {
-            name
-            for name, owner in owners.items()
-            if not _begins(words, owner)
-            and any(_begins(picture_words, owner) for picture_words in pictures)
-        }
-        longest = max((len(o) for n, o in owners.items() if _begins(words, o)), default=0)
-        candidates = sorted(
-            name
-            for name, owner in owners.items()
-            if name not in of_others and (not longest or owner == words[:longest])
-        )
-        if candidates or not folder_path:
-            return _only(folder.path / folder_path, candidates, picture)
-        folder_path = folder_path.rpartition("/")[0]
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._pictures = lru_cache(maxsize=None)(self._begins_of_pictures)
+        self._cameras = lru_cache(maxsize=None)(self._cameras_by_owner)
+        self._only = lru_cache(maxsize=None)(_only)
+
+    def find(self, folder_path: str, picture: str = "") -> Path | None:
+        """Return the file of a picture, or of a subfolder; None without one.
+
+        Raises
+        ------
+        IntrinsicsError
+            If several files could belong to the picture and differ.
+        """
+        words, others = _stem_words(picture), self._pictures(folder_path)
+        while True:
+            owners = self._cameras(folder_path)
+            length = next((k for k in range(len(words), 0, -1) if words[:k] in owners), 0)
+            shared = (name for owner in owners if owner not in others for name in owners[owner])
+            names = tuple(sorted(owners[words[:length]] if length else shared))
+            if names or not folder_path:
+                file = self._only(self._folder.path / folder_path, names)
+                if isinstance(file, IntrinsicsError):
+                    raise file
+                return file
+            folder_path = folder_path.rpartition("/")[0]
+
+    def _begins_of_pictures(self, folder_path: str) -> set[tuple[str, ...]]:
+        """Return the words with which names of pictures begin."""
+        names = self._folder.files.get(folder_path, ())
+        pictures = (_stem_words(name) for name in names if _is_picture(name))
+        return {words[:k] for words in pictures for k in range(1, len(words) + 1)}
+
+    def _cameras_by_owner(self, folder_path: str) -> dict[tuple[str, ...], list[str]]:
+        """Return the intrinsics files of a folder by the words that refer to certain pictures."""
+        owners: dict[tuple[str, ...], list[str]] = {}
+        for name in self._folder.files.get(folder_path, ()):
+            if _CAMERA_NAME.fullmatch(name):
+                owner = tuple(w for w in _stem_words(name) if not _CAMERA_WORD.fullmatch(w))
+                owners.setdefault(owner, []).append(name)
+        return owners
 
 
-def _only(folder: Path, names: list[str], picture: str) -> Path | None:
-    """Return the only file with a camera among these; None without a file."""
+def _only(folder: Path, names: tuple[str, ...]) -> Path | IntrinsicsError | None:
+    """Return the only file with a camera among these, or why none is; None without a file."""
     if _OWN_NAME in names or len(names) < 2:
         return folder / (_OWN_NAME if _OWN_NAME in names else names[0]) if names else None
     cameras: dict[str, Intrinsics] = {}
@@ -215,12 +227,11 @@ def _only(folder: Path, names: list[str], picture: str) -> Path | None:
             if camera.stream is Stream.COLOR:
                 cameras[name] = camera
     if len(set(cameras.values())) > 1:
-        raise IntrinsicsError(
-            "{names} hold different cameras, and no name tells which is {picture}'s",
+        return IntrinsicsError(
+            "{names} hold different cameras, and no name tells whose is whose",
             source=folder,
             remedy="begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
             names=", ".join(cameras),
-            picture=picture or "the pictures",
         )
     return folder / next(iter(cameras), names[0])
 
@@ -231,15 +242,6 @@ def _is_picture(name: str) -> bool:
 
 def _stem_words(name: str) -> tuple[str, ...]:
     return tuple(re.findall(r"[^\W_]+", name.rpartition(".")[0].casefold()))
-
-
-def _owner_words(name: str) -> tuple[str, ...]:
-    """Return the words of an intrinsics file's name that refer to certain pictures."""
-    return tuple(word for word in _stem_words(name) if not _CAMERA_WORD.fullmatch(word))
-
-
-def _begins(words: tuple[str, ...], owner: tuple[str, ...]) -> bool:
-    return bool(owner) and words[: len(owner)] == owner
 
 
 def read_camera_file(path: Path) -> CameraFile:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from bisect import bisect_left
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import partial
@@ -301,12 +302,20 @@ def unique_name(name: str, taken: set[str]) -> str:
     >>> unique_name("A", taken), sorted(taken)
     ('A-2', ['a', 'a-2'])
     """
-    candidate, n = name, 1
-    while candidate.casefold() in taken:
-        n += 1
-        candidate = f"{name}-{n}"
-    taken.add(candidate.casefold())
-    return candidate
+
+    def numbered(number: int) -> str:
+        return name if number == 1 else f"{name}-{number}"
+
+    # Thousands of captures may have one name: the search for a free number takes few steps.
+    high = 1
+    while numbered(high).casefold() in taken:
+        high *= 2
+    numbers = range(high + 1)
+    free = bisect_left(
+        numbers, True, high // 2 + 1, high, key=lambda n: numbered(n).casefold() not in taken
+    )
+    taken.add(numbered(free).casefold())
+    return numbered(free)
 
 
 def example_captures() -> Path:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.access import TOKEN_VARIABLE, check_access
 from cucumbervision.errors import MissingExtraError
-from cucumbervision.intake.archives import Limits
+from cucumbervision.intake.uploads import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,8 +16,7 @@ from pydantic import BaseModel, Field
 
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError, UploadError
-from cucumbervision.intake.archives import clean_name
-from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.intake.uploads import accept_uploads, clean_name
 from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.pipeline.batch import ResultWorker, measure_all, never
 from cucumbervision.pipeline.detect import DetectedPicture, PictureWorker, read_picture

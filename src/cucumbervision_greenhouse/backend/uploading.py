@@ -20,8 +20,7 @@ from cucumbervision.errors import (
     StoreAwayError,
     UploadError,
 )
-from cucumbervision.intake.archives import Limits
-from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.intake.uploads import Limits, accept_uploads
 from cucumbervision.pipeline.batch import in_turn
 from cucumbervision_greenhouse.backend.uploads import MOST_TRIES, UploadOutcome
 from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, require_store

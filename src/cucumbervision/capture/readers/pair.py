@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 from unicodedata import normalize
 
-from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
+from cucumbervision.capture.camera_file import CameraFile, CameraFinder, read_camera_file
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES, read_color, read_depth
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
 from cucumbervision.capture.source import CaptureSource
@@ -77,7 +77,7 @@ def match_pairs(folder: Folder) -> list[Pair]:
     complete pair, the result is empty.
     """
     colors, depths = _by_role(folder)
-    pairs = []
+    pairs, cameras = [], CameraFinder(folder)
     for key in sorted(colors.keys() | depths.keys()) if colors.keys() & depths.keys() else ():
         files = [
             None if name is None else folder.path / name
@@ -87,7 +87,7 @@ def match_pairs(folder: Folder) -> list[Pair]:
             continue
         folder_path, _, picture = colors.get(key, depths.get(key, "")).rpartition("/")
         try:
-            pairs.append(Pair(files[0], files[1], camera_file_near(folder, folder_path, picture)))
+            pairs.append(Pair(files[0], files[1], cameras.find(folder_path, picture)))
         except IntrinsicsError as error:
             pairs.append(Pair(files[0], files[1], fault=error))
     return pairs

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.camera_file import camera_file_near, read_camera_file
+from cucumbervision.capture.camera_file import CameraFinder, read_camera_file
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.readers.common import frame_capture
@@ -52,12 +52,13 @@ def find_snapshots(folder: Folder) -> CaptureLister | None:
     optional `depth` block takes precedence over the metadata.
     """
     snapshots: dict[str, Path | None] = {}
+    cameras = CameraFinder(folder)
     for folder_path, names in folder.files.items():
         bases = {n.removesuffix(e) for e in (_RAW, _TABLE) for n in names if n.endswith(e)}
         if bases or any(name.endswith(_COLOR_TABLE) for name in names):
             bases |= {name.removesuffix(_COLOR) for name in names if name.endswith(_COLOR)}
         if bases:
-            camera_path = camera_file_near(folder, folder_path)
+            camera_path = cameras.find(folder_path)
             snapshots |= {
                 f"{folder_path}/{base}".lstrip("/"): camera_path for base in sorted(bases)
             }

@@ -26,8 +26,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.plugged import PlugIns
-from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import Work
+from cucumbervision.service.app import ServiceSettings, Work
 
 
 @pytest.fixture(scope="module")

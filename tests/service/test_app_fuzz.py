@@ -15,8 +15,7 @@ from schemathesis.specs.openapi.checks import negative_data_rejection
 
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.service.app import create_app
-from cucumbervision.service.server import ServiceSettings, request_limits
+from cucumbervision.service.app import ServiceSettings, create_app, request_limits
 
 TOKEN = "0123456789abcdef"
 app = create_app(

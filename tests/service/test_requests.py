@@ -13,11 +13,9 @@ from starlette.exceptions import HTTPException
 
 from cucumbervision.errors import AccessError
 from cucumbervision.service.requests import (
-    Place,
     RequestError,
     bounded,
     check_source,
-    parse_origin,
     parse_place,
 )
 
@@ -31,15 +29,11 @@ def test_a_malformed_host_is_refused(value: str) -> None:
         parse_place(value)
 
 
-def test_a_place_is_the_same_with_its_scheme_s_usual_port() -> None:
-    assert parse_place("HOUSE:443") == Place("house", 443)
-    assert Place("house").is_at(Place("house", 443), "https")
-    assert not Place("house").is_at(Place("house", 443), "http")
-    assert not Place("house", 8501).is_at(Place("house"), "http")
-    assert parse_origin("http://[0:0:0:0:0:0:0:1]:80") == ("http", Place("::1", 80))
-    assert parse_origin("null") is None
+def test_a_place_has_a_name_in_lower_case_and_a_port() -> None:
+    assert parse_place("HOUSE:443") == ("", "house", 443)
+    assert parse_place("http://[::1]:80", "Origin") == ("http", "::1", 80)
     with pytest.raises(RequestError, match="the header Origin is malformed"):
-        parse_origin("house.example")
+        parse_place("house.example", "Origin")
 
 
 @pytest.mark.parametrize(

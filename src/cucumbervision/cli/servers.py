@@ -32,19 +32,12 @@ def serve(
     If the environment variable CUCUMBERVISION_TOKEN is set, requests must contain this token. It is
     required for addresses that other machines can reach.
     """
-    import os
-
-    from cucumbervision.access import TOKEN_VARIABLE
-    from cucumbervision.service.server import ServiceSettings, request_limits
     from cucumbervision.service.server import serve as run
-
-    token = os.environ.get(TOKEN_VARIABLE, "")
-    settings = ServiceSettings(token, request_limits(most_mb), waiting)
 
     def ready() -> None:
         typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
 
-    run(options, settings, address=address, port=port, ready=ready)
+    run(options, address=address, port=port, most_mb=most_mb, waiting=waiting, ready=ready)
 
 
 class Kind(StrEnum):
@@ -61,7 +54,7 @@ def schema(
     ],
 ) -> None:
     """Print the JSON Schema of a stream's line or a reply of the service."""
-    from cucumbervision.service.work import DetectReply, MeasureReply
+    from cucumbervision.service.app import DetectReply, MeasureReply
     from cucumbervision.streaming.stream import line_model
 
     models: dict[Kind, type[BaseModel]]

@@ -1,14 +1,23 @@
-"""The service's routes, access control and metrics."""
+"""The HTTP service: limits, routes, metrics and start; requests are measured one at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Any, BinaryIO
+import hmac
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, TypeVar
 
 import anyio.from_thread
-from fastapi import APIRouter, Depends, FastAPI, File, Request, Response, UploadFile
+from fastapi import FastAPI, File, Request, Response, UploadFile
 from fastapi.exceptions import RequestValidationError
-from fastapi.security import HTTPBearer
+from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import (
     CONTENT_TYPE_LATEST,
     CollectorRegistry,
@@ -16,48 +25,278 @@ from prometheus_client import (
     Histogram,
     generate_latest,
 )
+from pydantic import BaseModel, Field
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
 from cucumbervision._version import __version__
 from cucumbervision.about import software
+from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import (
+    AccessError,
     CucumberVisionError,
     FileError,
     InternalError,
     ModelError,
     OutOfMemoryError,
+    UploadError,
     named_error,
 )
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.service.gate import REFUSALS, Gate, problem
-from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import (
-    BusyError,
-    DetectReply,
-    Health,
-    LeftError,
-    MeasureReply,
-    Problem,
-    Work,
-)
+from cucumbervision.intake.uploads import Limits, accept_uploads, clean_name
+from cucumbervision.measurement.pose import FruitPose
+from cucumbervision.pipeline.batch import ResultWorker, measure_all, never
+from cucumbervision.pipeline.detect import PictureWorker, read_picture
+from cucumbervision.pipeline.fields import FIELDS, row_model
+from cucumbervision.pipeline.inputs import Listed, list_source
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.service.requests import RequestError, bounded, check_source
 
-_REFUSED = {
-    400: "The body cannot be parsed, or a header is malformed.",
-    401: "No token, or a wrong one.",
-    403: "A page of another site sent it, or it names another host.",
-    408: "The body does not come on.",
-    413: "The body is larger than the limit.",
-    422: "The request has no usable files.",
-    500: "A defect of the software, a full disk, or a network that cannot be loaded.",
-    503: "Too many requests wait, or there is no memory.",
-}
-_RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"model": Problem, "description": text} for status, text in _REFUSED.items()
-}
-_bearer = HTTPBearer(auto_error=False, description="The service's token.")
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+
+ReplyT = TypeVar("ReplyT", "MeasureReply", "DetectReply")
 Files = Annotated[
     list[UploadFile], File(description="One file or more, as for an upload.", min_length=1)
 ]
+
+FruitRow: Any = row_model("FruitRow", FIELDS, pose=(FruitPose | None, None))
+"""One fruit: the columns of the tables, in their units, and its pose."""
+
+_PATHS = ("/measure", "/detect", "/health", "/metrics", "/openapi.json")
+_BODY_SLACK = 1_000_000  # part headers of a body with many files
+
+
+class NotRead(BaseModel):
+    """A file or capture that could not be read or measured."""
+
+    name: str
+    error: str = Field(description="Stable name, a class of cucumbervision.errors.")
+    message: str
+
+
+class MeasuredCapture(BaseModel):
+    """One capture and its fruit."""
+
+    name: str
+    width: int
+    height: int
+    simulated: bool
+    fruit: list[FruitRow]
+
+
+class MeasureReply(BaseModel):
+    """The results of one request."""
+
+    version: Literal[1] = 1
+    captures: list[MeasuredCapture]
+    failures: list[NotRead]
+    ignored: list[str] = Field(description="Files that are not needed.")
+    config_sha256: str = Field(description="Hash of the options that were measured with.")
+
+
+class SeenPicture(BaseModel):
+    """One picture and the fruit found in it."""
+
+    name: str
+    width: int
+    height: int
+    fruit: list[dict[str, Any]] = Field(
+        description="As COCO's results: bbox, score, segmentation, keypoints; and the class name."
+    )
+
+
+class DetectReply(BaseModel):
+    """The detections in the pictures of one request."""
+
+    version: Literal[1] = 1
+    pictures: list[SeenPicture]
+    failures: list[NotRead]
+
+
+class BusyError(CucumberVisionError):
+    """Too many requests are waiting."""
+
+
+class LeftError(CucumberVisionError):
+    """The client has closed the connection before its turn."""
+
+
+_STATUS = (
+    (RequestError, 400),
+    (AccessError, 403),
+    ((BusyError, OutOfMemoryError), 503),
+    (LeftError, 499),
+    ((InternalError, FileError, ModelError), 500),
+)
+
+
+def request_limits(most_mb: int = 200) -> Limits:
+    """Return the limits of one request; zips may be four times as large when unpacked."""
+    total = most_mb * 1_000_000
+    return Limits(files=200, file_bytes=total, total_bytes=total, unpacked_bytes=4 * total)
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    """Access and limits of a service.
+
+    Parameters
+    ----------
+    token : str
+        Required by every request except `GET /health`; empty disables the check.
+    limits : Limits
+        Limits of one request; `total_bytes` applies to its whole body.
+    waiting : int
+        Requests that may wait for the current one; more are rejected with 503.
+    body_s, silence_s : float
+        Maximum time for a whole body, and between two parts of it, seconds.
+    """
+
+    token: str = field(default="", repr=False)
+    limits: Limits = field(default_factory=request_limits)
+    waiting: int = 8
+    body_s: float = 600.0
+    silence_s: float = 30.0
+
+
+class Work:
+    """The measurer of all requests, used by one at a time.
+
+    Parameters
+    ----------
+    measurer : Measurer
+        The measurer; loaded with the first request that needs it.
+    settings : ServiceSettings
+        Limits.
+    """
+
+    def __init__(self, measurer: Measurer, settings: ServiceSettings) -> None:
+        self.measurer, self.settings = measurer, settings
+        self._lock = threading.Lock()
+        self._room = threading.BoundedSemaphore(settings.waiting + 1)
+
+    @contextmanager
+    def place(self) -> Iterator[None]:
+        """Hold a place in the queue, from before the body is read until the answer.
+
+        Raises
+        ------
+        BusyError
+            If too many requests are waiting.
+        """
+        if not self._room.acquire(blocking=False):
+            raise BusyError("too many requests are waiting", remedy="send it again later")
+        try:
+            yield
+        finally:
+            self._room.release()
+
+    @contextmanager
+    def turn(self, has_left: Callable[[], bool] = never) -> Iterator[Path]:
+        """Wait for the measurer, and yield a folder for the files of the request.
+
+        Raises
+        ------
+        LeftError
+            If the client has left meanwhile.
+        """
+        with self._lock, tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+            if has_left():
+                raise LeftError("the client has left")
+            self.measurer.load()
+            yield Path(folder)
+
+    def measure(
+        self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
+    ) -> MeasureReply:
+        """Measure every capture of uploaded files; stop if the client has left.
+
+        Raises
+        ------
+        CucumberVisionError
+            If no file can be processed: too many files, a full disk, no networks.
+        """
+        with self.turn(has_left) as folder:
+            options, worker = self.measurer.options, ResultWorker(self.measurer)
+            uploads = accept_uploads(files, folder, self.settings.limits)
+            listed = chain.from_iterable(
+                list_source(upload.title, partial(upload.open, options.reading))
+                for upload in uploads.sources
+            )
+            outcomes = [
+                outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)
+            ]
+        captures = [
+            MeasuredCapture(
+                name=result.capture.name,
+                width=result.capture.width,
+                height=result.capture.height,
+                simulated=result.capture.simulated,
+                fruit=[
+                    FruitRow(**row, pose=fruit.pose)
+                    for row, fruit in zip(result.rows(), result.fruit, strict=True)
+                ],
+            )
+            for result in (outcome.value for outcome in outcomes)
+            if result is not None and result.error is None
+        ]
+        refused = [Failure.of(error, error.source) for error in uploads.refused]
+        return MeasureReply(
+            captures=captures,
+            failures=_not_read([*refused, *(f for x in outcomes for f in x.failures)]),
+            ignored=uploads.ignored,
+            config_sha256=options.sha256,
+        )
+
+    def detect(
+        self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
+    ) -> DetectReply:
+        """Find the fruit in uploaded pictures, without lengths; stop if the client has left.
+
+        Raises
+        ------
+        CucumberVisionError
+            As `measure`.
+        """
+        if len(files) > self.settings.limits.files:
+            raise UploadError(
+                "{files} files were sent, at most {limit} are taken at once",
+                remedy="send them in smaller parts",
+                files=len(files),
+                limit=self.settings.limits.files,
+            )
+        worker = PictureWorker(self.measurer)
+        with self.turn(has_left) as folder:
+            refs = [
+                CaptureRef(name, 0, partial(_read, folder / f"{number:04d}", name, stream))
+                for number, (name, stream) in enumerate((clean_name(n), s) for n, s in files)
+            ]
+            listed = [Listed(ref.name, ref, ref.name) for ref in refs]
+            outcomes = [
+                outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)
+            ]
+        pictures = [
+            SeenPicture(name=x.name, width=x.width, height=x.height, fruit=x.entries)
+            for x in (outcome.value for outcome in outcomes)
+            if x is not None
+        ]
+        failures = _not_read([f for outcome in outcomes for f in outcome.failures])
+        return DetectReply(pictures=pictures, failures=failures)
+
+
+def _not_read(failures: Sequence[Failure]) -> list[NotRead]:
+    return [NotRead(name=f.capture or f.input, error=f.error, message=f.message) for f in failures]
+
+
+def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
+    """Read an uploaded picture; it is stored under a generated name meanwhile."""
+    try:
+        path.write_bytes(stream.read())
+        return replace(read_picture(path, name), source=name)
+    except CucumberVisionError as error:
+        raise error.at(name) from None
+    finally:
+        path.unlink(missing_ok=True)
 
 
 class _Metrics:
@@ -65,10 +304,11 @@ class _Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
+        by_path = ("path", "status")
         self.requests = Counter(
             "cucumbervision_requests",
             "Requests by path and status",
-            ("path", "status"),
+            by_path,
             registry=self.registry,
         )
         self.results = Counter(
@@ -79,18 +319,26 @@ class _Metrics:
         )
         self.seconds = Histogram(
             "cucumbervision_request_seconds",
-            "Time of requests that were answered, waiting included",
+            "Time of admitted requests, waiting included",
             ("path",),
             registry=self.registry,
             buckets=(0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300),
         )
 
-    def count(self, path: str, status: int, seconds: float) -> None:
-        """Count a request; record the time of an admitted one."""
+    def count(self, path: str, status: int, taken_s: float) -> None:
+        """Count a request, and record the time of an admitted one."""
         route = path if path in _PATHS else "other"
         self.requests.labels(route, str(status)).inc()
-        if status not in REFUSALS:
-            self.seconds.labels(route).observe(seconds)
+        if status not in (401, 403):
+            self.seconds.labels(route).observe(taken_s)
+
+    def counted(self, what: str, reply: ReplyT) -> ReplyT:
+        """Count what an answer holds, and return it."""
+        parts = getattr(reply, what)
+        self.results.labels(what).inc(len(parts))
+        self.results.labels("fruit").inc(sum(len(part.fruit) for part in parts))
+        self.results.labels("failures").inc(len(reply.failures))
+        return reply
 
 
 def create_app(
@@ -110,77 +358,46 @@ def create_app(
     >>> sorted(create_app().openapi()["paths"])
     ['/detect', '/health', '/measure', '/metrics']
     """
-    settings = settings or ServiceSettings()
-    work, metrics = Work(measurer or Measurer(), settings), _Metrics()
-    # No documentation pages: those of FastAPI load scripts from another server.
+    work, metrics = Work(measurer or Measurer(), settings or ServiceSettings()), _Metrics()
+    # No documentation pages: those of FastAPI load scripts from another server. Environment
+    # variables could make FastAPI send traces.
     app = FastAPI(
         title="CucumberVision",
         version=__version__,
         description="Measures greenhouse cucumbers from RGB-D pictures.",
         docs_url=None,
         redoc_url=None,
-        # Environment variables could make FastAPI send traces.
         telemetry={"auto_configure": False, "tracing": False, "metrics": False, "logs": False},
     )
-    app.include_router(_routes(work, metrics))
-    _answer_errors(app)
-    app.add_middleware(Gate, settings=settings, count=metrics.count, place=work.place)
-    return app
 
-
-_PATHS = frozenset({"/measure", "/detect", "/health", "/metrics", "/openapi.json"})
-
-
-def _routes(work: Work, metrics: _Metrics) -> APIRouter:
-    """Return the four routes."""
-    routes = APIRouter()
-    secured: dict[str, Any] = {
-        "responses": _RESPONSES,
-        "dependencies": [Depends(_bearer)] if work.settings.token else [],
-    }
-
-    @routes.post("/measure", response_model=MeasureReply, **secured)
+    @app.post("/measure")
     def measure(request: Request, files: Files) -> MeasureReply:
         """Measure every fruit of every capture: zipped capture folders, pairs."""
-        reply = work.measure(_streams(files), _has_left(request))
-        metrics.results.labels("captures").inc(len(reply.captures))
-        metrics.results.labels("fruit").inc(sum(len(capture.fruit) for capture in reply.captures))
-        metrics.results.labels("failures").inc(len(reply.failures))
-        return reply
+        return metrics.counted("captures", work.measure(_streams(files), _has_left(request)))
 
-    @routes.post("/detect", response_model=DetectReply, **secured)
+    @app.post("/detect")
     def detect(request: Request, files: Files) -> DetectReply:
         """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
-        reply = work.detect(_streams(files), _has_left(request))
-        metrics.results.labels("pictures").inc(len(reply.pictures))
-        metrics.results.labels("fruit").inc(sum(len(picture.fruit) for picture in reply.pictures))
-        metrics.results.labels("failures").inc(len(reply.failures))
-        return reply
+        return metrics.counted("pictures", work.detect(_streams(files), _has_left(request)))
 
-    @routes.get("/health", response_model=Health)
-    def health() -> Health:
-        """Return the service's status, version and source; needs no token."""
-        names = [str(model["name"]) for model in work.measurer.models]
-        package = software()
-        return Health(
-            status="ok",
-            software=package["software"],
-            licence=package["licence"],
-            source=package["source"],
-            models=names,
-        )
+    @app.get("/health")
+    def health() -> dict[str, Any]:
+        """Return status, version, source, and the networks that are loaded; needs no token."""
+        return {"status": "ok", **software(), "models": [m["name"] for m in work.measurer.models]}
 
-    @routes.get("/metrics", response_class=Response, **_only(secured, 401))
+    @app.get("/metrics", response_class=PlainTextResponse)
     def tell_metrics() -> Response:
         """Return the metrics for Prometheus."""
         return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
 
-    return routes
+    async def failed(_: Request, error: Exception) -> Response:
+        return problem(error)
 
-
-def _only(secured: dict[str, Any], status: int) -> dict[str, Any]:
-    text = {"description": "Metrics in Prometheus' text format.", "content": {"text/plain": {}}}
-    return {**secured, "responses": {200: text, status: _RESPONSES[status]}}
+    kinds: tuple[type[Exception], ...] = (HTTPException, RequestValidationError)
+    for kind in (*kinds, CucumberVisionError, MemoryError, OSError, Exception):
+        app.add_exception_handler(kind, failed)
+    app.add_middleware(_Gate, work=work, metrics=metrics)
+    return app
 
 
 def _streams(files: list[UploadFile]) -> list[tuple[str, BinaryIO]]:
@@ -192,33 +409,62 @@ def _has_left(request: Request) -> Callable[[], bool]:
     return lambda: anyio.from_thread.run(request.is_disconnected)
 
 
-def _answer_errors(app: FastAPI) -> None:
-    """Answer every exception with a `Problem`."""
-
-    @app.exception_handler(HTTPException)
-    async def refused(_: Request, error: HTTPException) -> Response:
-        response = problem(error.status_code, "HTTPError", str(error.detail))
-        response.headers.update(error.headers or {})
-        return response
-
-    @app.exception_handler(RequestValidationError)
-    async def invalid(_: Request, error: RequestValidationError) -> Response:
-        faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()]
-        return problem(422, "RequestError", "; ".join(faults)[:1000])
-
-    async def failed(_: Request, error: Exception) -> Response:
+def problem(error: Exception, **headers: str) -> Response:
+    """Return why a request was refused."""
+    if isinstance(error, HTTPException):
+        status, code, text = error.status_code, "HTTPError", str(error.detail)
+        headers |= error.headers or {}
+    elif isinstance(error, RequestValidationError):
+        faults = (f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
+        status, code, text = 422, "RequestError", "; ".join(faults)[:1000]
+    else:
         named = named_error(error)
-        status = 422
-        if isinstance(named, InternalError | FileError | ModelError):
-            status = 500
-        elif isinstance(named, BusyError | OutOfMemoryError):
-            status = 503
-        elif isinstance(named, LeftError):
-            status = 499
-        response = problem(status, named.code, str(named))
-        if status == 503:
-            response.headers["Retry-After"] = "1"
-        return response
+        code, text = named.code, str(named)
+        status = next((number for kind, number in _STATUS if isinstance(named, kind)), 422)
+    if status == 503:
+        headers["Retry-After"] = "1"
+    return JSONResponse({"error": code, "message": text}, status, headers)
 
-    for kind in (CucumberVisionError, MemoryError, OSError, Exception):
-        app.add_exception_handler(kind, failed)
+
+class _Gate:
+    """Admits or refuses a request before its body is read, and ends requests that stall."""
+
+    def __init__(self, app: Any, work: Work, metrics: _Metrics) -> None:
+        self._app, self._work, self._count = app, work, metrics.count
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Answer a request, or pass it on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        begun_s, status = time.perf_counter(), 500
+
+        async def noting(message: Any) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        try:
+            await self._admit(Headers(scope=scope), scope, receive, noting)
+        except (RequestError, AccessError, BusyError) as error:
+            await problem(error, Connection="close")(scope, receive, noting)
+        except HTTPException as error:
+            await problem(error)(scope, receive, noting)
+        finally:
+            self._count(scope["path"], status, time.perf_counter() - begun_s)
+
+    async def _admit(self, headers: Headers, scope: Any, receive: Any, send: Any) -> None:
+        settings, path = self._work.settings, scope["path"]
+        check_source(headers, method=scope["method"], local=not settings.token)
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        given = token if scheme.lower() == "bearer" else ""
+        is_right = hmac.compare_digest(given.encode(), settings.token.encode())
+        if settings.token and path != "/health" and not is_right:
+            asked = {"WWW-Authenticate": "Bearer"}
+            raise HTTPException(401, "the token is missing or wrong", asked)
+        has_body = path in ("/measure", "/detect") and scope["method"] == "POST"
+        most_bytes = settings.limits.total_bytes + _BODY_SLACK if has_body else 0
+        times = {"body_s": settings.body_s, "silence_s": settings.silence_s}
+        receive = bounded(receive, headers, most_bytes, **times)
+        with self._work.place() if has_body else nullcontext():
+            await self._app(scope, receive, send)

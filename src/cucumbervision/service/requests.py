@@ -1,17 +1,13 @@
-"""The gate of both servers, service and dashboard: connections, heads, origins and bodies.
-
-`Host` and `Origin` are parsed here and nowhere else.
-"""
+"""The gate of both servers, service and dashboard: connections, heads, origins and bodies."""
 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import logging
 import re
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
+from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.exceptions import HTTPException
@@ -24,36 +20,20 @@ if TYPE_CHECKING:
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive
 
-_PORTS = {"http": 80, "https": 443}
-_LONGEST_NAME = 253
 _MINUTE_S = 60.0
 _LEAVE_S = 5  # longest wait for open connections at the end
-_PLACE = re.compile(
-    r"(?:\[(?P<v6>[0-9A-Fa-f:.]+)\]|(?P<name>[\w.-]+))(?::(?P<port>\d{0,5}))?", re.A
-)
-_ORIGIN = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<place>[^/?#@\s]+)", re.I | re.A)
+_PORTS = {"http": 80, "https": 443}
+_NAME = re.compile(r"[\w.:-]{1,253}", re.A)
 _CLOSED = {"Connection": "close"}  # what is left of the body is not read
+_TAIL_BYTES = 256  # a form's closing boundary, of 70 characters at most, and what may follow it
 
 
 class RequestError(CucumberVisionError):
     """A header of a request is malformed."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """A host name in lower case, without brackets, and its port; None if it has none."""
-
-    name: str
-    port: int | None = None
-
-    def is_at(self, place: Place, scheme: str) -> bool:
-        """Return whether both are the same place; the default port is that of the scheme."""
-        usual = _PORTS.get(scheme)
-        return (self.name, self.port or usual) == (place.name, place.port or usual)
-
-
-def parse_place(value: str, header: str = "Host") -> Place:
-    """Parse a `Host` header, or the part of an `Origin` after the scheme.
+def parse_place(value: str, header: str = "Host") -> tuple[str, str, int | None]:
+    """Return scheme, name in lower case and port of a `Host` header or an `Origin`.
 
     Raises
     ------
@@ -62,46 +42,20 @@ def parse_place(value: str, header: str = "Host") -> Place:
 
     Examples
     --------
-    >>> parse_place("House:8501"), parse_place("[::1]")
-    (Place(name='house', port=8501), Place(name='::1', port=None))
-    >>> parse_place("[::1")
-    Traceback (most recent call last):
-    ...
-    cucumbervision.service.requests.RequestError: the header Host is malformed; ...
+    >>> parse_place("House:8501"), parse_place("https://[::1]", "Origin")
+    (('', 'house', 8501), ('https', '::1', None))
     """
-    match = _PLACE.fullmatch(value)
     malformed = RequestError(f"the header {header} is malformed", remedy="name a host and its port")
-    if match is None or len(value) > _LONGEST_NAME:
-        raise malformed
-    port = int(match["port"]) if match["port"] else None
     try:
-        name = match["name"] or str(ipaddress.IPv6Address(match["v6"]))
+        parts = urlsplit(value if header == "Origin" else f"//{value}")
+        port = parts.port
     except ValueError:
         raise malformed from None
-    if port is not None and not 0 < port < 1 << 16:
+    beside = parts.path or parts.query or parts.fragment or "@" in parts.netloc
+    named = _NAME.fullmatch(parts.hostname or "")
+    if beside or not named or port == 0 or (header == "Origin") != bool(parts.scheme):
         raise malformed
-    return Place(name.lower(), port)
-
-
-def parse_origin(value: str) -> tuple[str, Place] | None:
-    """Return scheme and place of an `Origin`; None for 'null', an opaque origin.
-
-    Raises
-    ------
-    RequestError
-        If it is malformed.
-
-    Examples
-    --------
-    >>> parse_origin("https://house.example")
-    ('https', Place(name='house.example', port=None))
-    """
-    if value == "null":
-        return None
-    match = _ORIGIN.fullmatch(value)
-    if match is None:
-        raise RequestError("the header Origin is malformed", remedy="name a scheme and a host")
-    return match["scheme"].lower(), parse_place(match["place"], "Origin")
+    return parts.scheme, named[0].lower(), port
 
 
 def check_source(headers: Headers, *, method: str = "GET", local: bool = False) -> None:
@@ -132,26 +86,29 @@ def check_source(headers: Headers, *, method: str = "GET", local: bool = False) 
         fault = "the headers Content-Length and Transfer-Encoding contradict each other"
         raise RequestError(fault, remedy="send one of them")
     host, origin = headers.get("host", ""), headers.get("origin")
-    place = parse_place(host) if host else None
-    source = None if origin is None else parse_origin(origin)
-    if local and (place is None or not is_loopback(place.name)):
+    _, name, port = parse_place(host) if host else ("", "", None)
+    if local and (not name or not is_loopback(name)):
         raise AccessError(
             f"the request names the host {host!r}, not this machine", remedy="open http://localhost"
         )
-    if origin is not None and (
-        source is None or place is None or not source[1].is_at(place, source[0])
-    ):
-        raise AccessError(f"pages of {origin} may not send requests", remedy="open our own page")
-    fetched = [headers.get(f"sec-fetch-{name}", "") for name in ("site", "mode", "dest")]
-    is_link = method == "GET" and fetched[1:] == ["navigate", "document"]
-    if fetched[0] in ("cross-site", "same-site") and not is_link:
+    if origin is not None:
+        is_opaque = origin == "null"
+        scheme, source, from_port = ("", "", None) if is_opaque else parse_place(origin, "Origin")
+        usual = _PORTS.get(scheme)
+        if not name or (source, from_port or usual) != (name, port or usual):
+            raise AccessError(
+                f"pages of {origin} may not send requests", remedy="open our own page"
+            )
+    site, *fetched = (headers.get(f"sec-fetch-{part}", "") for part in ("site", "mode", "dest"))
+    is_link = method == "GET" and fetched == ["navigate", "document"]
+    if site in ("cross-site", "same-site") and not is_link:
         raise AccessError("a page of another place sent the request", remedy="open our own page")
 
 
 def bounded(
     receive: Receive, headers: Headers, most_bytes: int, *, body_s: float, silence_s: float
 ) -> Receive:
-    """Return a `receive` that limits the size and the time of a body while it is read.
+    """Return a `receive` that limits the size and the time of a body, and refuses a cut-off form.
 
     Parameters
     ----------
@@ -166,35 +123,37 @@ def bounded(
 
     Notes
     -----
-    A body that is too large raises HTTPException 413, one that is too slow 408.
+    It raises HTTPException: 413 if a body is too large, 408 if it is too slow, 400 if it is a form
+    without its end, whose last file a parser would silently omit.
     """
     until_s = time.monotonic() + body_s
-    told = headers.get("content-length", "")
-    read_bytes, is_whole = 0, False
+    declared = headers.get("content-length", "")
+    boundary = re.search(r'boundary="?([^";]+)', headers.get("content-type", ""))
+    end = f"--{boundary[1]}--".encode() if boundary else b""
+    read_bytes, is_whole, tail = 0, False, b""
+    words = f"the body is larger than the {most_bytes / 1e6:g} MB that are taken"
 
     async def receive_bounded() -> Message:
-        nonlocal read_bytes, is_whole
+        nonlocal read_bytes, is_whole, tail
         if is_whole:  # a route that waits must learn that the client left
             return await receive()
-        if told.isdecimal() and int(told[:20]) > most_bytes:
-            raise _too_large(most_bytes)
+        if declared.isdecimal() and int(declared[:20]) > most_bytes:
+            raise HTTPException(413, words, _CLOSED)
         try:
             left_s = min(silence_s, until_s - time.monotonic())
             message = await asyncio.wait_for(receive(), left_s)
         except TimeoutError:
             raise HTTPException(408, "the body does not come on", _CLOSED) from None
-        read_bytes += len(message.get("body", b""))
+        body = message.get("body", b"")
+        read_bytes, tail = read_bytes + len(body), (tail + body)[-_TAIL_BYTES:]
         if read_bytes > most_bytes:
-            raise _too_large(most_bytes)
+            raise HTTPException(413, words, _CLOSED)
         is_whole = not message.get("more_body", False)
+        if is_whole and end not in tail and message["type"] == "http.request":
+            raise HTTPException(400, "the form is cut off; send it again")
         return message
 
     return receive_bounded
-
-
-def _too_large(most_bytes: int) -> HTTPException:
-    words = f"the body is larger than the {most_bytes / 1e6:g} MB that are taken"
-    return HTTPException(413, words, _CLOSED)
 
 
 class HeadLimit(H11Protocol):

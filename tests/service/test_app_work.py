@@ -11,9 +11,8 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import UploadError
 from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.service.app import BusyError, LeftError, ServiceSettings, Work
 from cucumbervision.service.client import packed
-from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import BusyError, LeftError, Work
 
 
 def test_nothing_is_begun_for_a_client_that_has_left(measurer: Measurer, bench: Capture) -> None:

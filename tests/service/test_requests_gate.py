@@ -20,10 +20,8 @@ from starlette.testclient import TestClient
 from cucumbervision.pipeline.finders import Finder
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.service.app import create_app
+from cucumbervision.service.app import ServiceSettings, Work, create_app
 from cucumbervision.service.requests import HeadLimit, _OnceAMinute
-from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import Work
 
 MEASURER = Measurer(MeasureOptions(instances="dataset"))
 HEAD = (

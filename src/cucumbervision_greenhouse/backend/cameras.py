@@ -441,12 +441,10 @@ class Feed:
         try:
             while self._read():
                 pass  # the recording has ended, or the settings have changed
+        except CucumberVisionError as error:
+            state, message = "absent", error.line
         except Exception as error:  # the page shows it instead of the picture
-            is_named = isinstance(error, CucumberVisionError)
-            state, message = (
-                "absent",
-                error.line if is_named else f"{type(error).__name__}: {error}",
-            )
+            state, message = "absent", f"{type(error).__name__}: {error}"
         with self._changed:
             self._thread = None
             self._ring.clear()

@@ -9,10 +9,9 @@ from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from cucumbervision_greenhouse.backend.jobs import Job
-    from cucumbervision_greenhouse.backend.uploads import Upload
     from cucumbervision_greenhouse.store.waiting import Waiting
 
 
@@ -26,8 +25,6 @@ class Progress:
         Captures of the round that are saved and not yet measured.
     measured : int
         Captures that were measured since the queue was last empty.
-    checking : int
-        Uploaded files that are checked or wait for the check; their number of captures is unknown.
     aside : int
         Captures that failed three times; they are kept and not tried again.
     elsewhere : int
@@ -40,7 +37,6 @@ class Progress:
 
     waiting: int = 0
     measured: int = 0
-    checking: int = 0
     aside: int = 0
     elsewhere: int = 0
     fault: str = ""
@@ -78,10 +74,7 @@ class Progress:
                 "Measuring: {done} of {n} captures",
                 done=self.measured,
             )
-        files = ""
-        if self.checking:
-            files = counted(self.checking, "checking {n} file", "checking {n} files")
-        if captures or files:
+        if captures:
             elsewhere = ""
             if self.elsewhere:
                 elsewhere = counted(
@@ -89,8 +82,7 @@ class Progress:
                     "{n} of other rounds waits too",
                     "{n} of other rounds wait too",
                 )
-            words = "; ".join(filter(None, (captures, files, elsewhere)))
-            return words[0].upper() + words[1:]
+            return "; ".join(filter(None, (captures, elsewhere)))
         if self.title:
             words = _("{title}: {done} of {all}") if self.total else "{title} …"
             return words.format(title=_(self.title), done=self.done, all=self.total)
@@ -119,8 +111,6 @@ class Progress:
                 "{n} capture is saved, and not measured yet. Its results appear here.",
                 "{n} captures are saved, and none is measured yet. Their results appear here.",
             )
-        if self.checking:
-            return _("Uploaded files are being read. Their results appear here.")
         if self.aside:
             return counted(
                 self.aside,
@@ -134,7 +124,7 @@ class Progress:
         """The progress for a browser: words, and the steps of the bar; a total of 0 is unknown."""
         steps = self.measured, self.waiting + self.measured
         if not self.waiting:
-            steps = (0, 0) if self.checking else (self.done, self.total)
+            steps = self.done, self.total
         return {"words": self.words, "done": steps[0], "total": steps[1], "waiting": self.waiting}
 
 
@@ -142,7 +132,6 @@ def progress_of(
     round_key: str,
     captures: Iterable[Waiting],
     aside: Iterable[Waiting] = (),
-    uploads: Sequence[Upload] = (),
     measured: Mapping[str, str] | None = None,
     jobs: Iterable[Job] = (),
     fault: str = "",
@@ -157,8 +146,6 @@ def progress_of(
         The queue, of all rounds.
     aside : iterable of Waiting
         Those that are not tried again, of all rounds.
-    uploads : sequence of Upload
-        Those that are measured, or wait for it, of all rounds.
     measured : mapping of str to str
         Captures of the queue that were measured since it was empty, by key, each with its round.
     jobs : iterable of Job
@@ -166,26 +153,16 @@ def progress_of(
     fault : str
         Why the queue cannot be measured; empty where it can.
     """
-    of_round = [upload for upload in uploads if upload.sending.round == round_key]
     stops = measured or {}
     queued = [capture.round_key == round_key for capture in captures if capture.key not in stops]
-    counted_ones = [upload for upload in of_round if upload.captures is not None]
     job = next((candidate for candidate in jobs if candidate.round_key in ("", round_key)), None)
     return Progress(
-        waiting=sum(queued) + sum(_left(upload) for upload in counted_ones),
-        measured=list(stops.values()).count(round_key)
-        + sum(upload.measured for upload in of_round),
-        checking=sum(len(upload.sending.files) for upload in of_round if upload.captures is None),
+        waiting=sum(queued),
+        measured=list(stops.values()).count(round_key),
         aside=sum(capture.round_key == round_key for capture in aside),
-        elsewhere=len(queued)
-        - sum(queued)
-        + sum(_left(upload) for upload in uploads if upload not in of_round),
+        elsewhere=len(queued) - sum(queued),
         fault=fault,
         title=job.title if job else "",
         done=job.done if job else 0,
         total=job.total if job else 0,
     )
-
-
-def _left(upload: Upload) -> int:
-    return max((upload.captures or 0) - upload.measured, 0)

@@ -18,7 +18,6 @@ from cucumbervision_greenhouse.backend.resources import (
     profile_of,
     rounds,
     store,
-    uploads,
     worker,
 )
 from cucumbervision_greenhouse.backend.round_tables import GradedRound, grade_round, map_lines
@@ -67,7 +66,7 @@ def news(round_key: str) -> dict[str, Any]:
     """
     round_summary = store().round(round_key)
     counts = (
-        worker().finished + uploads().changes,
+        worker().finished,
         0 if round_summary is None else hash(_version(round_summary)),
     )
     return {

@@ -24,7 +24,6 @@ from cucumbervision_greenhouse.backend.resources import (
     waiting,
     worker,
 )
-from cucumbervision_greenhouse.backend.uploading import measure_upload
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
@@ -63,27 +62,25 @@ def measuring_fault() -> str:
 
 
 @st.cache_resource(show_spinner=False)
-def _uploading() -> set[str]:
-    return set()
+def _queueing() -> list[Job]:
+    return []
 
 
-def measure_uploads() -> None:
-    """Start measuring complete uploads that were not measured; each once."""
-    for key in uploads().to_measure():
-        if key not in _uploading():
-            _uploading().add(key)
-            worker().submit(marked("Measuring"), partial(_measure_upload, key), None)
+def queue_uploads() -> None:
+    """Let the captures of complete uploads wait to be measured."""
+    title = marked("Reading the files that were sent")
+    _queueing()[:] = [worker().submit(title, _queue_uploads)]
 
 
-def _measure_upload(key: str, _: Job) -> None:
-    try:
-        measure_upload(uploads(), key, measurer(), store(), settings().options)
-    finally:
-        _uploading().discard(key)
-    for round_key in {
-        upload.sending.round for upload in uploads().all() if upload.sending.key == key
-    }:
-        merge(round_key)
+def upload_fault() -> str:
+    """Return why uploads cannot be read now, such as a full disk; empty if they can."""
+    return "".join(job.error for job in _queueing())
+
+
+def _queue_uploads(_: Job) -> None:
+    for key in uploads().whole():
+        uploads().queue(key, waiting(), store(), settings().options.reading)
+        wake()
 
 
 def _settle(round_key: str) -> str:
@@ -151,19 +148,17 @@ def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry
 
 def progress(round_key: str) -> Progress:
     """Return the progress of a round, the same for every page."""
-    going_on = [uploads().read(key) for key in sorted(_uploading())]
     measured = next((job.measured for job in _measuring() if not job.finished), None)
-    unfinished = [upload for upload in going_on if upload is not None and not upload.done]
     queue = waiting().captures(), waiting().set_aside()
-    jobs = worker().unfinished()
-    return progress_of(round_key, *queue, unfinished, measured, jobs, measuring_fault())
+    return progress_of(round_key, *queue, measured, worker().unfinished(), measuring_fault())
 
 
 @st.cache_resource(show_spinner=False)
 def prepare() -> Job | None:
     """Measure what waits, and the bundled captures into an empty store."""
     waiting().clean()
-    measure_uploads()
+    if uploads().whole():
+        queue_uploads()
     if wake() is not None:
         return None
     if store().rounds() or store().rounds(deleted=True):

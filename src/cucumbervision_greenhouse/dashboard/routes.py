@@ -47,7 +47,7 @@ def _receive(request: Request, content: bytes) -> Any:
     uploads = resources.uploads()
     received = uploads.append(part.upload, part.number, part.offset, content)
     if uploads.is_whole(part.upload):
-        tasks.measure_uploads()
+        tasks.queue_uploads()
     return {"received": received}
 
 

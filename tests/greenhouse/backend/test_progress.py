@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
@@ -12,7 +11,6 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_greenhouse.backend.jobs import Job
 from cucumbervision_greenhouse.backend.measuring import SharedMeasurer, measure_waiting
 from cucumbervision_greenhouse.backend.progress import Progress, progress_of
-from cucumbervision_greenhouse.backend.uploads import Sending, SentFile, Upload
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
@@ -24,24 +22,13 @@ def waits(number: int, round_key: str) -> Waiting:
     return Waiting(key_of(number), round_key, Stop(), float(number), Path(str(number)))
 
 
-def upload(round_key: str, files: int = 1, **counts: Any) -> Upload:
-    listed = tuple(SentFile(name=f"{k}.zip", size=1) for k in range(files))
-    return Upload(sending=Sending(round=round_key, files=listed), begun_s=0.0, **counts)
-
-
 def test_what_waits_is_counted_by_round_whatever_it_came_in() -> None:
     queue = [waits(1, OWN), waits(2, OTHER), waits(3, OWN), waits(4, OTHER), waits(5, OTHER)]
-    uploads = [upload(OWN, captures=43, measured=12), upload(OTHER, captures=9, measured=2)]
     measured = {str(k): OWN for k in range(4)} | {str(k): OTHER for k in range(4, 9)}
-    found = progress_of(OWN, queue, [], uploads, measured)
-    assert (found.waiting, found.measured, found.elsewhere) == (2 + 31, 4 + 12, 3 + 7)
-    assert found.words == "Measuring: 16 of 49 captures; 10 of other rounds wait too"
-    assert (found.told["done"], found.told["total"]) == (16, 49)
-
-
-def test_files_that_are_checked_are_no_captures() -> None:
-    checked = progress_of(OWN, [], [], [upload(OWN, files=3)])
-    assert (checked.words, checked.told["total"]) == ("Checking 3 files", 0)
+    found = progress_of(OWN, queue, [], measured)
+    assert (found.waiting, found.measured, found.elsewhere) == (2, 4, 3)
+    assert found.words == "Measuring: 4 of 6 captures; 3 of other rounds wait too"
+    assert (found.told["done"], found.told["total"]) == (4, 6)
 
 
 def test_work_on_another_round_is_not_this_one_s() -> None:

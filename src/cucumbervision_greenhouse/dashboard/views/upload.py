@@ -9,15 +9,13 @@ import streamlit as st
 from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME, checked_name
-from cucumbervision_greenhouse.backend import resources, round_caches
+from cucumbervision_greenhouse.backend import resources, round_caches, tasks
 from cucumbervision_greenhouse.backend.core_words import words_of
 from cucumbervision_greenhouse.backend.language import counted
 from cucumbervision_greenhouse.backend.language import gettext as _
 from cucumbervision_greenhouse.backend.plain_text import plain, sentence
-from cucumbervision_greenhouse.backend.progress import progress_of
 from cucumbervision_greenhouse.backend.round_words import round_day, side_words
-from cucumbervision_greenhouse.backend.uploading import CAMERAS
-from cucumbervision_greenhouse.backend.uploads import MOST_FILES, SentPlace
+from cucumbervision_greenhouse.backend.uploads import CAMERAS, MOST_FILES, SentPlace
 from cucumbervision_greenhouse.dashboard import page_elements
 from cucumbervision_greenhouse.dashboard.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
@@ -206,11 +204,9 @@ def _show(upload: Upload) -> None:
         words = _("{saved}, {n} not").format(saved=words, n=not_saved)
     when = round_day(upload.begun_s)
     if not upload.done:
-        at_work = progress_of(sending.round, (), uploads=[upload]).words
-        so_far = _("{saved} so far.").format(saved=words)
-        st.info(f"{names}, {when}: {at_work or _('waiting')}. {so_far}")
-    else:
-        (st.success if saved else st.warning)(f"{names}, {when}: {words}.")
+        st.info(f"{names}, {when}: {plain(tasks.upload_fault()) or _('waiting')}.")
+        return
+    (st.success if saved else st.warning)(f"{names}, {when}: {words}.")
     if saved:
         page_elements.link("results", _("Results"))
     lines = [

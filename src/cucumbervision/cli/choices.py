@@ -27,13 +27,9 @@ EXIT_CODES = (
 )
 """Exit codes of commands that process many captures; shown by --help."""
 
-CameraUp: TypeAlias = Literal["top", "left", "right", "bottom"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 _FAST = {"fast": "auto", "cuda-fast": "cuda", "tensorrt-fast": "tensorrt"}
 
-Confidence = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="Minimum confidence of a detection.")
-]
 InputSize = Annotated[
     str,
     typer.Option(
@@ -43,30 +39,6 @@ InputSize = Annotated[
     ),
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
-RuntimeOrFast = Annotated[
-    Literal[
-        "auto", "fast", "onnxruntime", "openvino", "cuda", "cuda-fast", "tensorrt", "tensorrt-fast"
-    ],
-    typer.Option(
-        help="Runtime of the networks. fast: auto in half precision, if the processor supports it, "
-        "so too on a card; outlines and lengths may then differ slightly between machines."
-    ),
-]
-Instances = Annotated[
-    str,
-    typer.Option(
-        help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
-        "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
-    ),
-]
-SegmenterName = Annotated[
-    str | None,
-    typer.Option(
-        help="Network that draws the masks (`models list` names them), or none; also redraws a "
-        "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
-        show_default=False,
-    ),
-]
 Burst = Annotated[
     int,
     typer.Option(
@@ -74,91 +46,99 @@ Burst = Annotated[
     ),
 ]
 
-
-PoseNetwork = Annotated[
-    Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE")
-]
-Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")]
-SelectorRule = Annotated[Selector, typer.Option(help="Rule that selects one method.")]
-LengthKind = Annotated[
-    LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
-]
-IntrinsicsFile = Annotated[
-    Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
-]
-DepthPicture = Annotated[
-    Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
-]
-DepthUnit = Annotated[
-    float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
-]
-AxisOrRay = Annotated[
-    DepthAlong | None,
-    typer.Option(
-        help="Whether depth is along the optical axis, as cameras write it, or the distance along "
-        "each pixel's ray, as simulators do. Default: as the camera file says, else axis."
-    ),
-]
-AlignedTo = Annotated[
-    Stream | None,
-    typer.Option(
-        help="Camera whose pixels both pictures have: depth, if colour was aligned to depth; "
-        "color, also if depth has the same field of view in fewer pixels."
-    ),
-]
-Calibration = Annotated[
-    Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
-]
-CropProfileName = Annotated[
-    str,
-    typer.Option(
-        help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
-        "range are rejected."
-    ),
-]
-UpperEdge = Annotated[
-    CameraUp | None,
-    typer.Option(
-        help="The picture's edge that is up, for a camera mounted about level before hanging "
-        "fruit: the upper end is then the stem's."
-    ),
-]
-
-
-Classes = Annotated[
-    str,
-    typer.Option(
-        help="Classes to measure, separated by commas, as the file or network names them. "
-        "Default: all.",
-        metavar="NAME[,NAME]",
-    ),
-]
-
-
 OF_CAMERA_FILE = frozenset({"depth_unit", "depth_along", "aligned_to"})
 """Options of `measure_options` that the intrinsics file can hold instead."""
 
 
 def measure_options(
-    instances: Instances = "auto",
-    classes: Classes = "",
-    pose: PoseNetwork = None,
-    methods: Methods = "",
-    selector: SelectorRule = Selector.BEST,
-    length: LengthKind = LengthDefinition.CENTRELINE,
-    segmenter: SegmenterName = None,
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    intrinsics: IntrinsicsFile = None,
-    depth: DepthPicture = None,
-    depth_unit: DepthUnit = None,
-    depth_along: AxisOrRay = None,
-    aligned_to: AlignedTo = None,
+    instances: Annotated[
+        str,
+        typer.Option(
+            help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
+            "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
+        ),
+    ] = "auto",
+    classes: Annotated[
+        str,
+        typer.Option(
+            help="Classes to measure, separated by commas, as the file or network names them. "
+            "Default: all.",
+            metavar="NAME[,NAME]",
+        ),
+    ] = "",
+    pose: Annotated[
+        Path | None,
+        typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
+    ] = None,
+    methods: Annotated[
+        str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")
+    ] = "",
+    selector: Annotated[
+        Selector, typer.Option(help="Rule that selects one method.")
+    ] = Selector.BEST,
+    length: Annotated[
+        LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
+    ] = LengthDefinition.CENTRELINE,
+    segmenter: Annotated[
+        str | None,
+        typer.Option(
+            help="Network that draws the masks (`models list` names them), or none; also redraws a "
+            "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
+            show_default=False,
+        ),
+    ] = None,
+    confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Minimum confidence of a detection.")
+    ] = DEFAULT_CONFIDENCE,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
+    ] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
+    ] = None,
+    depth_unit: Annotated[
+        float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
+    ] = None,
+    depth_along: Annotated[
+        DepthAlong | None,
+        typer.Option(
+            help="Whether depth is along the optical axis, as cameras write it, or the distance "
+            "along each pixel's ray, as simulators do. Default: as the camera file says, else axis."
+        ),
+    ] = None,
+    aligned_to: Annotated[
+        Stream | None,
+        typer.Option(
+            help="Camera whose pixels both pictures have: depth, if colour was aligned to depth; "
+            "color, also if depth has the same field of view in fewer pixels."
+        ),
+    ] = None,
     burst: Burst = 5,
-    calibration: Calibration = None,
-    profile: CropProfileName = "long-cucumber",
+    calibration: Annotated[
+        Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
+    ] = None,
+    profile: Annotated[
+        str,
+        typer.Option(
+            help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
+            "range are rejected."
+        ),
+    ] = "long-cucumber",
     input_size: InputSize = "",
-    runtime: RuntimeOrFast = "auto",
-    camera_up: UpperEdge = None,
+    runtime: Annotated[
+        Literal[RuntimeChoice, "fast", "cuda-fast", "tensorrt-fast"],
+        typer.Option(
+            help="Runtime of the networks. fast: auto in half precision, if the processor supports "
+            "it, so too on a card; outlines and lengths may then differ slightly between machines."
+        ),
+    ] = "auto",
+    camera_up: Annotated[
+        Literal["top", "left", "right", "bottom"] | None,
+        typer.Option(
+            help="The picture's edge that is up, for a camera mounted about level before hanging "
+            "fruit: the upper end is then the stem's."
+        ),
+    ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
     from cucumbervision.agronomy.profiles import PACK_PROFILE, load_profile, profile_path
@@ -178,14 +158,7 @@ def measure_options(
         input_sizes=parse_input_sizes(input_size),
         runtime=_FAST.get(runtime, runtime),
         full_precision=runtime not in _FAST,
-        reading=ReadOptions(
-            intrinsics=intrinsics,
-            depth=depth,
-            depth_unit_m=depth_unit,
-            burst=burst,
-            depth_along=depth_along,
-            aligned_to=aligned_to,
-        ),
+        reading=ReadOptions(intrinsics, depth, depth_unit, burst, depth_along, aligned_to),
         calibration=calibration,
         camera_up=camera_up,
     )
@@ -199,7 +172,8 @@ def measure_options(
 
 def loop_options(
     workers: Annotated[
-        int, typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU.")
+        int,
+        typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU."),
     ] = 0,
     ray: Annotated[
         str,
@@ -233,37 +207,19 @@ def takes(
 
     def decorate(command: Command) -> Command:
         shared = [parameter for parameter in _parameters(make) if parameter.name not in without]
-        command_parameters = [
-            parameter for parameter in _parameters(command) if parameter.name != keyword
-        ]
-        repeated = {parameter.name for parameter in command_parameters} & {
-            parameter.name for parameter in shared
-        }
+        others = [parameter for parameter in _parameters(command) if parameter.name != keyword]
+        names = {parameter.name for parameter in shared}
 
         @functools.wraps(command)
         def run(**values: Any) -> None:
-            take = {parameter.name: values[parameter.name] for parameter in shared}
-            command_values = {
-                parameter.name: values[parameter.name] for parameter in command_parameters
-            }
-            command(**command_values, **{keyword: make(**take)})
+            made = make(**{name: values[name] for name in names})
+            command(**{other.name: values[other.name] for other in others}, **{keyword: made})
 
-        before = [parameter for parameter in command_parameters if parameter.name not in repeated]
-        positional = [
-            parameter for parameter in before if parameter.kind is not parameter.KEYWORD_ONLY
-        ]
-        keywords = [parameter for parameter in before if parameter.kind is parameter.KEYWORD_ONLY]
-        signature = inspect.Signature(
-            [
-                *positional,
-                *(parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in shared),
-                *keywords,
-            ]
-        )
-        vars(run)["__signature__"] = signature
-        run.__annotations__ = {
-            name: parameter.annotation for name, parameter in signature.parameters.items()
-        }
+        parameters = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in shared]
+        parameters += [other for other in others if other.name not in names]
+        parameters.sort(key=lambda parameter: parameter.kind)  # what has no name comes first
+        vars(run)["__signature__"] = inspect.Signature(parameters)
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
         return run
 
     return decorate
@@ -279,14 +235,6 @@ def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
         for parameter in parameters
     ]
 
-
-Serial = Annotated[
-    str | None, typer.Option(help="Serial number of the camera; default: the first one found.")
-]
-Fps = Annotated[int, typer.Option(min=1, max=90, help="Frame rate of the camera.")]
-Retries = Annotated[
-    int, typer.Option(min=0, help="Number of attempts to reconnect to a disconnected camera.")
-]
 
 ListenOn = Annotated[
     str, typer.Option("--address", help="Address to listen on; default: this machine only.")

@@ -14,10 +14,7 @@ import typer
 from cucumbervision.cli.choices import (
     OF_CAMERA_FILE,
     Burst,
-    Fps,
     Quiet,
-    Retries,
-    Serial,
     measure_options,
     takes,
 )
@@ -135,40 +132,45 @@ def print_recording(
     return exit_code(count, failures)
 
 
-Source = Annotated[
-    str,
-    typer.Argument(
-        metavar="SOURCE",
-        help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
-    ),
+Serial = Annotated[
+    str | None, typer.Option(help="Serial number of the camera; default: the first one found.")
 ]
-FastWay = Annotated[
-    bool,
-    typer.Option(
-        "--fast",
-        help="Faster: the detector's masks at 640 pixels, no SAM, no keypoints, half "
-        "precision if the processor supports it, and one fruit measured per frame.",
-    ),
+Retries = Annotated[
+    int, typer.Option(min=0, help="Number of attempts to reconnect to a disconnected camera.")
 ]
-Follow = Annotated[bool, typer.Option("--follow", help="Wait for new captures in a folder.")]
-EveryFrame = Annotated[
-    bool, typer.Option("--every", help="Drop no frame of a recording or followed folder.")
-]
-Frames = Annotated[
-    int | None, typer.Option(min=1, help="Stop after this number of frames.", show_default=False)
-]
+Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 
 @takes("options", measure_options, {"depth", "burst"} | OF_CAMERA_FILE)
 def stream(
-    source: Source,
-    fast: FastWay = False,
-    follow: Follow = False,
-    every_frame: EveryFrame = False,
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
+        ),
+    ],
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Faster: the detector's masks at 640 pixels, no SAM, no keypoints, half "
+            "precision if the processor supports it, and one fruit measured per frame.",
+        ),
+    ] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Wait for new captures in a folder.")
+    ] = False,
+    every_frame: Annotated[
+        bool, typer.Option("--every", help="Drop no frame of a recording or followed folder.")
+    ] = False,
     serial: Serial = None,
-    fps: Fps = 15,
+    fps: Annotated[int, typer.Option(min=1, max=90, help="Frame rate of the camera.")] = 15,
     retries: Retries = 3,
-    frames: Frames = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(min=1, help="Stop after this number of frames.", show_default=False),
+    ] = None,
     quiet: Quiet = False,
     *,
     options: MeasureOptions,
@@ -196,56 +198,44 @@ def stream(
     raise typer.Exit(print_stream(fruit.follow(arrivals), frames, quiet=quiet))
 
 
-Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
-
-
-Out = Annotated[
-    Path,
-    typer.Argument(metavar="OUT", help="Output folder; each capture gets a folder of its own."),
-]
-FilledFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--from",
-        help="Folder that another program writes captures to, instead of a camera.",
-        show_default=False,
-    ),
-]
-Every = Annotated[
-    float | None,
-    typer.Option(min=0.0, help="Seconds between captures; without it, press Enter for each."),
-]
-Count = Annotated[
-    int | None, typer.Option(min=1, help="Stop after this number of captures.", show_default=False)
-]
-RowName = Annotated[str | None, typer.Option(help="Row in the house.")]
-Side = Annotated[str | None, typer.Option(help="Side of the row: left or right.")]
-Position = Annotated[float | None, typer.Option(help="Metres along the row of the first capture.")]
-Step = Annotated[float, typer.Option(help="Metres from one capture to the next.")]
-CapturesName = Annotated[str, typer.Option(help="Prefix of the captures' names.")]
-DepthPreset = Annotated[
-    Preset | None,
-    typer.Option(help="Preset of the depth camera; default: the camera's current one."),
-]
-Exposure = Annotated[
-    float | None, typer.Option(min=1, help="Colour exposure in microseconds; default: automatic.")
-]
-
-
 def record(
-    out: Out,
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Output folder; each capture gets a folder of its own."),
+    ],
     serial: Serial = None,
-    folder: FilledFolder = None,
-    every_s: Every = None,
-    count: Count = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="Folder that another program writes captures to, instead of a camera.",
+            show_default=False,
+        ),
+    ] = None,
+    every_s: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Seconds between captures; without it, press Enter for each."),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(min=1, help="Stop after this number of captures.", show_default=False),
+    ] = None,
     burst: Burst = 5,
-    row: RowName = None,
-    side: Side = None,
-    position: Position = None,
-    step: Step = 0.0,
-    name: CapturesName = "capture",
-    preset: DepthPreset = None,
-    exposure: Exposure = None,
+    row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
+    side: Annotated[str | None, typer.Option(help="Side of the row: left or right.")] = None,
+    position: Annotated[
+        float | None, typer.Option(help="Metres along the row of the first capture.")
+    ] = None,
+    step: Annotated[float, typer.Option(help="Metres from one capture to the next.")] = 0.0,
+    name: Annotated[str, typer.Option(help="Prefix of the captures' names.")] = "capture",
+    preset: Annotated[
+        Preset | None,
+        typer.Option(help="Preset of the depth camera; default: the camera's current one."),
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(min=1, help="Colour exposure in microseconds; default: automatic."),
+    ] = None,
     retries: Retries = 3,
     quiet: Quiet = False,
 ) -> None:

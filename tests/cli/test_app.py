@@ -33,7 +33,7 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
         "measurements.json",
         "failures.csv",
         "overlays",
-        "journal",
+        "records",
         ".lock",
     }
 

@@ -203,7 +203,7 @@ def test_what_the_mask_caught_of_the_background_is_left_out(camera: Intrinsics) 
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     lengths, _ = fitted(measure_m6(depth, wide, camera))
     # A pixel all round: 0.9 mm at either end, longer by 1/cos 50 along the axis.
-    assert lengths.centreline_m == pytest.approx(0.20 + 2 * 0.0014, rel=0.015)
+    assert lengths.centreline_m == pytest.approx(0.20 + 2 * 0.0014, rel=0.025)
 
 
 def test_no_fit_starts_from_a_guess_that_runs_into_the_background(

@@ -5,12 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.scenarios.sensor_statistics import (
-    edge_profile,
-    fill_inside,
     noise_split,
     plane_residuals,
     residual_at,
-    surface_residual,
 )
 
 from cucumbervision.capture.intrinsics import Intrinsics
@@ -38,21 +35,6 @@ def test_windows_with_a_hole_do_not_count() -> None:
     assert residual_at([plane_residuals(depth, 25)], 0.9)[1] == 0
 
 
-def test_a_bowl_is_a_quadratic_but_no_plane() -> None:
-    v, u = np.mgrid[0:100, 0:100]
-    bowl = (0.5 + 1e-6 * ((u - 50.0) ** 2 + (v - 50.0) ** 2)).astype(np.float32)
-    mask = np.zeros(bowl.shape, bool)
-    mask[25:75, 25:75] = True
-    assert surface_residual(bowl, mask, 25) < 1e-6
-    assert plane_residuals(bowl)[1].min() > 5e-5
-    assert np.isnan(surface_residual(bowl, np.zeros_like(mask)))
-
-
-def test_fill_counts_readings() -> None:
-    depth = np.array([[0.5, 0.0, 7.0], [0.4, 0.05, 0.6]], np.float32)
-    assert fill_inside(depth, np.ones(depth.shape, bool)) == 0.5
-
-
 @pytest.mark.parametrize("fixed", [0.0, 0.5, 1.0])
 def test_noise_split_by_hand(fixed: float) -> None:
     rng = np.random.default_rng(2)
@@ -62,18 +44,6 @@ def test_noise_split_by_hand(fixed: float) -> None:
         for _ in range(5)
     ]
     assert noise_split(burst) == pytest.approx(fixed, abs=0.01)
-
-
-@pytest.mark.parametrize(("towards", "by"), [((0.0, -1.0), 3), ((1.0, 0.0), -2)])
-def test_a_leak_is_found_on_its_side(towards: tuple[float, float], by: int) -> None:
-    depth = np.full((100, 100), 0.6, np.float32)
-    mask = np.zeros(depth.shape, bool)
-    mask[30:80, 20:70] = True
-    # The body's depth ends 3 px above the mask, and 2 px inside its right edge.
-    depth[27:80, 20:68] = 0.5
-    profile = edge_profile(depth, np.full(depth.shape, 0.6), mask, towards)
-    assert profile.crossing_px(0.5) == pytest.approx(by, abs=0.3)
-    assert profile.invalid.max() == 0.0
 
 
 @pytest.mark.realdata

@@ -13,7 +13,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.appearance import Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of
 from cucumbervision_lab.synthesis.color_camera import Exposure, expose
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
@@ -345,7 +345,8 @@ def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[n
 
 
 def _sensor(case: Case) -> D4xx:
-    sensor = D4xx.like(CAMERA)
+    is_vga = case.suite is Suite.STRESS and case.fruit_seed % 2 == 0
+    sensor = D4xx.like(CAMERA, VGA if is_vga else None)
     if case.condition == "sun":
         noise = sensor.disparity_rms_px * _SUN_NOISE
         return replace(sensor, disparity_rms_px=noise, glare_holes=_SUN_HOLES)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.scene import Scene, View
 
-_GAP_LOST = 0.95  # share of invalid pixels in a gap
 _COARSE_SIGMA = 1.5  # least blur on a coarse grid, px, for smooth cubic upsampling
 
 
@@ -30,21 +29,21 @@ class Matcher:
 
     Parameters
     ----------
-    ramp_px : float
-        Standard deviation of the blur by the matching window at small disparity steps, pixels.
-    jump_px : float
-        Disparity step, pixels, below which both sides are blended; above twice this value each
-        pixel belongs to one side.
-    fatten_px : int
-        Maximum foreground fattening at such a jump, pixels.
+    window_px, range_px : float
+        Standard deviations, pixels of the picture and of disparity, of the matching window: within
+        it, disparities of one surface are averaged, which blends small steps and flattens narrow
+        bodies.
+    hole_px : float
+        Disparity step, pixels, above which the nearer side loses readings; the farther side loses
+        them at twice that step.
     gap_px : int
-        Width of the gap on the farther side of such a jump, pixels.
+        Width of the gap on the farther side, pixels.
+    gap_lost : float
+        Share of invalid pixels in the gap.
+    border_px : int
+        Width, pixels, of the border on the nearer side that loses readings.
     border_lost : float
-        Share of invalid border pixels on the nearer side of such a jump.
-    steep : float
-        Slope of the blurred disparity, pixels per pixel, above which readings are invalid.
-    flying_share : float
-        Share of these pixels that return an interpolated value (flying pixels) instead.
+        Share of invalid pixels in this border; twice that in its outer half.
     hidden_filled : float
         Share of pixels occluded in the right imager that return the farther side instead.
     thin_px : int
@@ -57,13 +56,13 @@ class Matcher:
         Size of clustered holes, pixels.
     """
 
-    ramp_px: float = 2.5
-    jump_px: float = 8.0
-    fatten_px: int = 1
-    gap_px: int = 5
-    border_lost: float = 0.3
-    steep: float = 1.3
-    flying_share: float = 0.02
+    window_px: float = 7.0
+    range_px: float = 2.0
+    hole_px: float = 3.5
+    gap_px: int = 2
+    gap_lost: float = 0.7
+    border_px: int = 5
+    border_lost: float = 0.16
     hidden_filled: float = 0.06
     thin_px: int = 5
     thin_lost: float = 0.6
@@ -172,31 +171,24 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     Matched
         Result shared by a burst.
     """
-    blurred = cv2.GaussianBlur(disparity_px, (0, 0), matcher.ramp_px)
-    soft = np.asarray(blurred, np.float32)
-    reach = 2 * int(np.ceil(2.0 * matcher.ramp_px)) + 1
-    steps = _steps(disparity_px, reach) / np.float32(matcher.jump_px)
-    apart = np.asarray(np.clip(steps - np.float32(1), 0, 1), np.float32)
-    sharp = _fatten_foreground(disparity_px, matcher, rng)
-    read = np.asarray(soft + apart * (sharp - soft), np.float32)
-
+    side = 2 * round(1.5 * matcher.window_px) + 1
+    smooth = cv2.bilateralFilter(disparity_px, side, matcher.range_px, matcher.window_px)
+    read = np.asarray(smooth, np.float32)
     clump = smooth_field(read.shape, matcher.clump_px / 2, rng)
-    # Small steps cause holes where the ramp is steep, large steps a gap on the farther side.
-    slope = (1 - apart) * _steps(soft, 3) / np.float32(2)
-    lost = slope > np.float32(matcher.steep) * (np.float32(1) + np.float32(0.25) * clump)
-    gap = cv2.dilate(sharp, _disc(matcher.gap_px)) - sharp > np.float32(matcher.jump_px)
-    lost |= gap & (clump < _quantile(_GAP_LOST))
-    border = sharp - cv2.erode(sharp, _disc(1)) > np.float32(matcher.jump_px)
+    step = np.float32(matcher.hole_px)
+    gap = cv2.dilate(read, _disc(matcher.gap_px)) - read > 2 * step
+    lost = gap & (clump < _quantile(matcher.gap_lost))
+    outer, border = (
+        read - cv2.erode(read, _disc(width)) > step
+        for width in (matcher.border_px // 2, matcher.border_px)
+    )
     lost |= border & (clump < _quantile(matcher.border_lost))
-    flying = lost & (rng.random(read.shape, dtype=np.float32) < matcher.flying_share)
-    read[flying] = soft[flying]
+    lost |= outer & (clump < _quantile(2 * matcher.border_lost))
     hidden = _hidden_from_right(read)
-    lost = (lost & ~flying) | (hidden & (clump < _quantile(1 - matcher.hidden_filled)))
+    lost |= hidden & (clump < _quantile(1 - matcher.hidden_filled))
     lost |= _thin(disparity_px, matcher) & (clump < _quantile(matcher.thin_lost))
     lost |= rng.random(read.shape, dtype=np.float32) < matcher.speckle
-    unsure = np.abs(slope - np.float32(matcher.steep)) < np.float32(0.25 * matcher.steep)
-    unsure |= border
-    return Matched(read, ~lost & (disparity_px > 0) & (read > 0), unsure)
+    return Matched(read, ~lost & (disparity_px > 0) & (read > 0), border)
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:
@@ -204,34 +196,18 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
-def _steps(disparity_px: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
-    window = np.ones((window_px, window_px), np.uint8)
-    return cv2.dilate(disparity_px, window) - cv2.erode(disparity_px, window)
-
-
-def _fatten_foreground(
-    disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator
-) -> NDArray[np.float32]:
-    # Foreground fattening: the matching window reaches the nearer side before its centre does. The
-    # extent depends on texture, so the border is irregular.
-    texture = smooth_field(disparity_px.shape, 3.0, rng)
-    fat = disparity_px.copy()
-    for k in range(1, matcher.fatten_px + 1):
-        grown = cv2.dilate(disparity_px, _disc(k))
-        fattened = texture > _quantile(1 - (matcher.fatten_px + 1 - k) / (matcher.fatten_px + 1))
-        np.copyto(fat, grown, where=fattened)
-    return fat
-
-
 def _thin(disparity_px: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
     window = np.ones((matcher.thin_px, matcher.thin_px), np.uint8)
     opened = cv2.morphologyEx(disparity_px, cv2.MORPH_OPEN, window)
-    return np.asarray(disparity_px - opened > matcher.jump_px)
+    return np.asarray(disparity_px - opened > 2 * matcher.hole_px)
 
 
 def _quantile(share: float) -> float:
     return float(ndtri(share))
 
+
+VGA = (640, 480)
+"""Size of depth frames in the real captures of cucumbers."""
 
 _NO_TURN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -264,6 +240,8 @@ class D4xx:
         Quantisation of disparity.
     scale_error : float
         Depth scale error of the camera: depth is multiplied by 1 + scale_error.
+    registration_px : tuple of float
+        Standard deviation of the error of the alignment to colour, right and down, colour pixels.
     matcher : Matcher
         Error model of the matcher.
     foliage_holes, glare_holes : float
@@ -291,6 +269,7 @@ class D4xx:
     correlation_px: float = 5.0
     subpixel_step_px: float = 1 / 32
     scale_error: float = 0.0
+    registration_px: tuple[float, float] = (2.2, 0.7)
     matcher: Matcher = field(default_factory=Matcher)
     foliage_holes: float = 0.02
     glare_holes: float = 0.0
@@ -298,16 +277,16 @@ class D4xx:
     min_z_m: float = 0.28
 
     @classmethod
-    def like(cls, color: Intrinsics) -> D4xx:
-        """Create a D435 from colour intrinsics, with depth frames of the same size.
+    def like(cls, color: Intrinsics, depth_size: tuple[int, int] | None = None) -> D4xx:
+        """Create a D435 from colour intrinsics, with depth frames of the same size or of `VGA`.
 
-        The focal length of a D435's imagers is half the width at 16:9; 4:3 modes crop the sides.
+        The focal length of a D435's imagers is half the width at 16:9; 640x480 shows less of the
+        sensor, and readings from nearer.
         """
-        focal = color.height * 640.0 / 720.0
-        centre = (color.width / 2, color.height / 2)
-        return cls(
-            color, Intrinsics(color.width, color.height, focal, focal, *centre, Stream.DEPTH)
-        )
+        width, height = depth_size or color.size
+        focal = height * (0.8 if depth_size == VGA else 640.0 / 720.0)
+        depth = Intrinsics(width, height, focal, focal, width / 2, height / 2, Stream.DEPTH)
+        return cls(color, depth, min_z_m=0.28 * focal / 640 if depth_size else 0.28)
 
 
 def sense(
@@ -363,10 +342,13 @@ def sense(
     waves *= np.float32(camera.disparity_rms_px * np.sqrt(camera.fixed_share))
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
+    # An error of the alignment moves all readings, as if the principal point lay elsewhere.
+    aligned = camera.color.matrix.copy()
+    aligned[:2, 2] += rng.normal(0, camera.registration_px)
     sources = color_sources(
         base,
         seen_by.matrix,
-        camera.color.matrix,
+        aligned,
         camera.color.size,
         camera.rotation,
         camera.translation_m,

@@ -13,7 +13,7 @@ from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import random_style
 from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
 from cucumbervision_lab.synthesis.compose import HARD, PLAIN, Composition, Setting, compose
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.synthesis.scene import render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.skin import Skin
 
 _BURST = 3
+_VGA_SHARE = 0.5  # of the frames with depth
 _AXIS_POINTS = 41
 # The focal length of a D435's colour camera is 0.71 of its width.
 _FOCAL_SHARE = (0.69, 0.73)
@@ -143,7 +144,8 @@ def draw_frame(
     depth: NDArray[np.float32] | None = None
     if options.depth:
         scale = 1.0 + float(sensor.normal(0, options.scale_sd))
-        reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
+        size = VGA if sensor.random() < _VGA_SHARE else None
+        reader = replace(D4xx.like(camera, size), scale_error=scale - 1.0)
         burst = sense(staged.scene, reader, sensor, _BURST)
         depth = fuse_burst([color] * _BURST, burst).depth_m
     return Frame(

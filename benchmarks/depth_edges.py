@@ -34,41 +34,24 @@ from cucumbervision_lab.synthesis.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, truth_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
-class Place:
-    """Real captures of a kind, and how they are simulated.
-
-    Parameters
-    ----------
-    folders : tuple of str
-        Below `rgbd/`.
-    depth_size : tuple of int
-        Size of the depth stream before it was aligned, by the period of repeated readings.
-    distance_m : tuple of float
-        Of lying fruit; empty for drawn scenes of fruit on the plant.
-    """
-
-    folders: tuple[str, ...]
-    depth_size: tuple[int, int]
-    distance_m: tuple[float, ...] = ()
-
-
-PLACES = {
-    "cucumbers on the plant": Place(("cucumber_d435/on_plant",), VGA),
-    "cucumbers on a mat": Place(("cucumber_d435/on_grid",), VGA, (0.2, 0.24)),
-    "cucumbers beside a ruler": Place(("cucumber_d435/beside_ruler",), VGA, (0.34, 0.36)),
-    "carrot": Place(("carrot_realsense_1280",), (1280, 720), (0.35, 0.52)),
+PLACES: dict[str, tuple[str, tuple[int, int], tuple[float, ...]]] = {
+    "cucumbers on the plant": ("cucumber_d435/on_plant", VGA, ()),
+    "cucumbers on a mat": ("cucumber_d435/on_grid", VGA, (0.2, 0.24)),
+    "cucumbers beside a ruler": ("cucumber_d435/beside_ruler", VGA, (0.34, 0.36)),
+    "carrot": ("carrot_realsense_1280", (1280, 720), (0.35, 0.52)),
 }
+"""Folder, size of the depth stream (its readings repeat), distances of lying fruit."""
 STEPS_PX = ((1, 2), (2, 4), (4, 8), (8, 99))
 CAMERA = Intrinsics(1280, 720, 912.0, 912.0, 640.0, 360.0)
 OFFSETS_PX = np.arange(-15, 21)
 RINGS_PX = ((0, 2), (2, 4), (4, 99), (-2, 0), (-4, -2), (-8, -4))
 _BASELINE_FOCAL = 0.05 * 640 / 720  # m, of the picture's height
+RADII_PX = ((0, 12), (12, 18), (18, 26), (26, 36), (36, 99))
 _WINDOW_PX = 26
 _BLENDED = (0.2, 0.8)  # share of the step
 
@@ -124,15 +107,8 @@ def edges_of(capture: Capture, mask: NDArray[np.bool_]) -> Edges:
         ring = (inside > low) & (inside <= high)
         holes.append(((ring & ~valid_depth(depth)).sum(), ring.sum()))
     chosen = step > STEPS_PX[0][0]
-    rounds = _roundness(capture, mask, inside)
-    return Edges(
-        step[chosen],
-        share[chosen],
-        normal[chosen],
-        np.array(holes, float),
-        rounds,
-        plane_residuals(depth) * height,
-    )
+    edge = step[chosen], share[chosen], normal[chosen], np.array(holes, float)
+    return Edges(*edge, _roundness(capture, mask, inside), plane_residuals(depth) * height)
 
 
 def plane_residuals(depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -182,33 +158,32 @@ def _roundness(
     return np.array(slices).reshape(-1, 2)
 
 
-def real_captures(rgbd: Path, place: Place) -> Iterator[Capture]:
-    """Yield the real captures of a place, in the order of their names."""
-    for folder in place.folders:
-        camera = rgbd / folder.split("/")[0] / "intrinsics.json"
-        reading = ReadOptions(intrinsics=camera if camera.is_file() else None)
-        for reference in open_source(rgbd / folder, reading):
-            yield reference.load()
+def real_captures(rgbd: Path, folder: str) -> Iterator[Capture]:
+    """Yield the real captures of a folder, in the order of their names."""
+    camera = rgbd / folder.split("/")[0] / "intrinsics.json"
+    reading = ReadOptions(intrinsics=camera if camera.is_file() else None)
+    for reference in open_source(rgbd / folder, reading):
+        yield reference.load()
 
 
-def simulated_captures(place: Place, scenes: int) -> Iterator[Capture]:
+def simulated_captures(
+    depth_size: tuple[int, int], distance_m: tuple[float, ...], scenes: int
+) -> Iterator[Capture]:
     """Yield simulated scenes of the same kind, with exact masks and without colours."""
+    black = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     for index in range(scenes):
         rng = np.random.default_rng([640_001, index])
-        scene = (
-            lying(rng, *place.distance_m)
-            if place.distance_m
-            else compose(rng, CAMERA, Setting.HANGING).scene
-        )
-        burst = sense(scene, D4xx.like(CAMERA, place.depth_size), rng, 3)
-        black = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
-        masks = [
-            fruit.visible
-            for fruit in truth_of(scene, CAMERA)
-            if fruit.visible.sum() > 800 and fruit.hidden_share < 0.5
-        ]
-        depth_m = fuse_burst([black] * 3, burst).depth_m
-        yield Capture(black, depth_m, CAMERA, name=str(index), masks=tuple(masks))
+        scene = lying(rng, *distance_m) if distance_m else hanging(rng)
+        burst = sense(scene, D4xx.like(CAMERA, depth_size), rng, 3)
+        truth = truth_of(scene, CAMERA)
+        clear = [f for f in truth if f.visible.sum() > 800 and f.hidden_share < 0.5]
+        masks, depth_m = tuple(f.visible for f in clear), fuse_burst([black] * 3, burst).depth_m
+        yield Capture(black, depth_m, CAMERA, name=str(index), masks=masks)
+
+
+def hanging(rng: np.random.Generator) -> Scene:
+    """Return a drawn scene of fruit on the plant."""
+    return compose(rng, CAMERA, Setting.HANGING).scene
 
 
 def lying(rng: np.random.Generator, nearest_m: float, farthest_m: float) -> Scene:
@@ -222,13 +197,6 @@ def lying(rng: np.random.Generator, nearest_m: float, farthest_m: float) -> Scen
     return Scene.of(fruit, backdrop_m=distance_m + 2 * radius_m)
 
 
-def masks_of(capture: Capture, measurer: Measurer) -> list[NDArray[np.bool_]]:
-    """Return the capture's own masks, or the networks'."""
-    if capture.masks:
-        return list(capture.masks)
-    return [fruit.mask for fruit in measurer.measure(capture).fruit if fruit.mask is not None]
-
-
 def figures(edges: list[Edges]) -> dict[str, str]:
     """Return every figure of a group of outlines, by its name."""
     step, share = np.concatenate([e.step_px for e in edges]), np.vstack([e.share for e in edges])
@@ -237,36 +205,28 @@ def figures(edges: list[Edges]) -> dict[str, str]:
     offsets = [int(k - OFFSETS_PX[0]) for k in range(-4, 5)]
     for low, high in STEPS_PX:
         rows = blended[(step >= low) & (step < high)][:, offsets]
-        name = (
-            f"blended, %, at -4 … 4 px; step {low} to {high} px"
-            if high < 99
-            else (f"blended, %, at -4 … 4 px; step over {low} px")
-        )
-        cells[name] = _percents(np.nanmean(rows, axis=0)) if len(rows) > 20 else "–"
+        middle = 100 * np.nanmean(rows, axis=0) if len(rows) > 20 else ()
+        cells[f"blended, %, at -4 … 4 px; step {low} to {high} px"] = _joined(middle, ".0f")
     holes = np.sum([e.holes for e in edges], axis=0)
     gone = 100 * holes[:, 0] / np.maximum(holes[:, 1], 1)
-    cells["holes inside, %: 0 to 2, 2 to 4, over 4 px"] = " ".join(f"{g:.0f}" for g in gone[:3])
-    cells["holes outside, %: 0 to 2, 2 to 4, 4 to 8 px"] = " ".join(f"{g:.0f}" for g in gone[3:])
+    cells["holes inside, %: 0 to 2, 2 to 4, over 4 px"] = _joined(gone[:3], ".0f")
+    cells["holes outside, %: 0 to 2, 2 to 4, 4 to 8 px"] = _joined(gone[3:], ".0f")
     rounds = np.vstack([e.roundness for e in edges])
-    for low, high in ((0, 12), (12, 18), (18, 26), (26, 36), (36, 99)):
+    for low, high in RADII_PX:
         part = rounds[(rounds[:, 0] >= low) & (rounds[:, 0] < high), 1]
         name = f"roundness of a cylinder's; radius {low} to {high} px of depth"
         cells[name] = f"{np.median(part):.2f} [{len(part)}]" if len(part) > 10 else "–"
     left_over = np.concatenate([e.residual_px for e in edges])
-    if len(left_over):
-        cells["left of planes, px of disparity"] = f"{np.median(left_over):.2f} [{len(left_over)}]"
-    shifts = np.array([s for e in edges if (s := shift_px(e)) is not None])
-    if len(shifts):
-        middle, spread = np.median(shifts, axis=0), np.median(np.abs(shifts), axis=0)
-        cells["depth's edge against colour's, px: right, down, outwards"] = " ".join(
-            f"{m:+.1f}" for m in middle
-        )
-        cells["the same, median size"] = " ".join(f"{s:.1f}" for s in spread)
+    cells["left of planes, px of disparity"] = f"{np.median(left_over):.2f} [{len(left_over)}]"
+    shifts = np.array([s for e in edges if (s := shift_px(e)) is not None]).reshape(-1, 3)
+    name = "depth's edge against colour's, px: right, down, outwards"
+    cells[name] = _joined(np.median(shifts, axis=0), "+.1f") if len(shifts) else "–"
+    cells["the same, median size"] = _joined(np.median(np.abs(shifts), axis=0), ".1f")
     return cells
 
 
-def _percents(shares: NDArray[np.float64]) -> str:
-    return " ".join(f"{100 * s:.0f}" if np.isfinite(s) else "–" for s in shares)
+def _joined(values: Iterable[float], form: str) -> str:
+    return " ".join(f"{value:{form}}" for value in values) or "–"
 
 
 def shift_px(edges: Edges) -> NDArray[np.float64] | None:
@@ -290,25 +250,19 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=24, help="simulated scenes of each kind")
     arguments = parser.parse_args()
     measurer = Measurer(MeasureOptions())
-    for title, place in PLACES.items():
-        real = [
-            [edges_of(capture, mask) for mask in masks_of(capture, measurer)]
-            for capture in real_captures(arguments.data / "rgbd", place)
-        ]
-        drawn = [
-            edges_of(capture, mask)
-            for capture in simulated_captures(place, arguments.scenes)
-            for mask in capture.masks
-        ]
-        groups = {
-            "real, fitted": [e for k, part in enumerate(real) if k % 3 != 2 for e in part],
-            "real, kept out": [e for k, part in enumerate(real) if k % 3 == 2 for e in part],
-            "simulated": drawn,
-        }
+    for title, (folder, depth_size, distance_m) in PLACES.items():
+        groups: dict[str, list[Edges]] = {"real, fitted": [], "real, kept out": [], "simulated": []}
+        for index, capture in enumerate(real_captures(arguments.data / "rgbd", folder)):
+            found = () if capture.masks else measurer.measure(capture).fruit
+            masks = capture.masks or [fruit.mask for fruit in found if fruit.mask is not None]
+            group = "real, kept out" if index % 3 == 2 else "real, fitted"
+            groups[group] += [edges_of(capture, mask) for mask in masks]
+        for capture in simulated_captures(depth_size, distance_m, arguments.scenes):
+            groups["simulated"] += [edges_of(capture, mask) for mask in capture.masks or ()]
         columns = {name: figures(edges) for name, edges in groups.items()}
         table = Table("", *columns, title=title)
         for name in columns["simulated"]:
-            table.add_row(name, *(cells.get(name, "–") for cells in columns.values()))
+            table.add_row(name, *(cells[name] for cells in columns.values()))
         Console(width=150, highlight=False).print(table)
 
 

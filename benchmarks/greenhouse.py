@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +27,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import ReadOptions, example_captures
+from cucumbervision.capture.source import ReadOptions
 from cucumbervision.geometry.curve import points_along, polyline_length
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
@@ -217,17 +214,6 @@ def summary(compared: list[ComparedCapture]) -> list[str]:
         for truth, fruit in capture.fruit
         if capture.name.startswith("sample") and truth["marked"] and fruit and fruit.length
     ]
-    lengths = [
-        fruit.length
-        for capture in compared
-        for truth, fruit in capture.fruit
-        if fruit is not None and fruit.length and not fruit.at_least and not truth["end_hidden"]
-    ]
-    widths = [100 * (k.high_m - k.low_m) / k.value_m for k in lengths if k.high_m and k.low_m]
-    lines.append(
-        f"90 % intervals of {len(lengths)} fruit without a hidden end: {len(widths)} given, median "
-        f"width {np.median(widths):.0f} % of the length, widest {max(widths):.0f} %"
-    )
     if len(repeats) > 1:
         spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
         lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
@@ -283,33 +269,6 @@ def marked_lines(compared: list[ComparedCapture]) -> list[str]:
     ]
 
 
-def cost_line(measurer: Measurer, captures: list[Capture], compared: list[ComparedCapture]) -> str:
-    """Return what drew the masks, and the processor time beside that of the package's examples."""
-    examples = [ref.load() for ref in open_source(example_captures())]
-    plant_s, example_s = (
-        np.mean([processor_s(measurer, capture) for _ in range(3) for capture in group])
-        for group in (captures, examples)
-    )
-    sources = Counter(
-        str(fruit.mask_source)
-        for capture in compared
-        for _, fruit in capture.fruit
-        if fruit is not None and fruit.mask_source is not None
-    )
-    masks = ", ".join(f"{name} {count}" for name, count in sources.most_common())
-    return (
-        f"masks by {masks}; a capture takes {plant_s / example_s:.1f} times the processor time of "
-        "one of the package's examples"
-    )
-
-
-def processor_s(measurer: Measurer, capture: Capture) -> float:
-    """Return the processor time of measuring a capture."""
-    start_s = time.process_time()
-    measurer.measure(capture)
-    return time.process_time() - start_s
-
-
 def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -329,12 +288,10 @@ def main() -> None:
     measurer = Measurer(options)
     marks = {capture["name"]: capture for capture in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=arguments.folder / "intrinsics.json")
-    captures: list[Capture] = []
     compared, with_stickers = [], []
     for capture in read_captures([arguments.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
-        captures.append(capture)
         truth = marks[capture.name.removesuffix("_color")]
         with_stickers.append(compare(measurer.measure(capture), truth))
         plain = replace(capture, color=without_sticker(capture.color, truth))
@@ -345,7 +302,6 @@ def main() -> None:
         console.print(f"\n{title}:")
         for line in summary(group):
             console.print(line, soft_wrap=True)
-    console.print(cost_line(measurer, captures, with_stickers), soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Each method's mean and spread over ten frames of one rigid carrot, which has one length; M3 and the
 others against the known lengths of the YCB objects; each once with the data set's masks and once
-with MobileSAM's, prompted by the masks' boxes. Then the guard, given depth-stream intrinsics.
+with MobileSAM's, prompted by the masks' boxes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
@@ -95,19 +94,6 @@ def ycb_table(folder: Path) -> Table:
     return table
 
 
-def guard_line(folder: Path) -> str:
-    """Tell what the guard says of depth-stream intrinsics with f = 640 px."""
-    camera = {"stream": "depth", "width": 1280, "height": 720, "fx": 640.0, "fy": 640.0}
-    with tempfile.TemporaryDirectory() as out:
-        file = Path(out) / "depth-stream.json"
-        file.write_text(json.dumps({**camera, "cx": 640.0, "cy": 360.0}))
-        options = MeasureOptions(reading=ReadOptions(intrinsics=file))
-        result = measure_inputs([folder], Path(out), options)
-    return (
-        f"{len(result.rows)} measured, {len(result.failures)} refused: {result.failures[0].message}"
-    )
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -116,7 +102,6 @@ def main() -> None:
     console = Console(width=150, highlight=False)
     console.print(carrot_table(data / CARROT))
     console.print(ycb_table(data / YCB))
-    console.print(guard_line(data / CARROT), soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -297,23 +297,6 @@ def fruit_table(comparisons: list[Comparison]) -> Table:
     return table
 
 
-def narrowest(comparisons: list[Comparison]) -> str:
-    """Return how narrow one interval for all could be, chosen in hindsight."""
-    errors = np.array(
-        [np.log(r / c.truth.cm("centreline")) for c in comparisons if (r := c.read_cm(None))]
-    )
-    cameras = np.log1p([c.camera_percent() / 100 for c in comparisons if c.read_cm(None)])
-    widths = []
-    for log_ratios in (errors, errors - cameras):
-        count, ordered = int(np.ceil(0.9 * len(log_ratios))), np.sort(log_ratios)
-        span = (ordered[count - 1 :] - ordered[: len(ordered) - count + 1]).min()
-        widths.append(f"{100 * span:.1f} %")
-    return (
-        f"in hindsight the narrowest interval that holds 90 %: {widths[0]} wide; without the "
-        f"camera's own error {widths[1]}"
-    )
-
-
 def ends_and_depth(comparisons: list[Comparison]) -> str:
     """Return how far M6's ends are off as seen, and what its axis errs in the picture alone."""
     ends_mm = [(c, c.end_errors_mm()) for c in comparisons]
@@ -349,7 +332,6 @@ def summary(comparisons: list[Comparison], further_fruit: int) -> list[str]:
     coverage, width, median_width = 100 * np.mean(holds), np.mean(widths), np.median(widths)
     width_text = f"width {width:.1f} % (mean), {median_width:.1f} % (median)"
     lines.append(f"{len(holds)} intervals: cover {coverage:.0f} %, {width_text}")
-    lines.append(narrowest(comparisons))
     counts = ", ".join(f"{flag} {flags[flag]}" for flag in END_FLAGS)
     lines.append(f"both ends are in sight, and yet flagged: {counts} of {len(comparisons)}")
     for place in PLACES:

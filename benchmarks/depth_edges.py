@@ -99,12 +99,12 @@ def edges_of(capture: Capture, mask: NDArray[np.bool_]) -> Edges:
     read = depth[row.clip(0, height - 1), column.clip(0, capture.width - 1)]
     ok = inner & valid_depth(read)
     disparity = np.where(ok, _BASELINE_FOCAL * height / np.where(ok, read, 1), np.nan)
-    near, far = (_middle(disparity[:, part]) for part in (OFFSETS_PX < -5, OFFSETS_PX > 8))
-    step = near - far
-    share = (disparity - far[:, None]) / step[:, None]
+    near_px, far_px = (_middle(disparity[:, part]) for part in (OFFSETS_PX < -5, OFFSETS_PX > 8))
+    step = near_px - far_px
+    share = (disparity - far_px[:, None]) / step[:, None]
     holes = []
-    for low, high in RINGS_PX:
-        ring = (inside > low) & (inside <= high)
+    for start, stop in RINGS_PX:
+        ring = (inside > start) & (inside <= stop)
         holes.append(((ring & ~valid_depth(depth)).sum(), ring.sum()))
     chosen = step > STEPS_PX[0][0]
     edge = step[chosen], share[chosen], normal[chosen], np.array(holes, float)
@@ -136,11 +136,11 @@ def _roundness(
     v, u = np.nonzero(mask)
     places = np.stack([u, v], axis=1) - np.array([u.mean(), v.mean()])
     along = places @ np.linalg.svd(places, full_matrices=False)[2][0]
-    low, high = np.percentile(along, (15, 85))
+    start, stop = np.percentile(along, (15, 85))
     z, depth_px = capture.depth_m[v, u], capture.height / 720 * 640 / capture.intrinsics.fx_px
     slices = []
-    for start in np.arange(low, high, 8):
-        part = (along >= start) & (along < start + 8)
+    for place in np.arange(start, stop, 8):
+        part = (along >= place) & (along < place + 8)
         if not part.any():
             continue
         width_px = inside[v, u][part].max()
@@ -203,18 +203,18 @@ def figures(edges: list[Edges]) -> dict[str, str]:
     blended = np.where(np.isnan(share), np.nan, (share > _BLENDED[0]) & (share < _BLENDED[1]))
     cells = {"outlines; points": f"{len(edges)}; {len(step)}"}
     offsets = [int(k - OFFSETS_PX[0]) for k in range(-4, 5)]
-    for low, high in STEPS_PX:
-        rows = blended[(step >= low) & (step < high)][:, offsets]
+    for start, stop in STEPS_PX:
+        rows = blended[(step >= start) & (step < stop)][:, offsets]
         middle = 100 * np.nanmean(rows, axis=0) if len(rows) > 20 else ()
-        cells[f"blended, %, at -4 … 4 px; step {low} to {high} px"] = _joined(middle, ".0f")
+        cells[f"blended, %, at -4 … 4 px; step {start} to {stop} px"] = _joined(middle, ".0f")
     holes = np.sum([e.holes for e in edges], axis=0)
     gone = 100 * holes[:, 0] / np.maximum(holes[:, 1], 1)
     cells["holes inside, %: 0 to 2, 2 to 4, over 4 px"] = _joined(gone[:3], ".0f")
     cells["holes outside, %: 0 to 2, 2 to 4, 4 to 8 px"] = _joined(gone[3:], ".0f")
     rounds = np.vstack([e.roundness for e in edges])
-    for low, high in RADII_PX:
-        part = rounds[(rounds[:, 0] >= low) & (rounds[:, 0] < high), 1]
-        name = f"roundness of a cylinder's; radius {low} to {high} px of depth"
+    for start, stop in RADII_PX:
+        part = rounds[(rounds[:, 0] >= start) & (rounds[:, 0] < stop), 1]
+        name = f"roundness of a cylinder's; radius {start} to {stop} px of depth"
         cells[name] = f"{np.median(part):.2f} [{len(part)}]" if len(part) > 10 else "–"
     left_over = np.concatenate([e.residual_px for e in edges])
     cells["left of planes, px of disparity"] = f"{np.median(left_over):.2f} [{len(left_over)}]"
@@ -233,13 +233,13 @@ def shift_px(edges: Edges) -> NDArray[np.float64] | None:
     """Return how far depth's edge lies right of, below and outside an outline, or None."""
     clear = edges.step_px > STEPS_PX[2][0]
     share, normal = edges.share[clear], edges.normal[clear]
-    near = np.where(share > 0.5, OFFSETS_PX, -99).max(axis=1)
-    far = np.where(share < 0.5, OFFSETS_PX, 99).min(axis=1)
-    sure = (np.abs(near) < 15) & (np.abs(far) < 15) & (np.abs(near - far) < 6)
+    inner = np.where(share > 0.5, OFFSETS_PX, -99).max(axis=1)
+    outer = np.where(share < 0.5, OFFSETS_PX, 99).min(axis=1)
+    sure = (np.abs(inner) < 15) & (np.abs(outer) < 15) & (np.abs(inner - outer) < 6)
     if sure.sum() < 40:
         return None
     terms = np.column_stack([normal[sure], np.ones(sure.sum())])
-    middle = (near[sure] + far[sure]) / 2
+    middle = (inner[sure] + outer[sure]) / 2
     return np.asarray(np.linalg.lstsq(terms, middle, rcond=None)[0])
 
 
@@ -253,8 +253,8 @@ def main() -> None:
     for title, (folder, depth_size, distance_m) in PLACES.items():
         groups: dict[str, list[Edges]] = {"real, fitted": [], "real, kept out": [], "simulated": []}
         for index, capture in enumerate(real_captures(arguments.data / "rgbd", folder)):
-            found = () if capture.masks else measurer.measure(capture).fruit
-            masks = capture.masks or [fruit.mask for fruit in found if fruit.mask is not None]
+            fruit_rows = () if capture.masks else measurer.measure(capture).fruit
+            masks = capture.masks or [fruit.mask for fruit in fruit_rows if fruit.mask is not None]
             group = "real, kept out" if index % 3 == 2 else "real, fitted"
             groups[group] += [edges_of(capture, mask) for mask in masks]
         for capture in simulated_captures(depth_size, distance_m, arguments.scenes):

@@ -121,8 +121,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remark="its ends were found at two places",
     ),
     Flag.ENDS_UNSURE: FlagMeaning(
-        "which end is the stem's is less than 90 % certain; lengths are the same either way, so "
-        "tables and files only hold the code, and remarks do not mention it"
+        "which end is the stem's is less than 90 % certain; the length is the same either way"
     ),
     **{
         flag: FlagMeaning(
@@ -132,8 +131,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         for place, flag in DOUBTFUL_END.items()
     },
     Flag.END_ON: FlagMeaning(
-        "an end points along the view, so little of it is visible, or it may lie behind the "
-        "fruit's own thick middle",
+        "an end points along the view, or lies behind the fruit's own thick middle",
         remark="seen end on",
         shows_less=True,
     ),
@@ -182,8 +180,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remark="too large: check the depth's unit",
     ),
     Flag.DEPTH_TOO_NEAR: FlagMeaning(
-        "nearer than 12 cm, where no camera reads: check the depth's unit. The length is no lower "
-        "bound",
+        "nearer than 12 cm, where no camera reads: check the depth's unit; no lower bound",
         remark="nearer than a camera reads: check the depth's unit",
         effect=Effect.NO_DEPTH,
         data_fault="nearer than 12 cm, where no camera reads",
@@ -191,7 +188,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
     ),
     Flag.DEPTH_SPARSE: FlagMeaning(
         "less than half of the fruit has a depth reading, as where it is nearer than the camera "
-        "reads: the length may be far off, has no interval, and is no lower bound",
+        "reads: no interval, no lower bound",
         remark="hardly any depth on it: hold the camera farther away",
         effect=Effect.NO_DEPTH,
         shows_less=True,
@@ -199,8 +196,8 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="hold the camera at least 30 cm away",
     ),
     Flag.DEPTH_HOLLOW: FlagMeaning(
-        "its middle lies behind its flanks, and what surrounds it before it: the picture holds no "
-        "distances, but their inverse or relative depth",
+        "the middle of the fruit is farther away than its sides, and its surroundings are "
+        "nearer: the depth picture holds inverse or relative depth",
         remark="hollow by its depth: check what the depth picture holds",
         effect=Effect.NO_DEPTH,
         data_fault="the depth of their middle lies behind that of their flanks",
@@ -208,7 +205,7 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         "depth",
     ),
     Flag.DEPTH_GAP: FlagMeaning(
-        "its outline has pieces or a waist, and what lies between them is clearly behind: give "
+        "its outline has pieces or a waist, with something clearly farther away between: give "
         "each fruit an outline of its own",
         remark="an outline of several things with a gap between them",
         effect=Effect.NO_DEPTH,
@@ -216,16 +213,16 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="give each fruit an outline of its own",
     ),
     Flag.DEPTH_UNALIGNED: FlagMeaning(
-        "moved, or with depth enlarged as if nobody had aligned it, its outline fits what is near "
-        "far better, or nothing stands out there: check that depth is aligned to colour",
+        "shifted, its outline fits what is near far better, or nothing stands out from its "
+        "surroundings: check that depth is aligned to colour",
         remark="outline and depth do not lie together: check that depth is aligned",
         effect=Effect.NO_DEPTH,
         data_fault="outline and depth do not lie together",
         remedy="check that depth is aligned to colour, and masks are of this picture",
     ),
     Flag.DEPTH_COARSE: FlagMeaning(
-        "its depth has steps of over 1.2 % of the distance, or is whole millimetres up to 255, as "
-        "in a picture of 8 bits or in whole centimetres: lengths may be wrong by a tenth and more",
+        "depth in steps of over 1.2 % of the distance, or whole millimetres up to 255, as in an "
+        "8-bit picture: lengths may be wrong by a tenth and more",
         remark="depth in coarse steps: check what the depth picture holds",
         effect=Effect.NO_DEPTH,
         data_fault="their depth has coarse steps, as in a picture of 8 bits or in whole "
@@ -233,8 +230,9 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="give depth as the camera recorded it, with 16 bits in millimetres or finer",
     ),
     Flag.DEPTH_ALONG_RAY: FlagMeaning(
-        "what is behind the fruit is a plane only if depth is the distance along each pixel's ray, "
-        "as simulators write it: off the middle of a wide view lengths may be wrong by a quarter",
+        "the surface behind the fruit is a plane only if depth is the distance along each "
+        "pixel's ray, as simulators write it: lengths off the middle of a wide view may be "
+        "wrong by a quarter",
         remark="depth may be measured along the pixels' rays",
         effect=Effect.NO_DEPTH,
         data_fault="what is behind them is a plane only if depth is the distance along each "
@@ -242,8 +240,8 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="read such depth with --depth-along ray",
     ),
     Flag.PRINCIPAL_POINT: FlagMeaning(
-        "the intrinsics' principal point lies off the middle of the picture: are they of this "
-        "size, or was the picture cut out of a larger one?",
+        "the intrinsics' principal point is off the middle of the picture: wrong size, or cut "
+        "out of a larger picture?",
         remark="check the camera's intrinsics",
         data_fault="the intrinsics' principal point lies off the middle of the picture",
         remedy="check that they are of this size of picture",

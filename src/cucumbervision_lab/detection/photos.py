@@ -120,7 +120,8 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
         truth = Frame(picture.file, picture.scene, picture.width, picture.height, true_fruit)
         extras = picture.extras
         photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
-    return photos, len(photo_audit.load_audit().in_split(split)) - len(photos)
+    count = sum(photo["split"] == split for photo in photo_audit.load_audit().values())
+    return photos, count - len(photos)
 
 
 def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:

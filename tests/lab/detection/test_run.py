@@ -30,7 +30,6 @@ from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.outcomes import end_rows
-from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, AuditKind
 from cucumbervision_lab.detection.pictures import Stage
 from cucumbervision_lab.detection.report import detection_tables
 from cucumbervision_lab.detection.run import DetectionResult, evaluate_detection
@@ -260,14 +259,13 @@ def test_photos_are_judged_by_a_command_of_their_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Networks that always see the fruit at its full size find nothing at half size."""
-    x1, y1, x2, y2 = box_of_mask(scene.mask).tolist()
-    fruit = AuditedBox((x1, y1, x2, y2), AuditKind.CUCUMBER)
-    photos = tuple(
-        AuditedPhoto(f"{name}.png", sha1, "some", name, "plant", "test", 320, 192, boxes)
-        for name, boxes in (("a", (fruit,)), ("b", ()))
-        for sha1 in [sha1_of(scene.folder / "images" / f"{name}.png")]
-    )
-    audit = Audit(photos, {"some": {"source": "us", "licence": "CC0"}})
+    fruit = {"box": (box_of_mask(scene.mask) + 0.5).tolist(), "class": "cucumber"}
+    entry = {"set": "some", "setting": "plant", "split": "test", "size": [320, 192]}
+    entry |= {"source": "us", "licence": "CC0"}
+    audit = {
+        sha1_of(scene.folder / "images" / f"{name}.png"): {**entry, "scene": name, "boxes": boxes}
+        for name, boxes in (("a", [fruit]), ("b", []))
+    }
     monkeypatch.setattr(photo_audit, "load_audit", lambda: audit)
     arguments = ["evaluate", "photos", str(scene.folder), "--out", str(tmp_path / "out")]
     arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]

@@ -26,7 +26,7 @@ from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.records import Masks, readings_frame
 from cucumbervision_lab.benchmark.run import TRUTH_OF, run_cases, with_intervals
 from cucumbervision_lab.cli.screen import part_bars
-from cucumbervision_lab.detection.learn import set_records
+from cucumbervision_lab.detection.run import set_records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,7 +6,7 @@
     python benchmarks/speed.py --check     # limits for CI, in processor time
 
 Parts: pipeline, processor, start, kernels, peers, workers, dashboard. `peers` compares with
-PlantCV and skan on a mask, and says what is not installed.
+skan on a mask, and says what is not installed.
 Each prints a table, row by row. The exit code is 1 if an aim or a limit is missed.
 
 `card` runs only where it is named. It needs onnxruntime-gpu in place of onnxruntime, and takes 2

@@ -1,7 +1,7 @@
-"""Baseline lengths by skan and PlantCV on the same mask and depth.
+"""Baseline lengths by skan on the same mask and depth.
 
-Both tools return a skeleton path in pixels, whose 3D length is computed by `lifted_length`. The
-path is not extended at the ends, although a skeleton may stop up to one radius before the tip.
+skan returns a skeleton path in pixels, whose 3D length is computed by `lifted_length`. The path is
+not extended at the ends, although a skeleton may stop up to one radius before the tip.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.errors import MissingExtraError
 from cucumbervision.instances.masks import mask_window
 
 if TYPE_CHECKING:
@@ -81,53 +80,8 @@ def skan_length(
     return lifted_length((path + corner)[:, ::-1], depth_m, mask, intrinsics)
 
 
-def plantcv_length(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
-) -> float | None:
-    """Compute the 3D length of the longest segment of a mask's pruned skeleton by PlantCV.
-
-    Parameters
-    ----------
-    depth_m, mask, intrinsics
-        See `skan_length`.
-
-    Returns
-    -------
-    float or None
-        Length in metres; None without a segment.
-
-    Raises
-    ------
-    CucumberVisionError
-        If PlantCV is not installed. No extra includes it, because it requires another OpenCV
-        package and an older SciPy.
-
-    Notes
-    -----
-    `morphology.skeletonize`, then `prune` of all branches shorter than the width of the mask, then
-    the segment with the greatest `segment_path_length` in pixels.
-    """
-    pcv = _plantcv()
-    window = mask_window(mask)
-    if window is None:
-        return None
-    region = np.pad(mask[window], 2).astype(np.uint8) * 255
-    size = int(np.ceil(2 * cv2.distanceTransform(region, cv2.DIST_L2, 5).max()))
-    with warnings.catch_warnings(action="ignore"):
-        _, picture, segments = pcv.morphology.prune(pcv.morphology.skeletonize(region), size=size)
-        if not segments:
-            return None
-        pcv.morphology.segment_path_length(picture, segments, label="fruit")
-    lengths = pcv.outputs.observations["fruit"]["segment_path_length"]["value"]
-    pcv.outputs.clear()
-    loop = np.asarray(segments[int(np.argmax(lengths))], float).reshape(-1, 2)
-    corner = [window[1].start - 2, window[0].start - 2]
-    return lifted_length(_half(loop) + corner, depth_m, mask, intrinsics)
-
-
 BASELINES: dict[str, Baseline] = {
     "skan": skan_length,
-    "PlantCV": plantcv_length,
 }
 
 
@@ -136,10 +90,10 @@ def available_baselines() -> dict[str, Baseline]:
 
     Examples
     --------
-    >>> set(available_baselines()) <= {"skan", "PlantCV"}
+    >>> set(available_baselines()) <= {"skan"}
     True
     """
-    needs = {"skan": ("skan", "skimage"), "PlantCV": ("plantcv",)}
+    needs = {"skan": ("skan", "skimage")}
     return {
         name: function
         for name, function in BASELINES.items()
@@ -226,26 +180,8 @@ def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
     return path
 
 
-def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
-    """Return a line from its closed outline, which runs along it in both directions."""
-    half = len(loop_px) // 2
-    across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
-    return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])
-
-
 def _package(name: str, distribution: str = "") -> ModuleType:
     try:
         return import_module(name)
     except ModuleNotFoundError:
         raise MissingExtraError(distribution or name, "benchmark") from None
-
-
-def _plantcv() -> ModuleType:
-    try:
-        return import_module("plantcv.plantcv")
-    except ModuleNotFoundError as error:
-        raise CucumberVisionError(
-            f"PlantCV cannot be imported ({error})",
-            remedy="in a separate environment: pip install --no-deps "
-            "plantcv==4.11.3 and pip install 'altair<6' flyr nd2 scikit-learn statsmodels xarray",
-        ) from None

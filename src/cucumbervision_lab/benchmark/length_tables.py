@@ -23,7 +23,6 @@ DESCRIPTIONS = {
     "M6 thread": "swept tube, thread",
     "M6 chord": "swept tube, chord",
     "skan": "longest skeleton path",
-    "PlantCV": "longest skeleton segment",
     "selector best": "what this program reports",
     "selector paper": "what the paper's selector reports",
 }

@@ -22,10 +22,10 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     groups : mapping of str to typer.Typer
         Its command groups; `evaluate` gets two commands.
     """
-    from cucumbervision_lab.cli import data, evaluate, synth, train
+    from cucumbervision_lab.cli import data, evaluate, train
 
     program.command("benchmark")(evaluate.benchmark)
-    program.command("synth")(synth.synth)
+    program.command("synth")(data.synth)
     program.add_typer(data.app, name="data")
     program.add_typer(train.app, name="train")
     groups["evaluate"].command("models")(evaluate.evaluate_models)

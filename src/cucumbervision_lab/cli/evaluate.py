@@ -138,7 +138,7 @@ def benchmark(
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
     if learn_intervals is not None:
-        from cucumbervision_lab.detection.learn import learn_intervals as learn
+        from cucumbervision_lab.detection.run import learn_intervals as learn
 
         if learn_set is None:
             raise typer.BadParameter("--learn-intervals requires --learn-set, a set from 'synth'")

@@ -247,8 +247,7 @@ def _train_look(
     """Train the look at ends and learn its intervals; what was measured stays in the folder."""
     from cucumbervision_lab.synthesis.covers import read_pieces
     from cucumbervision_lab.training.end_crops import EndCrops, collect_set
-    from cucumbervision_lab.training.end_look import train_look
-    from cucumbervision_lab.training.look_intervals import learn_look_intervals
+    from cucumbervision_lab.training.end_look import learn_look_intervals, train_look
 
     pieces = () if leaves is None else read_pieces(leaves)
     parts = [

@@ -24,14 +24,12 @@ from cucumbervision_lab.benchmark.length_tables import (
 )
 from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.benchmark.report import write_tables, writing_report
-from cucumbervision_lab.detection.average_precision import (
+from cucumbervision_lab.detection.outcomes import (
     OKS_SIGMA,
     AveragePrecision,
     IouType,
-    average_precision,
-)
-from cucumbervision_lab.detection.outcomes import (
     Score,
+    average_precision,
     detection_rows,
     end_rows,
     fruit_rows,

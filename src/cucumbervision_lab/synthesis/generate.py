@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from cucumbervision_lab.datasets.splits import parse_shares
 from cucumbervision_lab.processes import each_done
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
-from cucumbervision_lab.synthesis.paste import cutouts_of, fruitless, montage, paste
+from cucumbervision_lab.synthesis.paste import cutouts_of, fruitless, montage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,7 +64,7 @@ def parse_options(
     assets : Path, optional
         Folder of picture assets.
     paste : Path, optional
-        Folder of a set with masks whose fruit are pasted into the frames.
+        Folder of a set with masks whose fruit are pasted onto photos.
     onto : Path, optional
         Folder of a set whose pictures without fruit replace the synthetic frames.
 
@@ -93,13 +93,11 @@ def parse_options(
         raise DataSetError(
             f"unknown split {split!r}", source="--split", remedy="use train, val or test"
         )
-    if paste is not None and depth:
-        raise DataSetError("pasted fruit have no depth", source="--paste", remedy="add --no-depth")
-    if onto is not None and (paste is None or split != "train"):
+    if (onto is None) != (paste is None) or (onto is not None and (depth or split != "train")):
         raise DataSetError(
-            "montages are for training only",
-            source="--onto",
-            remedy="add --paste SET --split train",
+            "montages are for training only, and have no depth",
+            source="--paste and --onto",
+            remedy="give both, and add --no-depth --split train",
         )
     return SynthOptions(
         frames=frames,
@@ -127,8 +125,6 @@ _SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
 # Fruit with a smaller visible share are ignored.
 _LEAST_SHARE = 0.12
 
-_PASTED = 1.2  # mean number of real fruit per training frame
-
 _LEAST_PX = 0.0001  # share of the picture's pixels below which fruit are ignored
 
 
@@ -149,8 +145,7 @@ class SynthOptions:
     split : str
         'train', 'val' or 'test' for all frames; empty for 70:15:15.
     paste : str
-        Folder of a set with masks whose fruit are pasted into the training frames, which then have
-        no depth; empty for none.
+        Folder of a set with masks whose fruit are pasted onto photos; empty for none.
     onto : str
         Folder of a labelled set whose pictures without fruit replace the synthetic frames; empty
         for none. Only the size of `frame` is then used.
@@ -291,15 +286,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
     name = f"{index:06d}"
     split = options.split or _SPLIT_OF[index % len(_SPLIT_OF)]
     picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
-    color = frame.color
-    if options.paste and split == "train":
-        # Pasted fruit have pseudo-labels, so they are used for training only.
-        rng = np.random.default_rng([options.seed, index, 1])
-        cutouts = _cutouts(options.paste)
-        count = int(rng.poisson(_PASTED))
-        color, labels = paste(color, frame.exact_m, picture.labels, cutouts, count, rng)
-        picture = replace(picture, labels=labels)
-    write_jpeg(out / "images" / f"{name}.jpg", color, _QUALITY)
+    write_jpeg(out / "images" / f"{name}.jpg", frame.color, _QUALITY)
     if frame.depth_m is not None:
         write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, _DEPTH_UNIT_M))
         write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, _EXACT_UNIT_M))

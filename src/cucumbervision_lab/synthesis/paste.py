@@ -1,7 +1,6 @@
-"""Paste real fruit, cut out of photos by their masks, into synthetic frames or other photos.
+"""Paste real fruit, cut out of photos by their masks, into other photos.
 
-In a frame, a pasted fruit has a depth: nearer parts occlude it, and it occludes farther parts. In
-a photo of a canopy, foreground leaves are bright and the gaps between them are dark: fruit are
+In a photo of a canopy, foreground leaves are bright and the gaps between them are dark: fruit are
 placed in the gaps, pixels above a brightness threshold keep the photo, and some fruit are occluded
 by a leaf-shaped piece of the same photo or by a string. Labels are pseudo-labels, because a
 network predicted the masks; they have no length.
@@ -32,7 +31,6 @@ _MARGIN_PX = 4
 _LEAST_SIDE_PX = 40
 _LEAST_PX = 60
 _SOLID = 0.78
-_LENGTH_SHARE = (0.10, 0.55)  # length of fruit relative to the frame's longer side
 _LEAST_SEEN = 0.12
 
 
@@ -108,66 +106,6 @@ def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cut
     body = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     by_place = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
     return Cutout(color[part].copy(), body[part].copy(), points, by_place)
-
-
-def paste(
-    color: NDArray[np.uint8],
-    depth_m: NDArray[np.float64],
-    labels: Sequence[Label],
-    cutouts: Sequence[Cutout],
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.uint8], tuple[Label, ...]]:
-    """Paste fruit into a frame.
-
-    Parameters
-    ----------
-    color : ndarray of uint8, shape (H, W, 3)
-        RGB; not modified.
-    depth_m : ndarray of float64, shape (H, W)
-        Exact depth, metres; 0 for no object.
-    labels : sequence of Label
-        Labels of the frame.
-    cutouts : sequence of Cutout
-        Fruit to choose from.
-    count : int
-        Number of fruit to paste.
-    rng : numpy.random.Generator
-        Random generator.
-
-    Returns
-    -------
-    color : ndarray of uint8, shape (H, W, 3)
-        RGB.
-    labels : tuple of Label
-        Labels of the frame without newly occluded parts, and pseudo-labels of the pasted fruit.
-    """
-    picture, depth = color.copy(), np.where(depth_m > 0, depth_m, np.inf)
-    visible_labels = list(labels)
-    for _ in range(count if cutouts else 0):
-        fruit = _place_cutout(
-            cutouts[int(rng.integers(len(cutouts)))],
-            picture.shape[:2],
-            rng,
-            length_px=rng.uniform(*_LENGTH_SHARE) * max(picture.shape[:2]),
-            turn_deg=rng.uniform(0, 360),
-        )
-        if fruit is None:
-            continue
-        amodal = fruit.amodal
-        nearest, farthest = np.percentile(depth[amodal], [10, 60])
-        stand = float(np.clip(rng.uniform(nearest, max(farthest, nearest)) - 0.03, 0.2, 3.0))
-        visible = amodal & (depth > stand)
-        if visible.sum() < _LEAST_SEEN * amodal.sum():
-            continue
-        blend = (fruit.alpha * (depth > stand))[..., None]
-        picture = (picture * (1 - blend) + fruit.color * blend).astype(np.uint8)
-        depth = np.where(visible, stand, depth)
-        visible_labels = [
-            x for x in (_occluded(label, visible) for label in visible_labels) if x is not None
-        ]
-        visible_labels.append(_label_of(visible, amodal, fruit.keypoints, by_place=fruit.by_place))
-    return picture, tuple(visible_labels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision_lab.training.cards import MAKERS, ModelCard, write_card
-from cucumbervision_lab.training.export import halve_storage
+from cucumbervision_lab.training.export import MAKERS, ModelCard, halve_storage, write_card
 from cucumbervision_lab.training.networks import allowed_threads, import_ultralytics, load_yolo
 
 CHANNELS = 128

@@ -24,8 +24,8 @@ from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.datasets.splits import is_held_out
-from cucumbervision_lab.detection.learn import true_positives
 from cucumbervision_lab.detection.pictures import capture_of, frame_of
+from cucumbervision_lab.detection.run import true_positives
 
 if TYPE_CHECKING:
     from cucumbervision.instances.fruit_crops import FruitCrop

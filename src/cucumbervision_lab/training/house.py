@@ -24,9 +24,8 @@ from cucumbervision_lab.detection.picture_result import detect_set, open_network
 from cucumbervision_lab.detection.pictures import spread
 from cucumbervision_lab.detection.run import chosen_networks
 from cucumbervision_lab.synthesis.generate import generate, parse_options
-from cucumbervision_lab.training.cards import write_card
 from cucumbervision_lab.training.data import photo_set
-from cucumbervision_lab.training.export import export_trained
+from cucumbervision_lab.training.export import export_trained, write_card
 from cucumbervision_lab.training.train import TrainOptions, train
 
 if TYPE_CHECKING:

@@ -7,13 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.errors import MissingExtraError
 from cucumbervision_lab.benchmark.baselines import (
     BASELINES,
     Baseline,
     available_baselines,
     lifted_length,
-    plantcv_length,
     skan_length,
 )
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -33,11 +32,6 @@ SKELETONS = [
         skan_length,
         id="skan",
         marks=pytest.mark.skipif("skan" not in available_baselines(), reason="no skan"),
-    ),
-    pytest.param(
-        plantcv_length,
-        id="plantcv",
-        marks=pytest.mark.skipif("PlantCV" not in available_baselines(), reason="no PlantCV"),
     ),
 ]
 
@@ -130,8 +124,5 @@ def test_a_hole_under_the_path_is_bridged() -> None:
 def test_without_its_package_a_tool_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     mask, depth = np.ones((9, 9), bool), np.ones((9, 9), np.float32)
     monkeypatch.setitem(sys.modules, "skan", None)
-    monkeypatch.setitem(sys.modules, "plantcv.plantcv", None)
     with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
         skan_length(depth, mask, CAMERA)
-    with pytest.raises(CucumberVisionError, match="--no-deps plantcv"):
-        plantcv_length(depth, mask, CAMERA)

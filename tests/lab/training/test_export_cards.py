@@ -4,7 +4,7 @@ import json
 import math
 from pathlib import Path
 
-from cucumbervision_lab.training.cards import ModelCard, card_markdown, write_card
+from cucumbervision_lab.training.export import ModelCard, card_markdown, write_card
 
 
 def test_a_card_is_a_page_and_a_record_without_what_could_not_be_judged(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 pytest.importorskip("pycocotools")
 
-from cucumbervision_lab.detection.average_precision import (
+from cucumbervision_lab.detection.outcomes import (
     OKS_SIGMA,
     IouType,
     average_precision,

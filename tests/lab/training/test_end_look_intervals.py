@@ -14,7 +14,7 @@ from cucumbervision.measurement.intervals import (
     look_features,
 )
 from cucumbervision_lab.training.end_crops import EndCrops
-from cucumbervision_lab.training.look_intervals import (
+from cucumbervision_lab.training.end_look import (
     SMALLEST_GROUP,
     fit_look_intervals,
     looked_fruit,

@@ -14,9 +14,9 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision_lab.benchmark.records import Masks, read_records
-from cucumbervision_lab.detection import learn
-from cucumbervision_lab.detection.learn import set_records
+from cucumbervision_lab.detection import run
 from cucumbervision_lab.detection.pictures import frame_of
+from cucumbervision_lab.detection.run import set_records
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate
 
@@ -46,7 +46,7 @@ class TruthFinder:
 def finder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TruthFinder]:
     finder = TruthFinder(tmp_path_factory.mktemp("drawn") / "set")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learn, "package_finder", lambda: finder)
+        patch.setattr(run, "package_finder", lambda: finder)
         yield finder
 
 

@@ -31,7 +31,7 @@ from rich.table import Table
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.fruit_look import PictureLooks
+from cucumbervision.perception.looks import PictureLooks
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure

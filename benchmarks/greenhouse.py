@@ -32,8 +32,7 @@ from cucumbervision.geometry.curve import points_along, polyline_length
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.result import MethodName
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.input_sizes import parse_input_sizes
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions

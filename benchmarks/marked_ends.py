@@ -29,8 +29,8 @@ from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.instances.end_crops import EndCrop, end_crop
 from cucumbervision.instances.masks import distances_inside
 from cucumbervision.measurement.end_looks import DOUBTFUL
-from cucumbervision.perception.end_look import EndLooker
 from cucumbervision.perception.keypoint_axis import axis_line
+from cucumbervision.perception.looks import EndLooker
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions

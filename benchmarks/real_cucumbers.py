@@ -45,7 +45,7 @@ from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import MethodName
-from cucumbervision.perception.input_sizes import parse_input_sizes
+from cucumbervision.perception.confidence import parse_input_sizes
 from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions

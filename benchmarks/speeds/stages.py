@@ -23,8 +23,8 @@ STAGES = {
     "network inputs": ("perception.resize:Letterbox.as_input", "perception.resize:input_planes"),
     "detector's masks": ("perception.resize:Letterbox.mask_back",),
     "looks at fruit": (
-        "perception.fruit_look:PictureLooks.rescore",
-        "perception.fruit_look:PictureLooks.refine",
+        "perception.looks:PictureLooks.rescore",
+        "perception.looks:PictureLooks.refine",
     ),
     "each fruit once": ("perception.detectors:each_fruit_once",),
     "SAM's prompts and masks": ("perception.sam:Sam.segment",),

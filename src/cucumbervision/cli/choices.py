@@ -143,7 +143,7 @@ def measure_options(
     """Return the measuring options of a command."""
     from cucumbervision.agronomy.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.capture.source import ReadOptions
-    from cucumbervision.perception.input_sizes import parse_input_sizes
+    from cucumbervision.perception.confidence import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
 
     options = MeasureOptions(

@@ -1,4 +1,6 @@
-"""Confidence thresholds; imports no NumPy, since commands show them in their help."""
+"""Confidence thresholds and input sizes; imports no NumPy: commands show them in their help."""
+
+from cucumbervision.errors import CucumberVisionError
 
 DEFAULT_CONFIDENCE = 0.20
 """Default threshold for a fruit, after all votes."""
@@ -47,3 +49,51 @@ def pose_floor(confidence: float) -> float:
     0.01
     """
     return min(confidence, _POSE_CONFIDENCE)
+
+
+DETECTOR_SIZES_PX = (640, 896)
+"""Default input sizes of the detectors that are exported here.
+
+At these two, on real photos, scenes on the plant and drawn scenes, more fruit are found and fewer
+false positives than at 640 alone, for three times its computing time.
+"""
+
+LARGEST_INPUT_PX = 4096
+"""Longest side of a network's input: a larger one would take gigabytes."""
+
+_SIZE_STEP_PX = 32
+
+
+def parse_input_sizes(text: str) -> tuple[int, ...]:
+    """Parse the option `--input-size`: one size in pixels, or several to merge.
+
+    Parameters
+    ----------
+    text : str
+        Multiples of 32 up to 4096, joined by commas; empty for the network's own size.
+
+    Returns
+    -------
+    tuple of int
+        Each size once, the smallest first.
+
+    Raises
+    ------
+    CucumberVisionError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_input_sizes("1280,640"), parse_input_sizes("")
+    ((640, 1280), ())
+    """
+    parts = [part.strip() for part in text.split(",")] if text.strip() else []
+    sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
+    if not all(0 < size <= LARGEST_INPUT_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
+        raise CucumberVisionError(
+            f"{text!r} is not an input size",
+            source="--input-size",
+            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {LARGEST_INPUT_PX}, such as 640, "
+            "or several joined by commas",
+        )
+    return tuple(sorted(sizes))

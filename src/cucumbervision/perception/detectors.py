@@ -10,7 +10,7 @@ import numpy as np
 from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import merge_instances, with_disjoint_masks, with_keypoints
 from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
-from cucumbervision.perception.input_sizes import SAME_IOU
+from cucumbervision.perception.yolo import SAME_IOU
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.fruit_look import FruitLooker
+    from cucumbervision.perception.looks import FruitLooker
     from cucumbervision.perception.yolo import YoloDetector
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.detectors import Detectors
-from cucumbervision.perception.end_look import EndLooker
-from cucumbervision.perception.fruit_look import FruitLooker
+from cucumbervision.perception.looks import EndLooker, FruitLooker
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.protocols import Segmenter

@@ -293,7 +293,7 @@ def export(
     input_size: InputSize = "",
 ) -> None:
     """Export a network to ONNX with its card."""
-    from cucumbervision.perception.input_sizes import parse_input_sizes
+    from cucumbervision.perception.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.export import export_trained
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.fruit_look import FruitLooker
+    from cucumbervision.perception.looks import FruitLooker
     from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet

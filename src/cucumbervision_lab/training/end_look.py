@@ -21,7 +21,7 @@ from cucumbervision.measurement.intervals import (
     look_features,
     shipped_interval_models,
 )
-from cucumbervision.perception.end_look import ERROR_SCALE, STATES, EndLooker, looked_at
+from cucumbervision.perception.looks import ERROR_SCALE, STATES, EndLooker, looked_at
 from cucumbervision_lab.benchmark.interval_fit import (
     TUBE_FEATURES,
     fit_interval_model,

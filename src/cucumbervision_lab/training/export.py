@@ -26,7 +26,7 @@ import numpy as np
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.files import read_json
-from cucumbervision.perception.input_sizes import DETECTOR_SIZES_PX
+from cucumbervision.perception.confidence import DETECTOR_SIZES_PX
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.data import DATA_CARD, TASKS

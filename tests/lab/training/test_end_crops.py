@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.errors import TrainingError
 from cucumbervision.instances.end_crops import END_PX
 from cucumbervision.instances.turned_crops import PLANES
-from cucumbervision.perception.end_look import STATES
+from cucumbervision.perception.looks import STATES
 from cucumbervision_lab.datasets.labels import DataSet
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate

@@ -11,7 +11,7 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.instances.end_crops import END_PX, QUANTILES, EndCrop  # noqa: E402
 from cucumbervision.instances.turned_crops import PLANES  # noqa: E402
-from cucumbervision.perception.end_look import ERROR_SCALE, EndLooker  # noqa: E402
+from cucumbervision.perception.looks import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.training.classifier import (  # noqa: E402
     ClassifierOptions,

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, FruitCrop  # noqa: E402
-from cucumbervision.perception.fruit_look import FruitLooker  # noqa: E402
+from cucumbervision.perception.looks import FruitLooker  # noqa: E402
 from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402
 from cucumbervision_lab.training.fruit_crops import SURROUND_PX, FruitCrops  # noqa: E402
 from cucumbervision_lab.training.fruit_look import (  # noqa: E402

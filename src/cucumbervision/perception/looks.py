@@ -1,30 +1,90 @@
-"""Look at each fruit alone: its outline at the camera's resolution, its keypoints, what it is.
+"""Small networks that look at single fruit and ends, at the camera's own resolution.
 
-A detector sees the picture at 640 pixels and draws masks on a quarter of them; the crop of one
-detection shows the fruit at the camera's own resolution.
+A detector sees the picture at 640 pixels and draws masks on a quarter of them; a crop of one
+detection shows the fruit as the camera did: its outline, its keypoints, what it is. Depth shows an
+object beside an end, but not whether the fruit continues behind it: leaves and stems hang at nearly
+the same distance. A crop around each end of a measured axis, turned so that the fruit always comes
+from the left, says whether it is the true end, and what is missing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.special import expit, logit
 
+from cucumbervision.errors import ModelError
+from cucumbervision.instances.end_crops import END_PX, EndCrop, EndLook
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.instance import UNKNOWN_ORDER, with_disjoint_masks
 from cucumbervision.instances.masks import mask_iou, without_spurs
 from cucumbervision.instances.turned_crops import PLANES
-from cucumbervision.perception.small_network import SmallNetwork
+from cucumbervision.perception.resize import input_planes
+from cucumbervision.perception.runtime import open_network, runtime_for_batches
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from cucumbervision.instances.fruit_crops import FruitCrop
     from cucumbervision.instances.instance import Instance
+
+
+class SmallNetwork:
+    """A network so small that ONNX Runtime runs it fastest.
+
+    Parameters
+    ----------
+    path : Path
+        An ONNX file as the class's `command` writes it.
+    runtime : str
+        As for `open_network`, and as `runtime_for_batches` changes it.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be loaded or is another kind of network.
+    """
+
+    shapes: ClassVar[tuple[tuple[int, ...], ...]]
+    """Shape of each input, without the number of pictures; the first input is the pictures."""
+
+    takes: ClassVar[str]
+    """What the pictures show, for the error."""
+
+    command: ClassVar[str]
+    """The command that trains such a network, for the error."""
+
+    outputs: ClassVar[int] = 1
+    """Number of outputs."""
+
+    def __init__(self, path: Path, runtime: str = "auto") -> None:
+        chosen = runtime_for_batches(runtime)
+        self._network = open_network(path, chosen, full_precision=True)
+        inputs = tuple(tuple(tensor.shape[1:]) for tensor in self._network.inputs)
+        if inputs != self.shapes or len(self._network.outputs) != self.outputs:
+            raise ModelError(
+                f"takes {list(inputs)}, not {self.takes}",
+                source=path,
+                remedy=f"name a network by `cucumbervision {self.command}`",
+            )
+
+    @property
+    def runtime(self) -> str:
+        """What runs it, as `Network.runtime`."""
+        return self._network.runtime
+
+    def _run(
+        self, pictures: NDArray[np.uint8], *values: NDArray[np.float32]
+    ) -> dict[str, NDArray[np.float32]]:
+        """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
+        names = [tensor.name for tensor in self._network.inputs]
+        return self._network.run(dict(zip(names, (input_planes(pictures), *values), strict=True)))
+
 
 LEAST_AGREEMENT = 0.6
 """IoU of a new outline with the detector's mask below which the detector's stays."""
@@ -305,3 +365,64 @@ def stem_last(instance: Instance, crop: FruitCrop, look: FruitLook) -> Instance:
     points = points if (run >= 0) == (look.stem_last >= 0) else points[::-1].copy()
     sure = float(expit(abs(look.stem_last)))
     return replace(instance, keypoints=points, end_confidence=sure)
+
+
+STATES = ("true", "covered", "running on")
+"""What an end may be, in the order of the network's output."""
+
+ERROR_SCALE = 0.02
+"""Of the length: the network's quantiles are asinh(share / ERROR_SCALE), fine near zero."""
+
+
+class EndLooker(SmallNetwork):
+    """Evaluates the ends of fruit.
+
+    Parameters and errors are those of `SmallNetwork`.
+    """
+
+    shapes = ((PLANES, END_PX, END_PX), (2,))
+    takes = "crops of ends"
+    command = "train classifier look"
+
+    def look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
+        """Return the evaluation of ends, computed in one batch.
+
+        Parameters
+        ----------
+        crops : sequence of EndCrop
+            Results of `end_crop`. The outputs of each crop and its mirror image are averaged.
+        """
+        if not crops:
+            return []
+        planes = np.stack([crop.planes for crop in crops])
+        shapes = np.tile(np.array([crop.shape for crop in crops], np.float32), (2, 1))
+        (rows,) = self._run(np.concatenate([planes, planes[:, ::-1]]), shapes).values()
+        mean = np.asarray(rows, np.float64).reshape(2, len(crops), -1).mean(axis=0)
+        return [looked_at(row) for row in mean]
+
+
+def looked_at(row: NDArray[np.float64]) -> EndLook:
+    """Convert the network's output for one end.
+
+    Parameters
+    ----------
+    row : ndarray of float64, shape (9,)
+        Logits of the `STATES`, quantiles as asinh(share / `ERROR_SCALE`), and the logit of the
+        stem end.
+
+    Examples
+    --------
+    >>> look = looked_at(np.array([0.0, 0, 0, -1, 0, 0, 1, 5, 0]))
+    >>> round(look.covered, 2), [round(share, 3) for share in look.missing], look.stem
+    (0.33, [-0.024, 0.0, 0.0, 0.024, 1.484], 0.5)
+    """
+    states = np.exp(row[:3] - row[:3].max())
+    true, covered, running_on = (states / states.sum()).tolist()
+    shares = np.sort(ERROR_SCALE * np.sinh(row[3:8]))
+    return EndLook(
+        true=true,
+        covered=covered,
+        running_on=running_on,
+        missing=tuple(shares.tolist()),
+        stem=float(1 / (1 + np.exp(-row[8]))),
+    )

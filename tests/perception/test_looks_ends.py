@@ -11,7 +11,7 @@ from onnx import TensorProto, helper
 from cucumbervision.errors import ModelError
 from cucumbervision.instances.end_crops import END_PX, EndCrop
 from cucumbervision.instances.turned_crops import PLANES
-from cucumbervision.perception.end_look import EndLooker, looked_at
+from cucumbervision.perception.looks import EndLooker, looked_at
 from cucumbervision.perception.registry import load_registry
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.instances.masks import box_of_mask, mask_iou
-from cucumbervision.perception.fruit_look import FruitLook, FruitLooker, refined
+from cucumbervision.perception.looks import FruitLook, FruitLooker, refined
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import load_registry
 

@@ -5,7 +5,8 @@ import pytest
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import Instance
-from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
+from cucumbervision.perception.confidence import parse_input_sizes
+from cucumbervision.perception.yolo import merge_sizes
 
 
 def find(left: float, confidence: float, size: int, name: str = "cucumber") -> Instance:

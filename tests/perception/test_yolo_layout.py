@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.yolo_rows import (
+from cucumbervision.perception.yolo_layout import (
     RowKind,
     choose_raw,
     choose_rows,

@@ -1,22 +1,18 @@
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
 from cucumbervision.instances.boxes import box_iou
-from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance, MaskSource
+from cucumbervision.instances.instance import UNKNOWN_ORDER, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import MethodName, Reason
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
@@ -66,31 +62,6 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     assert len(instances) == 3
     assert [box_iou(instance.box, bright[0].box) for instance in drawn] == [1.0]
     assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
-
-
-class BoxSegmenter:
-    """A segmenter of one's own: the box, filled."""
-
-    prompt, runtime = "box", "numpy"
-
-    def segment(self, color_rgb: Any, instances: Sequence[Instance]) -> tuple[Instance, ...]:
-        drawn = []
-        for instance in instances:
-            left, top, right, bottom = instance.box.round().astype(int)
-            mask = np.zeros(color_rgb.shape[:2], bool)
-            mask[top : bottom + 1, left : right + 1] = True
-            drawn.append(replace(instance, mask=mask))
-        return tuple(drawn)
-
-
-def test_masks_of_another_segmenter_are_not_called_sams(
-    plain: Capture, own_registry: Registry, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(NetworkLoader, "segmenter", lambda loader, name=None: BoxSegmenter())
-    options = MeasureOptions(instances="models", segmenter="mobile-sam")
-    for instance in make_finder(options, own_registry).find(plain).instances:
-        assert instance.mask_source is MaskSource.SEGMENTER
-        assert instance.mask_source.words == "segmenter"
 
 
 def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(

@@ -23,7 +23,6 @@ from cucumbervision.instances.masks import box_of_mask, is_box_mask, without_flo
 from cucumbervision.measurement.m6 import fits_well, measure_m6
 from cucumbervision.measurement.result import Selector
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.sam import Sam
 from cucumbervision.pipeline.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns
 from cucumbervision.plugins import Kind, Plugin, plugins
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.networks import NetworkLoader
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision.protocols import Detector, Segmenter
+    from cucumbervision.protocols import Detector
 
 _MAY_HOLD_FLOWERS = (MaskSource.SAM, MaskSource.SEGMENTER)
 
@@ -200,8 +199,7 @@ def make_finder(
         prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
         try:
             if painter is None:
-                segmenter = networks.segmenter(name)
-                answers = _by_segmenter(segmenter, segmenter.segment(capture.color, prompts))
+                answers = tuple(networks.segmenter(name).segment(capture.color, prompts))
             else:
                 answers = _segmented(*painter, capture, prompts)
         except PluginError as error:
@@ -239,11 +237,7 @@ def _segmented(
     PluginError
         If it fails, or its answer is no mask of the picture for each instance.
     """
-
-    def draw(color: NDArray[np.uint8], fruit: Sequence[Instance]) -> tuple[Any, ...]:
-        return tuple(map(_kept, segmenter.segment(color, fruit)))
-
-    answers = plugin.call(draw, capture.color, tuple(prompts))
+    answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, tuple(prompts))))
     if len(answers) != len(prompts):
         raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
     shape = (capture.height, capture.width)
@@ -252,23 +246,14 @@ def _segmented(
         mask = getattr(answer, "mask", None)
         if mask is not None and np.shape(mask) != shape:
             raise plugin.error(f"returned a mask of shape {np.shape(mask)} in place of {shape}")
-        fault = str(getattr(answer, "mask_failure", ""))
-        found = {"mask": mask, "mask_source": MaskSource.SEGMENTER, "mask_failure": ""}
         if mask is None or not np.any(mask):
+            fault = str(getattr(answer, "mask_failure", ""))
             fault = fault if fault in MASK_FAILURES else MASK_FAILURES[0]
-            found = {"mask": None, "mask_source": None, "mask_failure": fault}
-        masked.append(plugin.call(partial(replace, prompt, **found)))
+            masked.append(replace(prompt, mask_failure=fault))
+            continue
+        own = np.array(mask, bool)  # a segmenter may draw the next fruit into its array
+        masked.append(replace(prompt, mask=own, mask_source=MaskSource.SEGMENTER, mask_failure=""))
     return tuple(masked)
-
-
-def _kept(answer: Any) -> Any:
-    """Return an instance with arrays of its own: a plug-in may write the next fruit into its."""
-    if not isinstance(answer, Instance):
-        return answer
-    names = ("box", "mask", "detector_mask", "keypoints")
-    arrays = ((name, getattr(answer, name)) for name in names)
-    copies: dict[str, Any] = {name: a.copy() for name, a in arrays if isinstance(a, np.ndarray)}
-    return replace(answer, **copies)
 
 
 def _without_box_masks(detections: Detections) -> Detections:
@@ -280,15 +265,6 @@ def _without_box_masks(detections: Detections) -> Detections:
         for instance in detections.instances
     )
     return replace(detections, instances=instances)
-
-
-def _by_segmenter(segmenter: Segmenter, instances: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Return segmented instances with the source of the mask: SAM or another segmenter."""
-    source = MaskSource.SAM if isinstance(segmenter, Sam) else MaskSource.SEGMENTER
-    return tuple(
-        instance if instance.mask is None else replace(instance, mask_source=source)
-        for instance in instances
-    )
 
 
 def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
@@ -375,7 +351,7 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
         instances: list[Instance] = []
         clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
-        answers = plugin.call(lambda seen: tuple(map(_kept, detector(seen))), capture)
+        answers = plugin.call(lambda: tuple(detector(capture)))
         for number, instance in enumerate(answers, 1):
             if not isinstance(instance, Instance):
                 raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")

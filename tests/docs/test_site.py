@@ -122,7 +122,7 @@ def test_the_readme_and_the_limits_quote_the_results() -> None:
         r"\| (?:all 11|the 4 never used for training) \| (\d+) \| (\d+ of \d+) \| (\d+) \|", results
     )
     (every, found, false), (own, own_found, own_false) = rows
-    assert f"finds {found} cucumbers before a D435, with {false} false positive" in readme
+    assert f"finds {found} cucumbers in front of a D435, with {false} false positive" in readme
     assert f"that no network was trained on {own_found}, with {own_false} " in readme
     assert f"{every} of 11 marked fruit on the plant" in limits
     assert f"{own} of 4 in captures never used for training" in limits

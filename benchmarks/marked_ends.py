@@ -26,7 +26,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.instances.end_crops import EndCrop, end_crop
+from cucumbervision.instances.crops import EndCrop, end_crop
 from cucumbervision.instances.masks import distances_inside
 from cucumbervision.measurement.end_looks import DOUBTFUL
 from cucumbervision.perception.keypoint_axis import axis_line

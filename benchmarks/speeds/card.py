@@ -12,7 +12,7 @@ import numpy as np
 from figures import Figure
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.masks import box_ious
 from cucumbervision.perception.runtime import import_onnxruntime
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions

@@ -18,7 +18,7 @@ STAGES = {
     "networks": ("perception.runtime:Network.run",),
     READING: ("pipeline.run:FolderWorker.read",),
     "pictures decoded": ("capture.readers.native:_read_frame", "capture.readers.native:read_masks"),
-    "a burst's motion": ("capture.motion:moved_px",),
+    "a burst's motion": ("capture.frames:moved_px",),
     "a burst's median and sharpness": ("capture.frames:fuse_burst",),
     "network inputs": ("perception.resize:Letterbox.as_input", "perception.resize:input_planes"),
     "detector's masks": ("perception.resize:Letterbox.mask_back",),

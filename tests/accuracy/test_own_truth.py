@@ -6,8 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.accuracy.measured import Measured, Reading, read_measured
-from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths, write_own_truth
+from cucumbervision.accuracy.own_truth import (
+    Measured,
+    OwnTruth,
+    Reading,
+    evaluate_lengths,
+    read_measured,
+    write_own_truth,
+)
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import LengthDefinition

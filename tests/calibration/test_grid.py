@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.calibration.calibrated import calibrated_capture
-from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.calibration.calibration_file import calibrated_capture, write_site_calibration
 from cucumbervision.calibration.grid import fit_grid
 from cucumbervision.calibration.site_calibration import calibrate_camera
 from cucumbervision.capture.frames import Capture

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.accuracy.measured import Measured, read_measured
-from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.own_truth import Measured, evaluate_lengths, read_measured
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import (
     DepthScaleEntry,
+    Form,
     LensEntry,
     write_site_calibration,
 )
-from cucumbervision.calibration.corrections import Form
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics

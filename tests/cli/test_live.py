@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.quality import DepthQuality
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.recorder import Recorded
+from cucumbervision.capture.recorder import DepthQuality, Recorded
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.live import clock, enter_keys, print_recording, print_stream
 from cucumbervision.errors import CameraError

@@ -31,7 +31,7 @@ from cucumbervision import (
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import PluginError
-from cucumbervision.instances.boxes import box_ious
+from cucumbervision.instances.masks import box_ious
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.pipeline.fields import FIELDS
 

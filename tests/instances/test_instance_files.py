@@ -371,7 +371,11 @@ def test_a_crowd_region_is_passed_over(tmp_path: Path) -> None:
 def test_two_labels_of_a_fruit_are_one_and_a_word(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    boxes = [{"bbox": [2, 1, 12, 4]}, {"bbox": [2, 1, 12, 3.9]}, {"bbox": [2, 5, 12, 4]}]
+    boxes: list[dict[str, Any]] = [
+        {"bbox": [2, 1, 12, 4]},
+        {"bbox": [2, 1, 12, 3.9]},
+        {"bbox": [2, 5, 12, 4]},
+    ]
     path = coco(tmp_path / "c.json", *boxes)
     assert [fruit.box[1] for fruit in get(path).instances] == [0.5, 4.5]
     assert "annotation 1 labels the fruit of annotation 0 again" in caplog.text

@@ -8,7 +8,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.instances.end_crops import EndCrop, EndLook
+from cucumbervision.instances.crops import EndCrop, EndLook
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.end_looks import DOUBTFUL, end_flag, with_end_looks

@@ -9,8 +9,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.end_crops import END_PX, EndCrop
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import END_PX, PLANES, EndCrop
 from cucumbervision.perception.looks import EndLooker, looked_at
 from cucumbervision.perception.registry import load_registry
 

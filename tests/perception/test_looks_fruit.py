@@ -15,7 +15,7 @@ from tests.perception.test_networks import pose_network, registry_of
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
+from cucumbervision.instances.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.instances.masks import box_of_mask, mask_iou
 from cucumbervision.perception.looks import FruitLook, FruitLooker, refined
@@ -23,7 +23,7 @@ from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import load_registry
 
 if TYPE_CHECKING:
-    from cucumbervision.instances.fruit_crops import FruitCrop
+    from cucumbervision.instances.crops import FruitCrop
 
 MASK = np.zeros((120, 320), bool)
 MASK[50:70, 60:260] = True

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.end_crops import END_PX, EndCrop
+from cucumbervision.instances.crops import END_PX, PLANES, EndCrop
 from cucumbervision.instances.instance import UNKNOWN_ORDER
-from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.confidence import DETECTOR_SIZES_PX
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry

@@ -7,9 +7,8 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
-from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.instance import UNKNOWN_ORDER, MaskSource
-from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.instances.masks import box_iou, box_of_mask
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import MethodName, Reason
 from cucumbervision.measurement.selector import measure_fruit

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.files import as_path
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.folder import CaptureRecord, OutputFolder
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.urls import as_path
 
 
 @pytest.fixture(params=["local", "remote"])

@@ -14,10 +14,10 @@ import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.files import as_path, with_retries
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, RunResult, measure_inputs
-from cucumbervision.urls import as_path, with_retries
 
 s3fs = pytest.importorskip("s3fs")
 moto_server = pytest.importorskip("moto.server")
@@ -84,7 +84,7 @@ def test_a_bucket_that_is_not_there_is_said_at_once(bucket: str, tmp_path: Path)
 def test_a_store_that_is_gone_for_a_while_is_asked_again(
     bucket: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("cucumbervision.urls._SAID_S", 0.0)
+    monkeypatch.setattr("cucumbervision.files._SAID_S", 0.0)
     answers: Iterator[Exception | bytes] = iter(
         [ConnectionError("gone"), RuntimeError("gone"), b"back"]
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cucumbervision.cli.choices import OF_CAMERA_FILE, Quiet, loop_options, measure_options, takes
-from cucumbervision.urls import as_path
+from cucumbervision.files import as_path
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.batch import LoopOptions

@@ -43,7 +43,7 @@ def calibrate(
     ] = None,
 ) -> None:
     """Fit corrections to hand-measured fruit, or depth scale and lens to a printed grid."""
-    from cucumbervision.accuracy.measured import read_measured
+    from cucumbervision.accuracy.own_truth import read_measured
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.calibration.calibration_file import write_site_calibration
     from cucumbervision.calibration.site_calibration import calibrate_camera, calibrate_lengths
@@ -123,7 +123,7 @@ def _corrections_table(entries: Sequence[CorrectionEntry]) -> ReportTable:
 
 
 def _formula(entry: CorrectionEntry) -> str:
-    from cucumbervision.calibration.corrections import Form
+    from cucumbervision.calibration.calibration_file import Form
 
     if entry.form is Form.NONE:
         return "none"
@@ -158,8 +158,12 @@ def lengths(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")],
 ) -> None:
     """Compare every method with hand-measured lengths: a table, and CSV files in the folder."""
-    from cucumbervision.accuracy.measured import read_measured
-    from cucumbervision.accuracy.own_truth import evaluate_lengths, scores_table, write_own_truth
+    from cucumbervision.accuracy.own_truth import (
+        evaluate_lengths,
+        read_measured,
+        scores_table,
+        write_own_truth,
+    )
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.cli.console import print_table, screen
 

@@ -14,8 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.instances.boxes import box_areas, box_iou, box_ious
-from cucumbervision.instances.masks import as_mask, box_of_mask, disjoint_masks, mask_window
+from cucumbervision.instances.masks import (
+    as_mask,
+    box_areas,
+    box_iou,
+    box_ious,
+    box_of_mask,
+    disjoint_masks,
+    mask_window,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,13 +15,13 @@ from urllib.parse import unquote
 import numpy as np
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.label_files import (
     LabelledImage,
     LabelledInstance,
     entry_or_error,
     read_labels,
 )
+from cucumbervision.instances.masks import box_iou
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -120,14 +120,15 @@ class InstanceFile:
                 remedy=f"at most {_MOST_MASK_BYTES // (width * height)} are read: they would need "
                 f"{masks * width * height / 1e9:.0f} GB; give the picture in parts",
             )
-        named, entries, refused = [], [], []
+        named: list[LabelledInstance] = []
+        entries: list[tuple[Instance, bool]] = []
+        refused: list[InstancesError] = []
         for record in records:
-            entry = (
-                record
-                if isinstance(record, InstancesError)
-                else entry_or_error(record.where, self.source, record.in_picture, width, height)
-            )
-            if isinstance(entry, InstancesError) or isinstance(record, InstancesError):
+            if isinstance(record, InstancesError):
+                refused.append(record)
+                continue
+            entry = entry_or_error(record.where, self.source, record.in_picture, width, height)
+            if isinstance(entry, InstancesError):
                 refused.append(entry)
             else:
                 named.append(record)

@@ -359,7 +359,8 @@ def parse_yolo_line(
             keypoints = _keypoints(np.column_stack([points[:, :2], seen]).ravel(), 2.0)
     if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
         raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
-    box, polygons = None, ()
+    box: Array | None = None
+    polygons: tuple[Array, ...] = ()
     if per_point or len(shares) == 4:
         box = np.concatenate([shares[:2] - shares[2:4] / 2, shares[:2] + shares[2:4] / 2])
     else:
@@ -465,7 +466,7 @@ def entry_or_error(
     try:
         return read(*arguments)
     except CucumberVisionError as error:
-        fault = error.message
+        fault = str(error.message)
     except KeyError as error:
         fault = f"key {error} is missing"
     except (AttributeError, TypeError, ValueError, OverflowError) as error:

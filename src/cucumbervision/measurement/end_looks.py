@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.instances.end_crops import EndCrop, EndLook, end_crop
+from cucumbervision.instances.crops import EndCrop, EndLook, end_crop
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.measurement.flags import DOUBTFUL_END, Flag
 from cucumbervision.measurement.result import LengthDefinition, MethodName

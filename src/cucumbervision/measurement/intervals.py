@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.instances.end_crops import EndLook
+    from cucumbervision.instances.crops import EndLook
     from cucumbervision.measurement.result import Measurement
 
 
@@ -261,7 +261,7 @@ def look_features(looks: Sequence[EndLook]) -> dict[str, float]:
 
     Examples
     --------
-    >>> from cucumbervision.instances.end_crops import EndLook
+    >>> from cucumbervision.instances.crops import EndLook
     >>> true_end = EndLook(0.98, 0.01, 0.01, (-0.01, -0.005, 0.0, 0.005, 0.02), 0.9)
     >>> covered = EndLook(0.1, 0.9, 0.0, (0.0, 0.1, 0.2, 0.3, 0.5), 0.1)
     >>> features = look_features((true_end, covered))

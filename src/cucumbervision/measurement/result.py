@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.errors import PluginError
-    from cucumbervision.instances.end_crops import EndLook
+    from cucumbervision.instances.crops import EndLook
     from cucumbervision.instances.instance import Instance, MaskSource
     from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.pose import FruitPose

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import merge_instances, with_disjoint_masks, with_keypoints
+from cucumbervision.instances.masks import box_ious
 from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
 from cucumbervision.perception.yolo import SAME_IOU
 

@@ -16,11 +16,17 @@ import numpy as np
 from scipy.special import expit, logit
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.end_crops import END_PX, EndCrop, EndLook
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
+from cucumbervision.instances.crops import (
+    END_PX,
+    HEIGHT_PX,
+    PLANES,
+    WIDTH_PX,
+    EndCrop,
+    EndLook,
+    fruit_crop,
+)
 from cucumbervision.instances.instance import UNKNOWN_ORDER, with_disjoint_masks
 from cucumbervision.instances.masks import mask_iou, without_spurs
-from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.perception.resize import input_planes
 from cucumbervision.perception.runtime import open_network, runtime_for_batches
 
@@ -30,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.instances.fruit_crops import FruitCrop
+    from cucumbervision.instances.crops import FruitCrop
     from cucumbervision.instances.instance import Instance
 
 

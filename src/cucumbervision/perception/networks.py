@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.instances.end_crops import EndCrop, EndLook
+    from cucumbervision.instances.crops import EndCrop, EndLook
 
 
 class NetworkSegmenter(Segmenter, Protocol):

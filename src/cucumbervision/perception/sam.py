@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.boxes import box_iou, share_inside
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import (
+    box_iou,
     box_of_mask,
     disjoint_masks,
     mask_iou,
     mask_ious,
     mask_window,
+    share_inside,
 )
 from cucumbervision.perception.resize import (
     mask_from_logits,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import TRUSTED_SHARE, UNKNOWN_ORDER, Instance
+from cucumbervision.instances.masks import box_ious
 from cucumbervision.perception.confidence import (
     DEFAULT_CONFIDENCE,
     LARGEST_INPUT_PX,

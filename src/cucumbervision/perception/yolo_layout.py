@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.instances.boxes import suppress
+from cucumbervision.instances.masks import suppress
 from cucumbervision.perception.confidence import parse_input_sizes
 
 if TYPE_CHECKING:

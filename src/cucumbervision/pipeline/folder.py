@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
-from cucumbervision.files import replacing
+from cucumbervision.files import is_remote, replacing, with_retries
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.urls import is_remote, with_retries
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

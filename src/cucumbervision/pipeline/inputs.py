@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import CaptureRef, unique_name
+from cucumbervision.files import is_remote
 from cucumbervision.pipeline.measurer import Boundary, Failure
-from cucumbervision.urls import is_remote
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from cucumbervision.calibration.calibrated import calibrated_capture, calibrated_fruit
+from cucumbervision.calibration.calibration_file import calibrated_capture, calibrated_fruit
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error

@@ -13,6 +13,7 @@ import numpy as np
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import CaptureError, MissingExtraError
+from cucumbervision.files import as_path
 from cucumbervision.instances.instance import Instance
 from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
@@ -27,7 +28,6 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.plugged import PlugIns
-from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

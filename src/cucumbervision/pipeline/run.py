@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.files import each_file_read_once, json_value, read_bytes
+from cucumbervision.files import as_path, each_file_read_once, json_value, read_bytes
 from cucumbervision.pipeline.batch import (
     Item,
     LoopOptions,
@@ -37,7 +37,6 @@ from cucumbervision.pipeline.measurer import (
 from cucumbervision.pipeline.provenance import provenance_of
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import capture_json, import_arrow, rows_of, write_reports
-from cucumbervision.urls import as_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

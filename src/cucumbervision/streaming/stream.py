@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from cucumbervision.capture.motion import moved_px
+from cucumbervision.capture.frames import moved_px
 from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.pose import FruitPose
 from cucumbervision.measurement.result import Choice, MethodName

@@ -21,9 +21,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 import streamlit as st
 
-from cucumbervision.capture.frames import fuse_burst
-from cucumbervision.capture.motion import moved_px
-from cucumbervision.capture.quality import DepthQuality, depth_quality
+from cucumbervision.capture.frames import fuse_burst, moved_px
 from cucumbervision.capture.readers import (
     RECORDING_SUFFIXES,
     CaptureRef,
@@ -32,6 +30,7 @@ from cucumbervision.capture.readers import (
 )
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.recorder import DepthQuality, depth_quality
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import (
     CameraError,

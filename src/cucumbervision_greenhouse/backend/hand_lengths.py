@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.accuracy.measured import REPORTED, Measured, Reading
+from cucumbervision.accuracy.own_truth import REPORTED, Measured, Reading
 from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
 from cucumbervision.errors import TruthError
 from cucumbervision_greenhouse.backend.settings import replace_text

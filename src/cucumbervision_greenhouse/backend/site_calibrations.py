@@ -8,13 +8,12 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from cucumbervision.accuracy.measured import REPORTED
-from cucumbervision.accuracy.own_truth import comparable
+from cucumbervision.accuracy.own_truth import REPORTED, comparable
 from cucumbervision.calibration.calibration_file import (
+    Form,
     read_site_calibration,
     write_site_calibration,
 )
-from cucumbervision.calibration.corrections import Form
 from cucumbervision.calibration.site_calibration import calibrate_camera
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError, Message

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.calibration.calibrated import calibrated_fruit
+from cucumbervision.calibration.calibration_file import calibrated_fruit
 from cucumbervision.errors import InstancesError, StoredImageError
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.matching import ALONG

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.source import CaptureRef
-from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_ious
 from cucumbervision.pipeline.batch import LoopOptions, ResultWorker, measure_all
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer

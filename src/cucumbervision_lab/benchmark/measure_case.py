@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.masks import box_of_mask, distances_inside, mask_iou
+from cucumbervision.instances.masks import box_iou, box_of_mask, distances_inside, mask_iou
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.methods import AVAILABLE, masked_points
 from cucumbervision.measurement.result import MethodName, Selector

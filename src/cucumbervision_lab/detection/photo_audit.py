@@ -17,9 +17,9 @@ import numpy as np
 
 from cucumbervision.errors import DataSetError
 from cucumbervision.files import read_json
-from cucumbervision.instances.boxes import box_iou
 from cucumbervision.instances.label_files import parse_yolo_line
 from cucumbervision.instances.mask_codes import Rle, fill_polygon
+from cucumbervision.instances.masks import box_iou
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:

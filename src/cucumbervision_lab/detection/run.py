@@ -14,10 +14,9 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.boxes import box_ious, share_inside
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import box_of_mask, mask_iou
+from cucumbervision.instances.masks import box_ious, box_of_mask, mask_iou, share_inside
 from cucumbervision.measurement.pose import Part, stem_first
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE

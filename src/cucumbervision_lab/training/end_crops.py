@@ -15,7 +15,7 @@ from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.instances.end_crops import end_crop
+from cucumbervision.instances.crops import end_crop
 from cucumbervision_lab.datasets.splits import is_held_out
 from cucumbervision_lab.detection.pictures import capture_of
 from cucumbervision_lab.synthesis.covers import FruitPicture, cover_end

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.instances.end_crops import END_PX, QUANTILES, EndCrop, EndLook
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import END_PX, PLANES, QUANTILES, EndCrop, EndLook
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,
@@ -43,7 +42,7 @@ from cucumbervision_lab.training.end_crops import EndCrops
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cucumbervision.instances.end_crops import EndLook
+    from cucumbervision.instances.crops import EndLook
     from cucumbervision.measurement.end_looks import LookAtEnds
     from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.measured_ends import MeasuredFruit

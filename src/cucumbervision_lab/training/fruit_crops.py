@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.files import write_bytes
-from cucumbervision.instances.boxes import box_ious
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
-from cucumbervision.instances.masks import mask_iou
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.instances.masks import box_ious, mask_iou
 from cucumbervision.perception.confidence import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, ticked
@@ -28,7 +26,7 @@ from cucumbervision_lab.detection.pictures import capture_of, frame_of
 from cucumbervision_lab.detection.run import true_positives
 
 if TYPE_CHECKING:
-    from cucumbervision.instances.fruit_crops import FruitCrop
+    from cucumbervision.instances.crops import FruitCrop
     from cucumbervision.instances.instance import Instance
     from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture

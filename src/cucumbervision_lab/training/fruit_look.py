@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import HEIGHT_PX, PLANES, WIDTH_PX
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision_lab.training.classifier import (
     CHANNELS,

@@ -18,10 +18,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.instances.boxes import box_ious
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import Rle
-from cucumbervision.instances.masks import distances_inside, mask_pixels
+from cucumbervision.instances.masks import box_ious, distances_inside, mask_pixels
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.result import MethodName
 from cucumbervision.measurement.selector import measure_fruit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -171,16 +172,15 @@ def test_depth_tables_are_read_as_they_are_written(tmp_path: Path, row: str) -> 
 def test_looking_for_cameras_takes_steps_in_proportion_to_the_files(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    steps = []
-    words = camera_file._stem_words
-    monkeypatch.setattr(camera_file, "_stem_words", lambda name: steps.append(1) or words(name))
+    words = Mock(side_effect=camera_file._stem_words)
+    monkeypatch.setattr(camera_file, "_stem_words", words)
     for number in (100, 200):
         names = [f"{kind}_{k}.png" for kind in ("color", "depth") for k in range(number)]
         cameras = [f"{k}_camera.json" for k in range(number)]
-        steps.clear()
+        words.reset_mock()
         folder = Folder(Path("walk"), {"": [*names, *cameras]})
         monkeypatch.setattr(
             camera_file, "_only", lambda _folder, files: files[0] if files else None
         )
         assert len(match_pairs(folder)) == number
-        assert len(steps) < 6 * number
+        assert words.call_count < 6 * number

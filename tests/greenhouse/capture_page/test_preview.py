@@ -17,7 +17,7 @@ from tests.greenhouse.capture_page.test_routes import press, sent, wait_for_jobs
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.quality import depth_quality
+from cucumbervision.capture.recorder import depth_quality
 from cucumbervision_greenhouse.backend.cameras import Preview
 from cucumbervision_greenhouse.capture_page.preview import Shown
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision.instances.end_crops import END_PX
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import END_PX, PLANES
 from cucumbervision.perception.looks import STATES
 from cucumbervision_lab.datasets.labels import DataSet
 from cucumbervision_lab.synthesis.frame import FrameOptions

@@ -9,8 +9,12 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision.instances.end_crops import END_PX, QUANTILES, EndCrop  # noqa: E402
-from cucumbervision.instances.turned_crops import PLANES  # noqa: E402
+from cucumbervision.instances.crops import (  # noqa: E402
+    END_PX,
+    PLANES,  # noqa: E402
+    QUANTILES,
+    EndCrop,
+)
 from cucumbervision.perception.looks import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.training.classifier import (  # noqa: E402

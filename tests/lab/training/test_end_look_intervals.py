@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.instances.end_crops import END_PX, EndCrop, EndLook
+from cucumbervision.instances.crops import END_PX, PLANES, EndCrop, EndLook
 from cucumbervision.instances.mask_codes import Rle
-from cucumbervision.instances.turned_crops import PLANES
 from cucumbervision.measurement.intervals import (
     LOOKED,
     PERCEIVED,

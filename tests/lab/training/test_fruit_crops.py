@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, fruit_crop
+from cucumbervision.instances.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, Label, LabelledPicture
@@ -26,7 +26,7 @@ from cucumbervision_lab.training.fruit_crops import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cucumbervision.instances.fruit_crops import FruitCrop
+    from cucumbervision.instances.crops import FruitCrop
     from cucumbervision_lab.datasets.labels import DataSet
 
 MASK = np.zeros((200, 400), bool)

@@ -12,7 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision.instances.fruit_crops import HEIGHT_PX, WIDTH_PX, FruitCrop  # noqa: E402
+from cucumbervision.instances.crops import HEIGHT_PX, WIDTH_PX, FruitCrop  # noqa: E402
 from cucumbervision.perception.looks import FruitLooker  # noqa: E402
 from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E402
 from cucumbervision_lab.training.fruit_crops import SURROUND_PX, FruitCrops  # noqa: E402

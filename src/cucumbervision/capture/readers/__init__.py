@@ -15,8 +15,8 @@ from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file, 
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.source import CaptureRef, CaptureSource, Folder, ReadOptions, fail
 from cucumbervision.errors import CaptureError, PluginError, with_reason
+from cucumbervision.files import as_path, is_remote, with_retries
 from cucumbervision.plugins import Plugin, plugins
-from cucumbervision.urls import as_path, is_remote, with_retries
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

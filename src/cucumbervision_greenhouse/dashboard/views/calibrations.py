@@ -26,7 +26,7 @@ from cucumbervision_greenhouse.dashboard import page_elements
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from cucumbervision.accuracy.measured import Measured
+    from cucumbervision.accuracy.own_truth import Measured
     from cucumbervision.accuracy.truth import Truth
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision_greenhouse.store.views import RoundSummary

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.instances.end_crops import END_PX, end_crop
-from cucumbervision.instances.turned_crops import PLANES
+from cucumbervision.instances.crops import END_PX, PLANES, end_crop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

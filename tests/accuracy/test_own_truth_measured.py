@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tests.accuracy.test_own_truth import evaluated
 
-from cucumbervision.accuracy.measured import read_measured
+from cucumbervision.accuracy.own_truth import read_measured
 from cucumbervision.errors import CucumberVisionError
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.instances.boxes import (
+from cucumbervision.instances.masks import (
     box_areas,
     box_iou,
     box_ious,

@@ -5,12 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cucumbervision.calibration.corrections import (
-    Form,
-    conformal_half_width,
-    corrected,
-    fit_correction,
-)
+from cucumbervision.calibration.calibration_file import Form, corrected
+from cucumbervision.calibration.site_calibration import conformal_half_width, fit_correction
 
 TRUTH = np.linspace(0.10, 0.34, 12)
 NAMES = [f"f{k}" for k in range(12)]

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cucumbervision.instances.turned_crops import PLANES, crop_places, crop_planes
+from cucumbervision.instances.crops import PLANES, crop_places, crop_planes
 
 
 def test_places_run_along_a_direction_and_aside() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cucumbervision.instances.fruit_crops import (
+from cucumbervision.instances.crops import (
     HEIGHT_PX,
     WIDTH_PX,
     FruitCrop,

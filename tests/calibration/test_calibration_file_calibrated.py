@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from demo_captures import CAMERA
 
-from cucumbervision.calibration.calibrated import calibrated_capture, calibrated_fruit
 from cucumbervision.calibration.calibration_file import (
     CalibratedCamera,
     CorrectionEntry,
     DepthScaleEntry,
+    Form,
     IntervalEntry,
     MeasuredWith,
     SiteCalibration,
+    calibrated_capture,
+    calibrated_fruit,
 )
-from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CalibrationError
 from cucumbervision.instances.instance import Instance, MaskSource

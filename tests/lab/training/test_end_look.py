@@ -11,7 +11,7 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.instances.crops import (  # noqa: E402
     END_PX,
-    PLANES,  # noqa: E402
+    PLANES,
     QUANTILES,
     EndCrop,
 )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -152,136 +150,101 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> ReportTab
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """A factor that errors may depend on, and its groups.
-
-    Parameters
-    ----------
-    head : str
-        Name with unit.
-    groups : mapping of str to Series of bool
-        Rows of each group by label; groups may overlap.
-    comment : str
-        Comment for the table.
-    """
-
-    head: str
-    groups: Mapping[str, pd.Series[bool]]
-    comment: str = ""
-
-
 _GROUP_EDGES_NOTE = "The lower bound belongs to the group, the upper to the next."
 _EPSILON, _STRAIGHT_CM = 1e-9, 1e6
-_Bands: TypeAlias = "Mapping[str, tuple[float, float]]"
-_TRUE_CM: _Bands = {
-    "small: below 10": (0, 10),
-    "medium: 10 to 18": (10, 18),
-    "large: 18 and more": (18, np.inf),
-}
-_TILTS_DEG: _Bands = {
-    "0 to 15": (0, 15),
-    "15 to 30": (15, 30),
-    "30 to 45": (30, 45),
-    "45 to 60": (45, 60 + _EPSILON),
-    "above 60": (60 + _EPSILON, np.inf),
-}
-_DISTANCES_CM: _Bands = {
-    "below 50": (0, 50),
-    "50 to 70": (50, 70),
-    "70 to 90": (70, 90),
-    "90 and more": (90, np.inf),
-}
-_RADII_CM: _Bands = {
-    "straight": (_STRAIGHT_CM, np.inf),
-    "30 and more": (30, _STRAIGHT_CM),
-    "15 to 30": (15, 30),
-    "below 15": (0, 15),
-}
-_HIDDEN_PERCENT: _Bands = {
-    "0": (-_EPSILON, _EPSILON),
-    "above 0 to 20": (_EPSILON, 20.0),
-    "20 to 40": (20.0, 40.0),
-    "40 to 60": (40.0, 60 + _EPSILON),
-    "above 60": (60 + _EPSILON, np.inf),
-}
+_FACTORS: tuple[tuple[str, str, tuple[float, ...], tuple[str, ...], str], ...] = (
+    (
+        *("true_cm", "true length (cm)", (0, 10, 18, np.inf)),
+        ("small: below 10", "medium: 10 to 18", "large: 18 and more"),
+        "",
+    ),
+    (
+        *("tilt", "tilt (°)", (0, 15, 30, 45, 60 + _EPSILON, np.inf)),
+        ("0 to 15", "15 to 30", "30 to 45", "45 to 60", "above 60"),
+        "Angle of the fruit's chord out of the picture plane. ",
+    ),
+    (
+        *("distance_cm", "distance (cm)", (0, 50, 70, 90, np.inf)),
+        ("below 50", "50 to 70", "70 to 90", "90 and more"),
+        "From the camera to the fruit's middle. ",
+    ),
+    (
+        *("radius_cm", "radius of the bend (cm)", (0, 15, 30, _STRAIGHT_CM, np.inf)),
+        ("below 15", "15 to 30", "30 and more", "straight"),
+        "The smaller, the more bent. ",
+    ),
+    (
+        *("hidden", "hidden share of the fruit (%)"),
+        (-_EPSILON, _EPSILON, 20.0, 40.0, 60 + _EPSILON, np.inf),
+        ("0", "above 0 to 20", "20 to 40", "40 to 60", "above 60"),
+        "",
+    ),
+)
 
 
-def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
-    """Return the factors for which at least two groups are not empty.
+def group_tables(scored: pd.DataFrame, truth: LengthDefinition) -> list[ReportTable]:
+    """Return, for each factor with at least two groups, the MAPE of each method by group.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows with the columns of `readings_frame`.
-    true_m : Series of float
-        True length of each row, metres.
-    """
-    tilt, hidden = frame["tilt_deg"].abs(), 100 * frame["hidden_share"]
-    distance_cm, radius = (
-        100 * frame["distance_m"],
-        (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM),
-    )
-    banded = (
-        ("true length (cm)", 100 * true_m, _TRUE_CM, ""),
-        ("tilt (°)", tilt, _TILTS_DEG, "Angle of the fruit's chord out of the picture plane. "),
-        ("distance (cm)", distance_cm, _DISTANCES_CM, "From the camera to the fruit's middle. "),
-        ("radius of the bend (cm)", radius, _RADII_CM, "The smaller, the more bent. "),
-        ("hidden share of the fruit (%)", hidden, _HIDDEN_PERCENT, ""),
-    )
-    factors = []
-    for head, values, bands, comment in banded:
-        groups = {name: values.between(*band, inclusive="left") for name, band in bands.items()}
-        factors.append(Factor(head, groups, f"{comment}{_GROUP_EDGES_NOTE}"))
-    conditions = {str(name): frame["condition"] == name for name in frame["condition"].unique()}
-    factors.append(Factor("condition", conditions))
-    if "m6_flags" in frame:
-        flagged = frame["m6_flags"].map(
-            lambda flags: bool(flags) if isinstance(flags, list) else True
-        )
-        factors.append(Factor("M6's flags", {"none": ~flagged, "some, or not measured": flagged}))
-    return [f for f in factors if sum(inside.any() for inside in f.groups.values()) > 1]
-
-
-def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -> ReportTable:
-    """Return the MAPE of each method by group, and median, worst error and yield of M6.
-
-    Selectors are omitted, because the lengths they choose are already included.
+    Also median, worst error and yield of M6. Selectors are omitted, because the lengths they choose
+    are already included.
 
     Parameters
     ----------
     scored : DataFrame
-        Readings from `against`.
-    factor : Factor
-        Factor from `factors_of` for the same rows.
+        Readings from `comparable_readings`.
     truth : LengthDefinition
         Definition of length.
     """
+    values = pd.DataFrame(
+        {
+            "true_cm": 100 * scored["true_m"],
+            "tilt": scored["tilt_deg"].abs(),
+            "distance_cm": 100 * scored["distance_m"],
+            "radius_cm": (100 * scored["bend_radius_m"]).fillna(_STRAIGHT_CM),
+            "hidden": 100 * scored["hidden_share"],
+        }
+    )
+    factors = []
+    for name, head, edges, labels, comment in _FACTORS:
+        groups = pd.cut(values[name], list(edges), right=False, labels=list(labels))
+        if name == "radius_cm":  # the straight ones first
+            groups = groups.cat.reorder_categories(list(labels)[::-1], ordered=True)
+        factors.append((head, groups, f"{comment}{_GROUP_EDGES_NOTE}"))
+    names = list(scored["condition"].unique())
+    factors.append(("condition", pd.Categorical(scored["condition"], names), ""))
+    if "m6_flags" in scored:
+        flagged = scored["m6_flags"].map(lambda flags: bool(flags) or not isinstance(flags, list))
+        words = flagged.map({False: "none", True: "some, or not measured"})
+        factors.append(("M6's flags", pd.Categorical(words, ["none", "some, or not measured"]), ""))
+    return [
+        _group_table(scored.assign(group=groups), head, comment, truth)
+        for head, groups, comment in factors
+        if pd.Series(groups).nunique() > 1
+    ]
+
+
+def _group_table(
+    scored: pd.DataFrame, head: str, comment: str, truth: LengthDefinition
+) -> ReportTable:
     methods = shown_methods(scored, truth)
     m6_method = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
-    heads = [factor.head, "captures", "fruit", *(f"{method} MAPE (%)" for method in methods)]
+    heads = [head, "captures", "fruit", *(f"{method} MAPE (%)" for method in methods)]
     if m6_method in methods:
-        heads += [
-            f"{m6_method} median (%)",
-            f"{m6_method} worst (%):.1",
-            f"{m6_method} measured (%):.1",
-        ]
+        words = ("median (%)", "worst (%):.1", "measured (%):.1")
+        heads += [f"{m6_method} {word}" for word in words]
     rows: list[tuple[Cell, ...]] = []
-    for label, chosen in factor.groups.items():
-        inside = scored[chosen]
-        if inside.empty:
-            continue
+    for label, inside in scored.groupby("group", observed=True):
         mape = inside.groupby("method", observed=True)["error_percent"].mean()
-        row: list[Cell] = [label, inside["case"].nunique(), inside["fruit"].nunique()]
+        row: list[Cell] = [str(label), inside["case"].nunique(), inside["fruit"].nunique()]
         row += [float(mape[m]) if m in mape else None for m in methods]
         if m6_method in methods:
             read = inside[inside["method"] == m6_method]
             percent = read["error_percent"]
-            worst: list[Cell] = [float(percent.median()), float(percent.max())]
             measured = 100 * float(read["length_m"].notna().mean())
-            row += [*worst, measured] if len(read) else [None] * 3
+            worst = [float(percent.median()), float(percent.max()), measured]
+            row += worst if len(read) else [None] * 3
         rows.append(tuple(row))
-    return ReportTable.of(f"By {factor.head}, against the {truth}", heads, rows, factor.comment)
+    return ReportTable.of(f"By {head}, against the {truth}", heads, rows, comment)
 
 
 def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:

@@ -16,8 +16,7 @@ from cucumbervision_lab.benchmark.length_tables import (
     PAPER_METHODS,
     accuracy_table,
     comparable_readings,
-    factors_of,
-    group_table,
+    group_tables,
     span_text,
     truths_of,
 )
@@ -70,9 +69,7 @@ def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
         part_tables = [accuracy_table(part, truth) for truth in truths_of(part)]
         if part["case"].nunique() >= _GROUPED_CAPTURES:
             for truth in _TRUTHS[:1] if suite is Suite.STRESS else _TRUTHS:
-                scored = comparable_readings(part, truth)
-                factors = factors_of(scored, scored["true_m"])
-                part_tables += [group_table(scored, factor, truth) for factor in factors]
+                part_tables += group_tables(comparable_readings(part, truth), truth)
         where = f"{_SUITES[suite]}, {_MASK_WORDS[masks]}"
         tables += [replace(table, title=f"{where}: {table.title}") for table in part_tables]
     return tables

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +20,7 @@ from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     comparable_readings,
-    factors_of,
-    group_table,
+    group_tables,
 )
 from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.benchmark.report import write_tables, writing_report
@@ -136,17 +136,14 @@ def _length_tables(readings: pd.DataFrame) -> list[ReportTable]:
     tables = []
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
         of_masks = readings[readings["masks"] == masks]
-        scored = comparable_readings(of_masks, LengthDefinition.CENTRELINE)
-        factors = factors_of(scored, scored["true_m"]) if masks is Masks.PERCEIVED else []
-        for table in (
+        of_parts = [
             accuracy_table(of_masks, LengthDefinition.CENTRELINE),
             accuracy_table(of_masks, LengthDefinition.THREAD),
-            *(group_table(scored, factor, LengthDefinition.CENTRELINE) for factor in factors),
-        ):
-            titled = ReportTable(
-                f"{table.title}, {words}", table.columns, table.rows, table.comment
-            )
-            tables.append(titled)
+        ]
+        if masks is Masks.PERCEIVED:
+            scored = comparable_readings(of_masks, LengthDefinition.CENTRELINE)
+            of_parts += group_tables(scored, LengthDefinition.CENTRELINE)
+        tables += [replace(table, title=f"{table.title}, {words}") for table in of_parts]
     return tables
 
 

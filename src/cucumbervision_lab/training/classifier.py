@@ -179,6 +179,54 @@ def scaled_planes(pictures: NDArray[np.uint8]) -> Any:
     return torch.from_numpy(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))).float() / 255
 
 
+def changed_planes(
+    crops: Any, strength: float, *, no_depth: float, side_px: int, shade: Any = 1.0
+) -> Any:
+    """Change the light of crops and their given mask, and take depth or parts of it away.
+
+    Parameters
+    ----------
+    crops : torch.Tensor, shape (N, 6, H, W)
+        Colour, depth relative to the fruit, whether depth was read, and mask, 0 to 1.
+    strength : float
+        Standard deviation of the changes of light, relative.
+    no_depth : float
+        Share of the crops without depth; of the others, 30 % have holes.
+    side_px : int
+        By how many pixels outlines grow or shrink, plus 1; an odd number.
+    shade : torch.Tensor, optional
+        Further factors of the brightness.
+    """
+    import torch
+    from torch.nn.functional import avg_pool2d, interpolate, max_pool2d
+
+    count = len(crops)
+
+    def chance(share: float) -> Any:
+        return (torch.rand(count) < share)[:, None, None, None]
+
+    def normal(spread: float, channels: int = 1) -> Any:
+        return spread * torch.randn(count, channels, 1, 1)
+
+    color, depth, read, mask = crops[:, :3], crops[:, 3:4], crops[:, 4:5], crops[:, 5:]
+    gain = 1 + normal(strength) + normal(strength / 3, 3)
+    shift = normal(strength / 5) + normal(strength / 13, 3)
+    noise = strength / 6 * torch.rand(count, 1, 1, 1) * torch.randn_like(color)
+    grey = color.mean(1, keepdim=True)
+    color = torch.where(chance(0.25), avg_pool2d(color, 3, 1, 1), color)
+    color = (grey + (1 + normal(0.3)) * (color - grey)).clamp(1e-3, 1) ** normal(strength).exp()
+    color = (color * gain * shade + shift + noise).clamp(0, 1)
+    wider = max_pool2d(mask, side_px, 1, side_px // 2)
+    narrower = 1 - max_pool2d(1 - mask, side_px, 1, side_px // 2)
+    mask = torch.where(chance(0.25), wider, torch.where(chance(0.25), narrower, mask))
+    coarse = torch.rand(count, 1, 8, 8 * crops.shape[3] // crops.shape[2])
+    holes = interpolate(coarse, size=crops.shape[2:], mode="bilinear") > 0.62
+    lost = (chance(0.3) & holes) | chance(no_depth)
+    read = torch.where(lost, torch.zeros_like(read), read)
+    depth = torch.where(read < 0.5, torch.full_like(depth, 128 / 255), depth)
+    return torch.cat([color, depth, read, mask], 1)
+
+
 def export_network(
     network: Any, out: Path, inputs: Mapping[str, Any], outputs: Sequence[str], task: str
 ) -> None:

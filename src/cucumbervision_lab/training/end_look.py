@@ -32,6 +32,7 @@ from cucumbervision_lab.training.classifier import (
     ClassifierOptions,
     Trained,
     begun_network,
+    changed_planes,
     export_network,
     first_layers,
     fit,
@@ -59,7 +60,6 @@ OUTPUTS = len(STATES) + len(QUANTILES) + 1
 _AT_ONCE = 256  # crops
 _HIDDEN = 64
 _GRID = 2  # the features of a crop are averaged over 2 by 2 parts
-_NO_DEPTH, _HOLES = 0.35, 0.3  # shares of a batch's crops that lose their depth, or parts of it
 _SHAPE_MEAN, _SHAPE_SD = (2.2, 2.9), (0.5, 0.6)  # of the logarithms of aspect and radius, pixels
 
 
@@ -174,33 +174,9 @@ def augmented(crops: Any) -> Any:
     """Mirror crops about the axis, change their light, and take depth or parts of it away."""
     import torch
 
-    count = len(crops)
-
-    def chance(share: float) -> Any:
-        return (torch.rand(count) < share)[:, None, None, None]
-
-    crops = torch.where(chance(0.5), crops.flip(2), crops)
-    color, planes = crops[:, :3], crops[:, 3:]
-    gain = 1 + 0.3 * torch.randn(count, 1, 1, 1) + 0.1 * torch.randn(count, 3, 1, 1)
-    shift = 0.06 * torch.randn(count, 1, 1, 1) + 0.02 * torch.randn(count, 3, 1, 1)
-    power = (0.3 * torch.randn(count, 1, 1, 1)).exp()
-    noise = 0.05 * torch.rand(count, 1, 1, 1) * torch.randn_like(color)
-    grey = color.mean(1, keepdim=True)
-    vivid = 1 + 0.3 * torch.randn(count, 1, 1, 1)
-    blurred = torch.nn.functional.avg_pool2d(color, 3, 1, 1)
-    color = torch.where(chance(0.3), blurred, color)
-    color = (grey + vivid * (color - grey)).clamp(1e-3, 1) ** power
-    color = (color * gain + shift + noise).clamp(0, 1)
-    depth, read, mask = planes[:, :1], planes[:, 1:2], planes[:, 2:]
-    wider = torch.nn.functional.max_pool2d(mask, 3, 1, 1)
-    narrower = 1 - torch.nn.functional.max_pool2d(1 - mask, 3, 1, 1)
-    mask = torch.where(chance(0.25), wider, torch.where(chance(0.25), narrower, mask))
-    coarse = torch.rand(count, 1, 8, 8)
-    holes = torch.nn.functional.interpolate(coarse, size=crops.shape[2:], mode="bilinear") > 0.62
-    lost = (chance(_HOLES) & holes) | chance(_NO_DEPTH)
-    read = torch.where(lost, torch.zeros_like(read), read)
-    depth = torch.where(lost, torch.full_like(depth, 128 / 255), depth)
-    return torch.cat([color, depth, read, mask], 1)
+    mirrored = (torch.rand(len(crops)) < 0.5)[:, None, None, None]
+    crops = torch.where(mirrored, crops.flip(2), crops)
+    return changed_planes(crops, 0.3, no_depth=0.35, side_px=3)
 
 
 def predict_looks(network: Any, crops: EndCrops) -> list[EndLook]:

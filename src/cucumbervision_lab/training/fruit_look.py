@@ -16,6 +16,7 @@ from cucumbervision_lab.training.classifier import (
     ClassifierOptions,
     Trained,
     begun_network,
+    changed_planes,
     export_network,
     first_layers,
     fit,
@@ -34,7 +35,6 @@ _TURN_RAD, _SCALE, _SHIFT = 0.12, 0.15, 0.05  # largest random changes of a crop
 _BENT, _BEND_RAD, _MOST_BENT_RAD = 0.4, 1.2, 3.6  # share of crops that are bent, and how much
 _LENGTH_PX, _GIRTH_PX = WIDTH_PX / 1.45, 45.0  # a fruit's in its crop
 _EDGE_WEIGHT = 4.0  # of an outline's own pixels
-_NO_DEPTH, _HOLES = 0.25, 0.3  # shares of a batch's crops that lose their depth, or parts of it
 _POINT_SCALE_PX = 4.0  # errors of keypoints above it count linearly
 _REPEATS = 4  # of false detections near the threshold or above it: few, and what it is for
 _AT_ONCE = 128  # crops
@@ -217,8 +217,13 @@ def augmented(
     planes: Any, has_outline: Any, points: Any, visible: Any, stem: Any, is_fruit: Any
 ) -> tuple[Any, ...]:
     """Turn, scale, move and mirror crops at random, cut them to size, and change their light."""
+    import torch
+
     planes, points, visible, stem = moved(planes, points, visible, stem)
-    return changed_light(planes[:, :6]), planes[:, 6], has_outline, points, visible, stem, is_fruit
+    side_px = 2 * int(torch.randint(1, 4, ())) + 1
+    light = shade(len(planes))
+    changed = changed_planes(planes[:, :6], 0.25, no_depth=0.25, side_px=side_px, shade=light)
+    return changed, planes[:, 6], has_outline, points, visible, stem, is_fruit
 
 
 def moved(planes: Any, points: Any, visible: Any, stem: Any) -> tuple[Any, ...]:
@@ -298,37 +303,6 @@ def shade(count: int) -> Any:
     x, y = torch.linspace(-1, 1, WIDTH_PX), torch.linspace(-1, 1, HEIGHT_PX)
     along = slope[:, :1] * x[None, None, None, :] + 0.5 * slope[:, 1:] * y[None, None, :, None]
     return along.exp().clamp(0.25, 2.0)
-
-
-def changed_light(crops: Any) -> Any:
-    """Change the light of crops, their given mask, and take depth or parts of it away."""
-    import torch
-    from torch.nn.functional import avg_pool2d, interpolate, max_pool2d
-
-    count = len(crops)
-
-    def chance(share: float) -> Any:
-        return (torch.rand(count) < share)[:, None, None, None]
-
-    color, depth, read, mask = crops[:, :3], crops[:, 3:4], crops[:, 4:5], crops[:, 5:]
-    gain = 1 + 0.25 * torch.randn(count, 1, 1, 1) + 0.08 * torch.randn(count, 3, 1, 1)
-    shift = 0.05 * torch.randn(count, 1, 1, 1) + 0.02 * torch.randn(count, 3, 1, 1)
-    power = (0.25 * torch.randn(count, 1, 1, 1)).exp()
-    grey, vivid = color.mean(1, keepdim=True), 1 + 0.3 * torch.randn(count, 1, 1, 1)
-    color = torch.where(chance(0.2), avg_pool2d(color, 3, 1, 1), color)
-    noise = 0.04 * torch.rand(count, 1, 1, 1) * torch.randn_like(color)
-    color = (grey + vivid * (color - grey)).clamp(1e-3, 1) ** power
-    color = (color * gain * shade(count) + shift + noise).clamp(0, 1)
-    side = 2 * int(torch.randint(1, 4, ())) + 1
-    wider = max_pool2d(mask, side, 1, side // 2)
-    narrower = 1 - max_pool2d(1 - mask, side, 1, side // 2)
-    mask = torch.where(chance(0.2), wider, torch.where(chance(0.2), narrower, mask))
-    coarse = torch.rand(count, 1, 7, 16)
-    holes = interpolate(coarse, size=crops.shape[2:], mode="bilinear") > 0.62
-    lost = (chance(_HOLES) & holes) | chance(_NO_DEPTH)
-    read = torch.where(lost, torch.zeros_like(read), read)
-    depth = torch.where(read < 0.5, torch.full_like(depth, 128 / 255), depth)
-    return torch.cat([color, depth, read, mask], 1)
 
 
 def predict_fruit(network: Any, crops: FruitCrops) -> tuple[NDArray[np.float32], ...]:

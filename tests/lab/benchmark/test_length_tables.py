@@ -9,8 +9,7 @@ from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     comparable_readings,
-    factors_of,
-    group_table,
+    group_tables,
 )
 from cucumbervision_lab.benchmark.records import LengthRecord, readings_frame
 
@@ -81,15 +80,14 @@ def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> N
     assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
 
 
-def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[ReportTable]:
-    scored = comparable_readings(readings_frame(records), truth)
-    return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]
+def tables_of(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[ReportTable]:
+    return group_tables(comparable_readings(readings_frame(records), truth), truth)
 
 
 def test_bounds_belong_to_the_upper_group_and_the_last_is_closed(make_record: MakeRecord) -> None:
     tilts = [0, 14.9, -15, 30, 45, 60, 61]
     records = [make_record(f"c{t}", tilt_deg=float(t), lengths_m={"M1": 0.2}) for t in tilts]
-    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    (table,) = tables_of(records, LengthDefinition.CENTRELINE)
     assert {row[0]: row[1] for row in table.rows} == {
         "0 to 15": 2,
         "15 to 30": 1,
@@ -106,7 +104,7 @@ def test_groups_by_hand(make_record: MakeRecord) -> None:
         make_record("b", lengths_m={"M1": 0.2, "M6": 0.194}),
         make_record("c", bend_radius_m=0.3, lengths_m={"M1": 0.16, "M6": 0.18}),
     ]
-    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    (table,) = tables_of(records, LengthDefinition.CENTRELINE)
     assert table.columns[0].head == "radius of the bend (cm)"
     assert [column.head for column in table.columns[3:]] == [
         *("M1 MAPE (%)", "M6 MAPE (%)", "M6 median (%)", "M6 worst (%)", "M6 measured (%)")
@@ -125,7 +123,7 @@ def test_sizes_go_by_the_truth_of_the_table(make_record: MakeRecord) -> None:
         make_record("b", lengths_m={"M1": 0.2}),
     ]
     tables = [
-        group_tables(records, truth)[0]
+        tables_of(records, truth)[0]
         for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
     ]
     assert [table.rows[0][0] for table in tables] == ["small: below 10", "medium: 10 to 18"]
@@ -134,7 +132,7 @@ def test_sizes_go_by_the_truth_of_the_table(make_record: MakeRecord) -> None:
 def test_unknown_values_are_in_no_group(make_record: MakeRecord) -> None:
     unknown = dict.fromkeys(("hidden_share", "tilt_deg", "distance_m"), float("nan"))
     records = [make_record(c, lengths_m={"M6": 0.2}, **unknown) for c in "ab"]
-    assert group_tables(records, LengthDefinition.CENTRELINE) == []
+    assert tables_of(records, LengthDefinition.CENTRELINE) == []
 
 
 def test_fruit_that_m6_flags_are_a_group_of_their_own(make_record: MakeRecord) -> None:
@@ -147,6 +145,6 @@ def test_fruit_that_m6_flags_are_a_group_of_their_own(make_record: MakeRecord) -
         )
         for k, some in enumerate(flags)
     ]
-    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    (table,) = tables_of(records, LengthDefinition.CENTRELINE)
     assert table.columns[0].head == "M6's flags"
     assert [row[:2] for row in table.rows] == [("none", 2), ("some, or not measured", 2)]
